@@ -60,10 +60,9 @@ class Fronts:
         """The order for the places of the entries of ``matrix`` (k, k), which are symmetric."""
         size = matrix.shape[0]
         pattern = sparse.csc_matrix((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
-        order = _minimum_degree(pattern)
-        groups = _joined(*_eliminated(pattern, order))
+        groups = _joined(*_eliminated(pattern))
         where = np.empty(size, np.int64)  # an unknown's turn
-        where[np.concatenate([np.asarray(own) for own, _ in groups])] = np.arange(size)
+        where[np.concatenate([own for own, _ in groups])] = np.arange(size)
         front_of = np.empty(size, np.int64)
         for number, (own, _) in enumerate(groups):
             front_of[own] = number
@@ -74,7 +73,7 @@ class Fronts:
         sort = np.argsort(front_of[column], kind="stable")
         cuts = np.searchsorted(front_of[column[sort]], np.arange(len(groups) + 1))
         fronts, index = [], np.full(size, -1, np.int64)
-        members = [np.concatenate([np.asarray(own), _in_turn(border, where)]) for own, border in groups]
+        members = [np.concatenate([own, border[np.argsort(where[border])]]) for own, border in groups]
         for number, ((own, border), mine) in enumerate(zip(groups, members, strict=True)):
             index[mine] = np.arange(len(mine))
             entries = sort[cuts[number]:cuts[number + 1]]
@@ -84,7 +83,7 @@ class Fronts:
                 above = int(front_of[mine[len(own)]])
                 index[members[above]] = np.arange(len(members[above]))
                 place = index[mine[len(own):]]
-            fronts.append(_Front(np.asarray(own), mine[len(own):], above, place, entries, spots))
+            fronts.append(_Front(own, mine[len(own):], above, place, entries, spots))
         return cls(tuple(fronts), size, row, column, _work(groups))
 
     def factor(self, values: np.ndarray) -> Factor:
@@ -168,37 +167,29 @@ class Factor:
         return out
 
 
-def _minimum_degree(pattern: sparse.csc_matrix) -> np.ndarray:
-    """Unknowns in an order of little fill (k,)."""
-    dominant = sparse.csc_matrix(pattern + (pattern.shape[0] + 1.0) * sparse.identity(pattern.shape[0], format="csc"))
-    return np.argsort(splu(dominant, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                           options={"SymmetricMode": True}).perm_c)
+def _eliminated(pattern: sparse.csc_matrix) -> tuple[np.ndarray, sparse.csc_matrix]:
+    """An order of elimination of little fill (k,), and the lower factor's pattern in that order (k, k), whose column j
+    holds the later unknowns that unknown j then couples to, besides itself."""
+    # In an M-matrix, off-diagonal entries below 0 and a dominant diagonal, fill is below 0 and cannot cancel.
+    size = pattern.shape[0]
+    given = sparse.csc_matrix((size + 1.0) * sparse.identity(size, format="csc") - pattern)
+    factor = splu(given, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    lower = sparse.csc_matrix(factor.L)
+    lower.sort_indices()
+    return np.argsort(factor.perm_c), lower
 
 
-def _eliminated(pattern: sparse.csc_matrix, order: np.ndarray) -> tuple[list[list[int]], list[set[int]]]:
-    """Each unknown in the order of elimination, and the later ones to which it then couples."""
-    turn = np.empty(len(order), np.int64)
-    turn[order] = np.arange(len(order))
-    below: list[set[int]] = [set() for _ in order]  # by turn
-    for k, unknown in enumerate(order):
-        near = turn[pattern.indices[pattern.indptr[unknown]:pattern.indptr[unknown + 1]]]
-        below[k].update(near[near > k].tolist())
-        if below[k]:
-            first = min(below[k])
-            below[first] |= below[k]
-            below[first].discard(first)
-    return [[int(u)] for u in order], [{int(order[k]) for k in later} for later in below]
-
-
-def _joined(own: list[list[int]], border: list[set[int]]) -> list[tuple[list[int], set[int]]]:
-    """Fronts of several unknowns, in an order of elimination.
+def _joined(order: np.ndarray, lower: sparse.csc_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Fronts of several unknowns, in an order of elimination: their own, and those of their border in their turn.
 
     A front joins the one that has the first unknown of its border, if this stores few zeros.
     """
-    turn = {group[0]: k for k, group in enumerate(own)}
-    above = [min((turn[u] for u in later), default=-1) for later in border]
-    stored = [len(later) + 1.0 for later in border]  # entries of the factor that need not be zero
-    joined_to = list(range(len(own)))
+    size = len(order)
+    start, below = lower.indptr[:-1] + 1, lower.indices  # without the diagonal
+    rows = np.diff(lower.indptr) - 1
+    above = [int(below[k]) if count else -1 for k, count in zip(start, rows)]
+    stored = [count + 1.0 for count in rows.tolist()]  # entries of the factor that need not be zero
+    joined_to, own = list(range(size)), [[k] for k in range(size)]
 
     def front(k: int) -> int:
         while joined_to[k] != k:
@@ -206,25 +197,21 @@ def _joined(own: list[list[int]], border: list[set[int]]) -> list[tuple[list[int
             k = joined_to[k]
         return k
 
-    for k in range(len(own)):  # before the fronts above it
+    border = rows.tolist()
+    for k in range(size):  # before the fronts above it
         if above[k] < 0:
             continue
         up = front(above[k])
-        count, rows = len(own[k]) + len(own[up]), len(border[up])
-        entries = count * (count + 1) / 2 + count * rows
+        count = len(own[k]) + len(own[up])
+        entries = count * (count + 1) / 2 + count * border[up]
         if count <= _SMALL or entries - stored[k] - stored[up] <= _ZEROS * entries:
             own[up], joined_to[k] = own[k] + own[up], up
             stored[up] += stored[k]
-    left = [k for k in range(len(own)) if joined_to[k] == k]
-    return [(own[k], border[k]) for k in left]
+    return [(order[own[k]], order[below[start[k]:lower.indptr[k + 1]]])
+            for k in range(size) if joined_to[k] == k]
 
 
-def _in_turn(border: set[int], where: np.ndarray) -> np.ndarray:
-    found = np.fromiter(border, np.int64, len(border))
-    return found[np.argsort(where[found])]
-
-
-def _work(groups: list[tuple[list[int], set[int]]]) -> float:
+def _work(groups: list[tuple[np.ndarray, np.ndarray]]) -> float:
     own = np.array([len(g) for g, _ in groups], float)
     rows = np.array([len(b) for _, b in groups], float)
     return float((own**3 / 6 + own**2 * rows / 2 + own * rows**2 / 2).sum())
