@@ -90,7 +90,7 @@ def stick_slip_kernel(real: type) -> tuple:
                     high = high * real(2.0)
                     at_high = excess(kind, size, mu, y, on_surface(kind, size, p + high * t), t)
             # Regula falsi, in which an end that stays weighs half (Illinois): some ten steps where bisection takes all.
-            stayed = int(0)
+            stayed = wp.int32(0)
             for _step in range(halvings):
                 middle = real(0.5) * (low + high)
                 if at_low - at_high > real(0.0):

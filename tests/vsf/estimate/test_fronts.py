@@ -5,9 +5,12 @@ import pytest
 import torch
 from scipy import sparse
 
+from vsfsim.vsf.estimate import map as estimate_map
 from vsfsim.vsf.estimate import touch_blocks
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.estimate.fronts import Fronts
+from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.estimate.pivoting import SparseGram
 
 torch.set_num_threads(1)
 
@@ -89,3 +92,21 @@ def test_all_kinds_of_blocks_give_the_same_likelihood_and_gradient(monkeypatch, 
         assert value == pytest.approx(dense_value, rel=1e-10)
         for ours, theirs in zip(gradient, dense_gradient, strict=True):
             torch.testing.assert_close(ours, theirs, rtol=100 * digits, atol=digits * float(theirs.abs().max()))
+
+
+def test_springs_are_fitted_by_the_sparse_factor_where_a_dense_one_would_be_too_large(monkeypatch):
+    w, _ = touches()
+    rng = np.random.default_rng(7)
+    z = w @ np.maximum(rng.normal(30, 60, w.shape[1]), 0.0) + 0.1 * rng.normal(size=w.shape[0])
+    given = {"noise_std": 0.1, "prior_mean": 5.0, "prior_var": 1e4}
+    dense = map_estimate(w, z, **given)
+    assert 0 < dense.active < len(dense.mean), "some springs are held at 0, others are not"
+    monkeypatch.setattr(estimate_map, "_DENSE_LIMIT", 10)
+    monkeypatch.setattr(estimate_map, "projected_cg", lambda *_, **__: pytest.fail("not needed"))
+    found = map_estimate(w, z, **given)
+    np.testing.assert_allclose(found.mean, dense.mean, rtol=1e-8, atol=1e-9 * dense.mean.max())
+    assert found.active == dense.active and found.kkt_residual < 1e-10
+
+
+def test_a_factor_that_is_full_is_not_called_sparse():
+    assert SparseGram.of(sparse.csr_matrix(np.random.default_rng(8).uniform(size=(400, 200)))) is None

@@ -52,6 +52,8 @@ class Fronts:
     """Rows of the stored entries (q,) int."""
     column: np.ndarray
     """Their columns (q,) int."""
+    kept: np.ndarray
+    """Which of the matrix's entries they are, in the order of its ``data`` (q,) int."""
     work: float
     """Multiplications of a factor [-]; a dense one takes k^3 / 6."""
 
@@ -68,8 +70,8 @@ class Fronts:
             front_of[own] = number
         stored = matrix.tocoo()
         row, column = stored.row.astype(np.int64), stored.col.astype(np.int64)
-        lower = where[row] >= where[column]
-        row, column = row[lower], column[lower]
+        kept = np.flatnonzero(where[row] >= where[column])
+        row, column = row[kept], column[kept]
         sort = np.argsort(front_of[column], kind="stable")
         cuts = np.searchsorted(front_of[column[sort]], np.arange(len(groups) + 1))
         fronts, index = [], np.full(size, -1, np.int64)
@@ -84,7 +86,7 @@ class Fronts:
                 index[members[above]] = np.arange(len(members[above]))
                 place = index[mine[len(own):]]
             fronts.append(_Front(own, mine[len(own):], above, place, entries, spots))
-        return cls(tuple(fronts), size, row, column, _work(groups))
+        return cls(tuple(fronts), size, row, column, kept, _work(groups))
 
     def factor(self, values: np.ndarray) -> Factor:
         """Factor the matrix with ``values`` (q,) of the entries `row`, `column`, plus the identity."""

@@ -1,5 +1,5 @@
 """Exact non-negative least squares with a prior, by principal pivoting: for problems with one side small enough for a
-dense matrix.
+dense matrix, or with an A^T A that has a sparse factor.
 
     minimise  1/2 |b - A x|^2 + 1/2 |x - x0|^2   subject to  x >= 0
 
@@ -22,8 +22,13 @@ factorisation that never squares A.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import linalg, sparse
+
+from vsfsim.vsf.estimate.fronts import Fronts
 
 _SQUARE = 2
 """Unknowns a row up to which the unknowns' side is factorised."""
@@ -42,6 +47,12 @@ _ROUNDING = 1e-13
 """Signs of quantities below this fraction of the largest are rounding errors."""
 _GOOD = 1e-9
 """KKT residual that needs no orthogonal factorisation."""
+_PRODUCTS = 1e9
+"""Multiplications that A^T A may take where a sparse factor of it is looked for."""
+_SPARSE = 0.15
+"""Share of its entries that may not be zero for that."""
+_FILLED = 0.1
+"""Share of a dense factor's work up to which a sparse one is taken."""
 _CHOLESKY_LIMIT = 1e14
 """Largest eigenvalue of A A^T for which the normal equations are factorised: float64 holds 1 beside it."""
 _FIRST_STAGE, _RAISE, _STAGE_TOLERANCE = 1e6, 10.0, 1e-4
@@ -59,20 +70,22 @@ def kkt_residual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndar
 
 
 def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, scale: np.ndarray,
-                       tolerance: float) -> tuple[np.ndarray, int]:
+                       tolerance: float, known: SparseGram | None = None) -> tuple[np.ndarray, int]:
     """The minimiser (n,) and the number of steps.
 
     Args:
-        a: (m, n); a matrix of the size of the smaller side is made.
+        a: (m, n); a dense matrix of the size of the smaller side is made.
         b: (m,).
         x0: (n,).
         scale: units of the unknowns in the KKT residual (n,).
         tolerance: KKT residual at which to stop.
+        known: A^T A, where no dense matrix of its size is to be made. With it only block exchanges are made; where
+            they cycle, the point is not the minimiser.
     """
-    problem = _Problem(a, b, x0, scale)
+    problem = _Problem(a, b, x0, scale, known=known)
     free = np.ones(len(x0), bool)
     found, _, steps = _block_exchanges(problem, free, _STEPS)
-    if problem.residual(found) <= max(tolerance, _GOOD):
+    if known is not None or problem.residual(found) <= max(tolerance, _GOOD):
         return found, steps
     strength = max(_largest_eigenvalue(a), 1e-300)
     stages, weight = [], _FIRST_STAGE
@@ -93,15 +106,38 @@ def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, s
     return min((found, x), key=problem.residual), steps
 
 
+@dataclass(frozen=True)
+class SparseGram:
+    """A^T A that has a sparse factor."""
+
+    order: Fronts
+    """In which it is factored."""
+    entries: np.ndarray
+    """Its entries in that order (q,)."""
+
+    @classmethod
+    def of(cls, a: sparse.csr_matrix) -> SparseGram | None:
+        """None if it has no sparse factor, or if finding out would take long."""
+        count, size = np.diff(a.indptr).astype(np.float64), a.shape[1]
+        if size > a.shape[0] or count @ count > _PRODUCTS:
+            return None
+        gram = sparse.csr_matrix(a.T @ a)
+        if gram.nnz > _SPARSE * size**2:
+            return None
+        order = Fronts.of(gram)
+        return cls(order, gram.data[order.kept]) if order.work <= _FILLED * size**3 / 6 else None
+
+
 class _Problem:
     """A, b and x0, and the solution on a face; by orthogonal factorisations if ``exact``."""
 
-    def __init__(self, a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, *, exact: bool = False):
+    def __init__(self, a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, *, exact: bool = False,
+                 known: SparseGram | None = None):
         self.a, self.at, self.columns = a, sparse.csr_matrix(a.T), a.tocsc()
         self.b, self.x0, self.scale, self.exact = b, x0, scale, exact
-        self.by_unknowns = a.shape[1] <= _SQUARE * a.shape[0]
-        self.right = self.at @ b + x0
-        if self.by_unknowns and not exact:
+        self.by_unknowns = known is not None or a.shape[1] <= _SQUARE * a.shape[0]
+        self.right, self.known = self.at @ b + x0, known
+        if self.by_unknowns and known is None and not exact:
             self.hessian = (self.at @ a).toarray()
             self.hessian[np.diag_indices_from(self.hessian)] += 1.0
 
@@ -122,13 +158,30 @@ class _Problem:
         return x, self.b - self.a @ x
 
     def _by_unknowns(self, x: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        matrix = self.hessian[np.ix_(inside, inside)] if len(inside) < len(x) else self.hessian
-        factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
-        x[inside] = linalg.cho_solve(factor, self.right[inside], check_finite=False)
+        solve = self._factored(inside)
+        x[inside] = solve(self.right[inside])
         for _ in range(_REFINEMENTS):
             miss = (self.at @ (self.b - self.a @ x) + self.x0 - x)[inside]
-            x[inside] += linalg.cho_solve(factor, miss, check_finite=False)
+            x[inside] += solve(miss)
         return x, self.b - self.a @ x
+
+    def _factored(self, inside: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """What solves with 1 + A^T A of the unknowns ``inside``."""
+        if self.known is None:
+            matrix = self.hessian[np.ix_(inside, inside)] if len(inside) < len(self.x0) else self.hessian
+            dense = linalg.cho_factor(matrix, lower=True, check_finite=False)
+            return lambda right: linalg.cho_solve(dense, right, check_finite=False)
+        kept = np.zeros(len(self.x0))  # the others have rows of the identity, which change no solution
+        kept[inside] = 1.0
+        order = self.known.order
+        factor = order.factor(self.known.entries * kept[order.row] * kept[order.column])
+
+        def solve(right: np.ndarray) -> np.ndarray:
+            full = np.zeros((len(kept), 1))
+            full[inside, 0] = right
+            return factor.solve(full)[inside, 0]
+
+        return solve
 
     def _by_rows(self, x: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         part = self.columns[:, inside]

@@ -169,7 +169,7 @@ class SparseBlock(_ByReadings):
         if fronts.work > _FILLED * k**3 / 6:
             return None
         return cls(torch.as_tensor(particle), rows, columns, torch.as_tensor(value), torch.as_tensor(shared), fronts,
-                   np.asarray(gram[fronts.row, fronts.column]).ravel())
+                   gram.data[fronts.kept])
 
     @property
     def largest(self) -> int:
