@@ -206,6 +206,11 @@ def _forward(parameters: Parameters, x: torch.Tensor) -> Parameters:
     return out
 
 
+def _through(change: torch.Tensor, layer: torch.Tensor) -> torch.Tensor:
+    """``change`` where a ReLU's output ``layer`` is above 0, else 0, in one operation."""
+    return torch.ops.aten.threshold_backward(change, layer, 0.0)
+
+
 def _backward(parameters: Parameters, layers: Parameters, error: torch.Tensor) -> tuple[Parameters, Parameters]:
     """Gradient with respect to the parameters, and to every layer's output before its ReLU, from that of the last
     one."""
@@ -214,7 +219,7 @@ def _backward(parameters: Parameters, layers: Parameters, error: torch.Tensor) -
         x = layers[i // 2]
         gradient[i], gradient[i + 1] = torch.bmm(x.transpose(1, 2), error), error.sum(dim=1, keepdim=True)
         if i:
-            error = torch.bmm(error, parameters[i].transpose(1, 2)) * (x > 0.0)
+            error = _through(torch.bmm(error, parameters[i].transpose(1, 2)), x)
             errors.insert(0, error)
     return gradient, errors
 
@@ -227,7 +232,7 @@ def _forward_change(parameters: Parameters, v: Parameters, layers: Parameters,
         after = torch.baddbmm(v[i + 1], layers[i // 2], v[i])
         if change is not None:
             after = torch.baddbmm(after, change, parameters[i])
-        change = after * (layers[i // 2 + 1] > 0.0) if i + 2 < len(parameters) else after
+        change = _through(after, layers[i // 2 + 1]) if i + 2 < len(parameters) else after
         out.append(change)
     return out
 
@@ -241,8 +246,8 @@ def _backward_change(parameters: Parameters, v: Parameters, layers: Parameters, 
         out[i] = torch.baddbmm(torch.bmm(layers[k].transpose(1, 2), change), moved[k].transpose(1, 2), errors[k])
         out[i + 1] = change.sum(dim=1, keepdim=True)
         if i:
-            change = torch.baddbmm(torch.bmm(change, parameters[i].transpose(1, 2)), errors[k],
-                                   v[i].transpose(1, 2)) * (layers[k] > 0.0)
+            change = _through(torch.baddbmm(torch.bmm(change, parameters[i].transpose(1, 2)), errors[k],
+                                            v[i].transpose(1, 2)), layers[k])
             changes.insert(0, change)
     return out, changes
 
