@@ -87,7 +87,8 @@ def measure(task: Task, dataset: Dataset, *, variants: Sequence[str] = tuple(VAR
 
 def _method(task: Task, name: str, seed: int, device: str):
     method, of, given = VARIANTS[name]
-    chosen = on_device(preset(method, of, task.observation.name), "" if device == "cpu" else device)
+    observation = task.observation.name
+    chosen = on_device(preset(method, of, observation), "" if device == "cpu" else device, observation)
     found = find_method(method)
     return build_method(found, parameters_of(found, {**chosen.parameters, **given, "seed": seed}))
 

@@ -64,10 +64,12 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if not isinstance(value, dict)}
 
 
-def on_device(choice: Choice, device: str) -> Choice:
-    """A choice on this device if it makes the method faster; "" for its own."""
-    gpu = device and _table().get(choice.method, {}).get("gpu")
-    return replace(choice, parameters={**choice.parameters, "device": device}) if gpu else choice
+def on_device(choice: Choice, device: str, observation: str) -> Choice:
+    """A choice on this device if it makes the method faster where this is read; "" for its own."""
+    gpu = _table().get(choice.method, {}).get("gpu", [])
+    if not device or not (gpu is True or observation in gpu):
+        return choice
+    return replace(choice, parameters={**choice.parameters, "device": device})
 
 
 def choices(observation: str, device: str = "", answer: str = "readings") -> list[Choice]:
@@ -80,5 +82,6 @@ def choices(observation: str, device: str = "", answer: str = "readings") -> lis
     out = []
     for method, table in _table().items():
         if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
-            out += [on_device(preset(method, name, observation, answer), device) for name in PRESETS if name in table]
+            out += [on_device(preset(method, name, observation, answer), device, observation)
+                    for name in PRESETS if name in table]
     return out

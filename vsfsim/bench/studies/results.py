@@ -113,7 +113,8 @@ def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> E
     row = study.is_row(variant)
     if row:
         task = load_task(task.name)  # without the study's shots and runs
-    dataset, choice = study.dataset_of(variant, task), on_device(study.choice(variant, task), device)
+    dataset = study.dataset_of(variant, task)
+    choice = on_device(study.choice(variant, task), device, task.observation.name)
     training = study.training(variant, task, size)
     if row:
         path = MADE / task.name / f"{choice.stem}.json"
