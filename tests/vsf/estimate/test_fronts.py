@@ -110,3 +110,13 @@ def test_springs_are_fitted_by_the_sparse_factor_where_a_dense_one_would_be_too_
 
 def test_a_factor_that_is_full_is_not_called_sparse():
     assert SparseGram.of(sparse.csr_matrix(np.random.default_rng(8).uniform(size=(400, 200)))) is None
+
+
+def test_where_rounding_spoils_the_sparse_factor_springs_are_fitted_without_one(monkeypatch):
+    w, _ = touches()
+    z = w @ np.full(w.shape[1], 20.0)
+    dense = map_estimate(w, z, noise_std=0.1, prior_mean=5.0, prior_var=1e4)
+    monkeypatch.setattr(estimate_map, "_DENSE_LIMIT", 10)
+    monkeypatch.setattr(Fronts, "factor", lambda *_: (_ for _ in ()).throw(np.linalg.LinAlgError))
+    found = map_estimate(w, z, noise_std=0.1, prior_mean=5.0, prior_var=1e4)
+    np.testing.assert_allclose(found.mean, dense.mean, rtol=1e-4, atol=1e-4 * dense.mean.max())

@@ -10,6 +10,7 @@ forces).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,9 +60,10 @@ def bounded_least_squares(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *
         return principal_pivoting(a, b, x0, scale=scale, tolerance=tolerance)
     known = SparseGram.of(a)
     if known is not None:
-        found, steps = principal_pivoting(a, b, x0, scale=scale, tolerance=tolerance, known=known)
-        if kkt_residual(a, b, x0, found, scale) <= _GOOD:
-            return found, steps
+        with suppress(linalg.LinAlgError):
+            found, steps = principal_pivoting(a, b, x0, scale=scale, tolerance=tolerance, known=known)
+            if kkt_residual(a, b, x0, found, scale) <= _GOOD:
+                return found, steps
     return projected_cg(a, b, x0, start=x0)
 
 

@@ -81,6 +81,9 @@ def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, s
         tolerance: KKT residual at which to stop.
         known: A^T A, where no dense matrix of its size is to be made. With it only block exchanges are made; where
             they cycle, the point is not the minimiser.
+
+    Raises:
+        LinAlgError: with ``known``, if rounding makes 1 + A^T A indefinite.
     """
     problem = _Problem(a, b, x0, scale, known=known)
     free = np.ones(len(x0), bool)
@@ -152,8 +155,9 @@ class _Problem:
         if not self.exact:
             try:
                 return self._by_unknowns(x, inside) if self.by_unknowns else self._by_rows(x, inside)
-            except linalg.LinAlgError:
-                pass  # rounding made the normal equations indefinite
+            except linalg.LinAlgError:  # rounding made the normal equations indefinite
+                if self.known is not None:
+                    raise
         x[inside] = _least_squares(self.columns[:, inside].toarray(), self.b, self.x0[inside])
         return x, self.b - self.a @ x
 
