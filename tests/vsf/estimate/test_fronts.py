@@ -117,6 +117,10 @@ def test_where_rounding_spoils_the_sparse_factor_springs_are_fitted_without_one(
     z = w @ np.full(w.shape[1], 20.0)
     dense = map_estimate(w, z, noise_std=0.1, prior_mean=5.0, prior_var=1e4)
     monkeypatch.setattr(estimate_map, "_DENSE_LIMIT", 10)
-    monkeypatch.setattr(Fronts, "factor", lambda *_: (_ for _ in ()).throw(np.linalg.LinAlgError))
+
+    def spoilt(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(Fronts, "factor", spoilt)
     found = map_estimate(w, z, noise_std=0.1, prior_mean=5.0, prior_var=1e4)
     np.testing.assert_allclose(found.mean, dense.mean, rtol=1e-4, atol=1e-4 * dense.mean.max())
