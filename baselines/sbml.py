@@ -141,6 +141,7 @@ class Sbml(PosteriorAnswers):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
                 self.seed, spawn_key=(2, number)).generate_state(1)[0])
             network = self._build(raw[0].shape[1], spread, seed, self.common_std * spread.mean if common else 0.0)
+            network.to(self.device)
             self.training.append(train(network, [t for i, t in enumerate(tasks) if i not in held],
                                        [t for i, t in enumerate(tasks) if i in held], rate=self.rate,
                                        epochs=self.epochs, patience=self.patience, seed=seed))
@@ -227,7 +228,7 @@ class Sbml(PosteriorAnswers):
             marks = (f"net{number}.", "net.")
             network.load_state_dict({name.partition(".")[2]: torch.as_tensor(value) for name, value in arrays.items()
                                      if name.startswith(marks)})
-            self._learned.append(network.cpu())
+            self._learned.append(network)
 
     def _blended(self, priors: Sequence[GaussianPrior], model: ParticleModel, view: View) -> GaussianPrior:
         return blended(priors, self._level, self._near(model, view), naive_mean=self._naive[0],
@@ -252,7 +253,7 @@ class Sbml(PosteriorAnswers):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             return MetaPrior(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
-                             output=self.output, second=self.second, level_std=level_std).to(self.device)
+                             output=self.output, second=self.second, level_std=level_std)
 
     def _features(self, model: ParticleModel, view: View) -> np.ndarray:
         key = f"{self.features} {self.weights}"

@@ -66,8 +66,7 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def on_device(choice: Choice, device: str, observation: str) -> Choice:
     """A choice on this device if it makes the method faster where this is read; "" for its own."""
-    gpu = _table().get(choice.method, {}).get("gpu", [])
-    if not device or not (gpu is True or observation in gpu):
+    if not device or observation not in _table().get(choice.method, {}).get("gpu", []):
         return choice
     return replace(choice, parameters={**choice.parameters, "device": device})
 

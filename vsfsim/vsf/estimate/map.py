@@ -17,13 +17,11 @@ import numpy as np
 from scipy import linalg, sparse
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.pivoting import SparseGram, kkt_residual, principal_pivoting
+from vsfsim.vsf.estimate.pivoting import GOOD, SparseGram, kkt_residual, principal_pivoting
 from vsfsim.vsf.estimate.projected_cg import projected_cg
 
 _DENSE_LIMIT = 4000
 """Smaller side beyond which no dense matrix is made (its factor would take 130 MB and seconds a step)."""
-_GOOD = 1e-9
-"""KKT residual that is as good as that of an exact solution."""
 _BLOCK = 1024
 """Columns of A that are dense at one time in `posterior_std`."""
 
@@ -62,7 +60,7 @@ def bounded_least_squares(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *
     if known is not None:
         with suppress(linalg.LinAlgError):
             found, steps = principal_pivoting(a, b, x0, scale=scale, tolerance=tolerance, known=known)
-            if kkt_residual(a, b, x0, found, scale) <= _GOOD:
+            if kkt_residual(a, b, x0, found, scale) <= GOOD:
                 return found, steps
     return projected_cg(a, b, x0, start=x0)
 

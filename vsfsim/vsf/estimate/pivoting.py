@@ -45,7 +45,7 @@ _STALLED = 12
 _REFINEMENTS = 3
 _ROUNDING = 1e-13
 """Signs of quantities below this fraction of the largest are rounding errors."""
-_GOOD = 1e-9
+GOOD = 1e-9
 """KKT residual that needs no orthogonal factorisation."""
 _PRODUCTS = 1e9
 """Multiplications that A^T A may take where a sparse factor of it is looked for."""
@@ -88,7 +88,7 @@ def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, s
     problem = _Problem(a, b, x0, scale, known=known)
     free = np.ones(len(x0), bool)
     found, _, steps = _block_exchanges(problem, free, _STEPS)
-    if known is not None or problem.residual(found) <= max(tolerance, _GOOD):
+    if known is not None or problem.residual(found) <= max(tolerance, GOOD):
         return found, steps
     strength = max(_largest_eigenvalue(a), 1e-300)
     stages, weight = [], _FIRST_STAGE
@@ -103,7 +103,7 @@ def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, s
         # The same x = x0 + (share A)^T y at the new weight.
         x, y, more = _newton(weighted, free, y * (before / share), tolerance if last else _STAGE_TOLERANCE)
         free, steps, before = x > 0.0, steps + more, share
-    if problem.residual(x) > _GOOD:
+    if problem.residual(x) > GOOD:
         x, _, more = _newton(_Problem(a, b, x0, scale, exact=True), free, y, tolerance)
         steps += more
     return min((found, x), key=problem.residual), steps

@@ -11,6 +11,7 @@ its shared components, and e = z - A mean - U group_mean.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,24 +32,24 @@ _CHUNK = 1024
 """Particles whose columns are processed at one time: allocating a copy of all would cost more than the arithmetic."""
 
 
-class _ByReadings:
+class _ByReadings(ABC):
     """What blocks with rows have in common."""
 
     particle: torch.Tensor
     value: torch.Tensor
     shared: torch.Tensor
 
+    @abstractmethod
     def predicted(self, stiffness: torch.Tensor) -> torch.Tensor:
         """Readings (r,) of stiffnesses (k,)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def gathered(self, readings: torch.Tensor) -> torch.Tensor:
         """rows^T readings: (k,) or (k, c) for (r,) or (r, c)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def inverted(self, var: torch.Tensor, right: torch.Tensor) -> _Inverted:
         """C^-1 on ``right`` (r, c), for the variances ``var`` (k,) of its particles."""
-        raise NotImplementedError
 
     def solved(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor) -> Solved:
         """What the likelihood needs of C^-1.
@@ -115,10 +116,7 @@ class Block(_ByReadings):
                              torch.linalg.solve_triangular(factor.T, white, upper=True), (white * white).sum(dim=0),
                              factor)
         s = var.sqrt()
-        precision = self.gram * s
-        precision *= s[:, None]
-        precision.diagonal().add_(1.0)
-        factor = torch.linalg.cholesky(precision)
+        factor = _factored(self.gram, s)
         y = torch.cholesky_solve(s[:, None] * (self.rows.T @ right), factor)
         left = right - self.rows @ (s[:, None] * y)
         # |e - A x|^2 + |x / sqrt(d)|^2 equals e^T C^-1 e and is not a difference of two large numbers.
@@ -264,10 +262,7 @@ class GramBlock:
         """As of `_ByReadings`. With y = P^-1 S A^T e and x = mean + S y the quadratic form is
         |z - U g - A x|^2 + |y|^2, and C^-1 e = z - U g - A x."""
         s, g = var.sqrt(), group_mean
-        precision = self.gram * s
-        precision *= s[:, None]
-        precision.diagonal().add_(1.0)
-        factor = torch.linalg.cholesky(precision)
+        factor = _factored(self.gram, s)
         right = self.rest + self.gram @ (self.at - mean) - self.joint @ g
         y = torch.cholesky_solve(s[:, None] * torch.cat([right[:, None], self.joint], dim=1), factor)
         moved = s[:, None] * y
@@ -331,6 +326,14 @@ def particle_side(rows: int, particles: int) -> bool:
     """Whether a k x k factor and its inverse (k^3 operations) cost less than an r x r one and its product with the rows
     (3 r^2 k and r^3 / 3)."""
     return particles**3 < 3 * rows**2 * particles + rows**3 // 3
+
+
+def _factored(gram: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
+    """Lower Cholesky factor of P = 1 + S G S (k, k), with S = diag(s)."""
+    precision = gram * s
+    precision *= s[:, None]
+    precision.diagonal().add_(1.0)
+    return torch.linalg.cholesky(precision)
 
 
 def _sizes(gram: torch.Tensor, var: torch.Tensor, found: Solved) -> torch.Tensor:
