@@ -1,23 +1,27 @@
 """The outer loop of iMAML: steps of Adam on the parameters that every task starts from.
 
-On a GPU a step on few samples is three thousand launches of some microseconds each, so it is recorded as a CUDA graph
-and replayed (`vsfsim.vsf.graphed_step`). For that all its tasks are padded to one length, which changes no sum.
+On a GPU a step on few samples is two thousand launches of some microseconds each, so it is recorded as CUDA graphs and
+replayed (`vsfsim.vsf.graphed_step`). For that its tasks are padded to one of a few lengths, which changes no sum.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from vsfsim.baselines.implicit_maml import Batch, Network, Parameters, Table, adapt, implicit_gradient
+from vsfsim.baselines.implicit_maml import Batch, ImplicitGradient, Network, Parameters, Table, adapt
 from vsfsim.vsf.adam import Adam
-from vsfsim.vsf.graphed_step import GraphedStep
+from vsfsim.vsf.graphed_step import GraphedLoop
 
 _SMALL = 16_384
 """Samples of a step, with their padding, up to which a GPU waits for the launches and not for the arithmetic."""
+_LENGTHS = 4
+"""Lengths that a recorded task may have. A step is recorded for each pair of them that occurs; with one length half of
+its arithmetic would be on padding."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class OuterLoop:
         self._network, self._theta, self._table, self._rates = network, theta, table, rates
         self._longest, self._device = longest, torch.device(device)
         self._optimiser = Adam(theta, rates.outer_rate, capturable=self._device.type == "cuda")
-        self._recorded: dict[int, _Recorded] = {}
+        self._recorded: dict[tuple[int, int, int], _Recorded] = {}
 
     def step(self, halves: Sequence[tuple[np.ndarray, np.ndarray]], token: torch.Tensor) -> None:
         """One step.
@@ -62,35 +66,52 @@ class OuterLoop:
         if self._device.type != "cuda" or count * self._longest > _SMALL:
             self._move(*(self._table.batch(tasks, token) for tasks in sets))
             return
-        if count not in self._recorded:
-            self._recorded[count] = _Recorded(self, count, self._longest, token)
-        self._recorded[count](*(self._table.rows(tasks, self._longest) for tasks in sets), token)
+        support, query = (self._table.rows(tasks, math.ceil(self._longest / _LENGTHS)) for tasks in sets)
+        shape = count, support.shape[1], query.shape[1]
+        if shape not in self._recorded:
+            self._recorded[shape] = _Recorded(self, *shape, token)
+        self._recorded[shape](support, query, token)
 
     def _move(self, support: Batch, query: Batch) -> torch.Tensor:
         """Loss of every task (B,) at what it adapted to, before the step."""
+        solving = self._begin(support, query)
+        solving.solve(self._rates.cg_steps)
+        return self._end(solving)
+
+    def _begin(self, support: Batch, query: Batch) -> ImplicitGradient:
         r = self._rates
         phi = adapt(self._network, self._theta, support, rate=r.inner_rate, steps=r.inner_steps,
                     regularisation=r.regularisation)
-        gradient, loss = implicit_gradient(self._network, phi, support, query, regularisation=r.regularisation,
-                                           damping=r.cg_damping, cg_steps=r.cg_steps)
-        for p, g in zip(self._theta, gradient):
+        return ImplicitGradient(self._network, phi, support, query, regularisation=r.regularisation,
+                                damping=r.cg_damping)
+
+    def _end(self, solving: ImplicitGradient) -> torch.Tensor:
+        for p, g in zip(self._theta, solving.gradient()):
             p.grad = g.mean(dim=0)
         self._optimiser.step()
-        return loss
+        return solving.loss()
 
 
 class _Recorded:
-    """A step on ``count`` tasks of ``width`` samples, whose numbers and tokens are copied to one place."""
+    """A step on ``count`` tasks of ``support`` and ``query`` samples, whose numbers and tokens are copied to one
+    place."""
 
-    def __init__(self, loop: OuterLoop, count: int, width: int, token: torch.Tensor):
-        self._rows = [torch.zeros((count, width), dtype=torch.int64, device=token.device) for _ in range(2)]
+    def __init__(self, loop: OuterLoop, count: int, support: int, query: int, token: torch.Tensor):
+        self._rows = [torch.zeros((count, width), dtype=torch.int64, device=token.device) for width in (support, query)]
         self._token = torch.empty_like(token)
+        solving: list[ImplicitGradient] = []
 
-        def step() -> torch.Tensor:
-            support, query = (loop._table.gather(rows, self._token) for rows in self._rows)
-            return loop._move(support, query)
+        def begin() -> torch.Tensor:
+            solving[:] = [loop._begin(*(loop._table.gather(rows, self._token) for rows in self._rows))]
+            return solving[0].goes_on
 
-        self._step = GraphedStep(step, device=str(token.device))
+        def turn() -> None:
+            solving[0].turn()
+
+        def end() -> torch.Tensor:
+            return loop._end(solving[0])
+
+        self._step = GraphedLoop(begin, turn, end, most=loop._rates.cg_steps, device=str(token.device))
 
     def __call__(self, support: np.ndarray, query: np.ndarray, token: torch.Tensor) -> None:
         for rows, new in zip(self._rows, (support, query)):

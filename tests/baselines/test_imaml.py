@@ -6,7 +6,7 @@ import torch
 
 from vsfsim.baselines import outer_loop
 from vsfsim.baselines.imaml import Imaml, ImamlVision
-from vsfsim.baselines.implicit_maml import Batch, Network, Table, adapt, implicit_gradient
+from vsfsim.baselines.implicit_maml import Batch, ImplicitGradient, Network, Table, adapt, implicit_gradient
 from vsfsim.baselines.outer_loop import OuterLoop, Rates
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.mock import mock_view
@@ -131,6 +131,29 @@ def test_padding_changes_no_step():
         for _ in range(3):
             loop._move(*(table.gather(torch.as_tensor(table.rows(tasks, width)), torch.zeros(1, 0)) for tasks in sets))
         learned.append(theta)
+    torch.testing.assert_close(learned[1], learned[0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_recorded_step_solves_no_longer_than_a_step(monkeypatch):
+    """What a GPU replays, called on a CPU: padded to one of a few lengths, and solved in as few turns."""
+    network = Network(7, 2, token=0, hidden=(5,), encoder=())
+    g = np.random.default_rng(0)
+    table = Table([(g.normal(size=(n, 7)), g.normal(size=(n, 2))) for n in (3, 5, 2, 4)], torch.float64, "cpu")
+    turns, turn = [], ImplicitGradient.turn
+    monkeypatch.setattr(ImplicitGradient, "turn", lambda self: (turns.append(1), turn(self)))
+    learned, counts, shapes = [], [], []
+    for recorded in (False, True):
+        theta = [p.requires_grad_(True) for p in network.start(torch.Generator().manual_seed(0))]
+        loop = OuterLoop(network, theta, table, Rates(1e-2, 1e-2, 5, 2.0, 100.0, 50), longest=14, device="cpu")
+        if recorded:
+            loop._device = torch.device("cuda")  # so that it records; the tensors stay where they are
+        for halves in ([0], [1, 2, 3]), ([3, 1], [0, 2]), ([2, 0], [1, 3]):
+            loop.step([tuple(np.array(half) for half in halves)], torch.zeros(1, 0))
+        shapes = sorted(loop._recorded)
+        learned.append(theta)
+        counts.append(len(turns))
+    assert shapes == [(1, 4, 12), (1, 8, 12), (1, 12, 8)]  # 3 and 11, 5 and 9, 9 and 5 samples, by fours
+    assert counts[1] == 2 * counts[0] < 2 * 3 * 20
     torch.testing.assert_close(learned[1], learned[0], rtol=1e-9, atol=1e-12)
 
 

@@ -1,15 +1,19 @@
-"""A step of a training loop as a CUDA graph, captured once and replayed.
+"""A step of a training loop as CUDA graphs, captured once and replayed.
 
 On a GPU a step of a small network is a hundred kernel launches of some microseconds each, and launching costs more than
 the work. A CUDA graph launches them as one. The step must read everything that changes from tensors that keep their
-addresses (a counter on the device, buffers that are refilled in place) and must not synchronise with the host.
+addresses (a counter on the device, buffers that are refilled in place) and must not synchronise with the host. A step
+that asks its own numbers how long to go on is three graphs, between which the host looks (`GraphedLoop`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import torch
+
+T = TypeVar("T")
 
 _WARM_UP = 3
 """Steps before the capture: libraries allocate their workspace in them, which cannot be captured."""
@@ -35,20 +39,89 @@ class GraphedStep:
             return self.step()
         with torch.cuda.device(self.device):
             if self.calls <= _WARM_UP:
-                return self._warm_up()
+                return _warm_up(self.step, self.device)
             if self._graph is None:
-                self._graph = torch.cuda.CUDAGraph()
-                # torch keeps one stream for captures, on the first device that was captured on
-                with torch.cuda.graph(self._graph, stream=torch.cuda.Stream(self.device)):
-                    self._out = self.step()
+                self._graph, self._out = _captured(self.step, self.device)
             self._graph.replay()
         return self._out
 
-    def _warm_up(self) -> torch.Tensor:
-        # The capture runs on a stream of its own; so must the steps that fill the allocator's pool for it.
-        current, side = torch.cuda.current_stream(self.device), torch.cuda.Stream(self.device)
-        side.wait_stream(current)
-        with torch.cuda.stream(side):
-            out = self.step()
-        current.wait_stream(side)
-        return out
+
+class GraphedLoop:
+    """A step of three parts, called repeatedly: ``begin`` once, ``turn`` again and again, ``end`` once.
+
+    On a CPU they are called. On a GPU they are called in `_WARM_UP` steps, captured, and replayed from then on; ``end``
+    then returns one tensor, which each replay overwrites.
+
+    Args:
+        begin: returns a tensor () bool that says whether a ``turn`` is needed.
+        turn: changes that tensor in place, and others that ``begin`` has made.
+        end: returns the step's result.
+        most: calls of ``turn`` in a step.
+        device: torch device.
+    """
+
+    def __init__(self, begin: Callable[[], torch.Tensor], turn: Callable[[], None], end: Callable[[], torch.Tensor], *,
+                 most: int, device: str):
+        self._parts = begin, turn, end
+        self.most, self.device = most, torch.device(device)
+        self.calls = 0
+        self._graphs: list[torch.cuda.CUDAGraph] = []
+        self._goes_on: torch.Tensor | None = None
+        self._out: torch.Tensor | None = None
+
+    def __call__(self) -> torch.Tensor:
+        """Make one step."""
+        self.calls += 1
+        if self.device.type != "cuda":
+            return self._step()
+        with torch.cuda.device(self.device):
+            if self.calls <= _WARM_UP:
+                return _warm_up(self._step, self.device)
+            if not self._graphs:
+                self._capture()
+            first, again, last = self._graphs
+            first.replay()
+            for _ in range(self.most):
+                if not self._goes_on:
+                    break
+                again.replay()
+            last.replay()
+        return self._out
+
+    def _step(self) -> torch.Tensor:
+        begin, turn, end = self._parts
+        goes_on = begin()
+        for _ in range(self.most):
+            if not goes_on:
+                break
+            turn()
+        return end()
+
+    def _capture(self) -> None:
+        begin, turn, end = self._parts
+        first, self._goes_on = _captured(begin, self.device)
+        # One pool of memory: what a part leaves to the next stays where it is as long as it is referred to.
+        again, _ = _captured(turn, self.device, first)
+        last, self._out = _captured(end, self.device, first)
+        self._graphs = [first, again, last]
+
+
+def _captured(step: Callable[[], T], device: torch.device,
+                 beside: torch.cuda.CUDAGraph | None = None) -> tuple[torch.cuda.CUDAGraph, T]:
+    """The graph of a step, not replayed yet, and what it returns; ``beside``: a graph whose memory it shares."""
+    graph = torch.cuda.CUDAGraph()
+    pool = None if beside is None else beside.pool()
+    # torch keeps one stream for captures, on the first device that was captured on
+    with torch.cuda.graph(graph, pool=pool, stream=torch.cuda.Stream(device)):
+        out = step()
+    return graph, out
+
+
+def _warm_up(step: Callable[[], T], device: torch.device) -> T:
+    # The capture runs on a stream of its own; so must the steps that fill the allocator's pool for it.
+    current, side = torch.cuda.current_stream(device), torch.cuda.Stream(device)
+    side.wait_stream(current)
+    with torch.cuda.stream(side):
+        out = step()
+    current.wait_stream(side)
+    return out

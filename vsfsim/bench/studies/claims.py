@@ -15,6 +15,8 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None,
              boards: dict[str, Board] | None = None) -> tuple[list[Verdict], list[Experiment]]:
     """The claims of the studies beside their stored results, and their experiments.
 
+    An experiment changes what a claim is asked of, so that one on tasks of another size counts as well.
+
     Args:
         size: of the tasks. names: of studies, None for all that ship. boards: as of `stored`.
     """
@@ -24,7 +26,8 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None,
         if study.command or not (study.claims or study.experiments):
             continue
         used = {side[0] for a in (*study.claims, *study.experiments) for side in (a.better, a.worse)}
-        found = stored(study, size, [v for v in study.variants if v.name in used], boards)
+        at = size if size in study.tasks else next(iter(study.tasks), size)
+        found = stored(study, at, [v for v in study.variants if v.name in used], boards)
         if study.claims and size in study.tasks:
             out += [_verdict(study, size, asked, found) for asked in study.claims]
         for asked in study.experiments:
