@@ -4,6 +4,7 @@ import dataclasses
 import os
 from functools import partial
 
+import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
@@ -195,3 +196,26 @@ def test_a_reader_tells_protocols_and_noises_apart(dataset, task):
     assert read.subject(task, dataset, name) is first
     quiet, other = (read.specimen(t, dataset, name).touches[0].value for t in (task, loud))
     assert (quiet != other).any() and read.specimen(fewer, dataset, name) is read.specimen(task, dataset, name)
+
+
+def test_several_processes_read_what_one_does(dataset, task, monkeypatch):
+    names, reads = dataset.names(), [reader.Reader(), reader.Reader()]
+    for processes, read in zip((1, 3), reads):
+        read.read(task, dataset, test=names, train=names, processes=processes)
+    monkeypatch.setattr(reader, "record", None)  # nothing is left to read
+    for name in names:
+        (one, first), (other, second) = ((r.subject(task, dataset, name), r.specimen(task, dataset, name))
+                                         for r in reads)
+        assert one.draw == other.draw and one.pool.keys() == other.pool.keys() and one.name == other.name == name
+        np.testing.assert_array_equal(one.view.depth, other.view.depth)
+        np.testing.assert_array_equal(one.points, other.points)
+        for given, again in zip(first.touches, second.touches, strict=True):
+            np.testing.assert_array_equal(given.value, again.value)
+            np.testing.assert_array_equal(given.action.poses, again.action.poses)
+            assert not again.value.flags.writeable
+
+
+def test_a_view_that_cannot_be_read_is_told_by_several_processes(dataset, task):
+    asked = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, query=1000))
+    with pytest.raises(TaskError, match="touches"):
+        reader.Reader().read(asked, dataset, test=dataset.names(), train=(), processes=2)

@@ -75,11 +75,12 @@ class Evaluation:
         runs = protocol.runs(seeded=seeded) if self.seeds is None else tuple(range(self.seeds))
         return tuple(stages(protocol, self.training.folds(self.dataset, protocol), runs, seeded=seeded))
 
-    def read_stages(self, names: Sequence[str], read: Reader, *, seeded: bool) -> None:
+    def read_stages(self, names: Sequence[str], read: Reader, *, seeded: bool, processes: int = 1) -> None:
         """Read in advance what some trainings and their trials need.
 
         Args:
-            names: of the trainings. read: what reads. seeded: the method takes a ``seed``.
+            names: of the trainings. read: what reads. seeded: the method takes a ``seed``. processes: that read at the
+            same time.
 
         Raises:
             TaskError: the dataset does not hold what the task reads.
@@ -87,7 +88,8 @@ class Evaluation:
         found = [stage for stage in self._stages(seeded=seeded) if stage.name in names]
         # a smaller share of the training objects is drawn for each training by itself
         train = [name for stage in found for name in stage.train] if self.training.objects == 1.0 else []
-        read.read(self.task, self.dataset, test=[name for stage in found for name in stage.test], train=train)
+        read.read(self.task, self.dataset, test=[name for stage in found for name in stage.test], train=train,
+                  processes=processes)
 
     def make_stage(self, name: str, read: Reader) -> None:
         """One training and its trials; the answers go into `parts`.
@@ -170,7 +172,7 @@ def _make(evaluations: Sequence[Evaluation], processes: int, check: bool, progre
                      and not (one.path.with_suffix(".part") / f"{n}.npz").is_file()]
             if len(names) > 1:
                 progress(0, len(names), f"{one.path.stem}: reading its dataset")
-                one.read_stages(names, read, seeded=seeded[one.method])
+                one.read_stages(names, read, seeded=seeded[one.method], processes=processes)
         except VsfsimError as error:
             yield one, str(error)
             continue

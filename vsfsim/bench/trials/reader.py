@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+import multiprocessing
+import pickle
+import signal
+from collections.abc import Hashable, Iterable, Sequence
 
 from vsfsim.bench.method import Specimen
 from vsfsim.bench.protocol import record, specimen_of
@@ -47,8 +50,7 @@ class Reader:
         Raises:
             TaskError: it has too few touches, or not what the task reads.
         """
-        readings = _readings(task, dataset, name)
-        key = (*readings, task.protocol, task.primary)  # a study asks a task by a protocol of its own
+        readings, key = _readings(task, dataset, name), self._key(task, dataset, name)
         if key not in self._subjects:
             view, places = dataset.shown(name)
             recording = record(view, task)
@@ -56,20 +58,58 @@ class Reader:
             self._specimens.setdefault(readings, specimen_of(view, recording))
         return self._subjects[key]
 
-    def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str]) -> None:
+    def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str],
+             processes: int = 1) -> None:
         """Read views in advance.
 
         Args:
             task, dataset: as for `subject`. test: names of the views that are asked about. train: of those to learn
-            from.
+            from. processes: that read at the same time.
 
         Raises:
             TaskError: as `subject`.
         """
+        test = [name for name in dict.fromkeys(test) if self._key(task, dataset, name) not in self._subjects]
+        if processes > 1 and len(test) > 1:
+            self._read_beside(task, dataset, test, min(processes, len(test)))
         for name in test:
             self.subject(task, dataset, name)
         for name in train:
             self.specimen(task, dataset, name)
+
+    def _read_beside(self, task: Task, dataset: Dataset, names: Sequence[str], processes: int) -> None:
+        with multiprocessing.get_context("fork").Pool(processes, _Reading.begin, (task, dataset)) as pool:
+            for name, (content, buffers) in zip(names, pool.imap(_Reading.subject, names)):
+                specimen, subject = pickle.loads(content, buffers=buffers)
+                self._subjects[self._key(task, dataset, name)] = subject
+                self._specimens.setdefault(_readings(task, dataset, name), specimen)
+
+    @staticmethod
+    def _key(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
+        # a study asks a task by a protocol of its own
+        return (*_readings(task, dataset, name), task.protocol, task.primary)
+
+
+class _Reading:
+    """A process of a pool, which has the task and the dataset from its parent: a task cannot be pickled."""
+
+    of: tuple[Task, Dataset]
+
+    @classmethod
+    def begin(cls, task: Task, dataset: Dataset) -> None:
+        """In a new process."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted, and ends its pool
+        cls.of = task, dataset
+
+    @classmethod
+    def subject(cls, name: str) -> tuple[bytes, list[bytes]]:
+        """A view as training and as test object, pickled. Its arrays are buffers of their own, from which they come
+        back read-only, as they were."""
+        read = Reader()
+        buffers: list[pickle.PickleBuffer] = []
+        found = read.subject(*cls.of, name)
+        content = pickle.dumps((read.specimen(*cls.of, name), found), protocol=5, buffer_callback=buffers.append)
+        return content, [bytes(b) for b in buffers]
 
 
 def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
