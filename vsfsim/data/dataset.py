@@ -18,7 +18,7 @@ from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import file_sha256
-from vsfsim.data.hdf5 import read_shown, read_view
+from vsfsim.data.hdf5 import read_picture, read_shown, read_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_file, check_name, whole_number
@@ -154,6 +154,14 @@ class Dataset:
         path = self._checked_file(name)
         view, places = read_shown(path)
         return self._as_listed(view, path, name), places
+
+    def picture(self, name: str) -> np.ndarray:
+        """The colour image of one object view (H, W, 3) uint8; nothing else of it is read.
+
+        Raises:
+            DatasetError: as `load`.
+        """
+        return read_picture(self._checked_file(name))
 
     def _as_listed(self, view: ObjectView, path: Path, name: str) -> ObjectView:
         (entry,) = (e for e in self.entries if e.name == name)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -135,24 +136,42 @@ def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
     return view, places
 
 
+def read_picture(path: Path) -> np.ndarray:
+    """The colour image of an object file (H, W, 3) uint8; no other number of it is read.
+
+    Raises:
+        DatasetError: as `read_view`.
+    """
+    with _opened(path) as (_, items):
+        return _field(items, "view/rgb", path)
+
+
 def _read(path: Path, *, blind: bool, places: bool = False) -> tuple[ObjectView, np.ndarray | None]:
+    with _opened(path) as (file, items):
+        found = _field(items, "truth/probe_points", path) if places else None
+        view = View(**_read_group(items, "view", "view", f"{path} view"))
+        touches = tuple(_read_touch(items, f"touches/{name}", f"{path} touches/{name}")
+                        for name in sorted(items["touches"]))
+        truth = None if blind else Truth(**_read_group(items, "truth", "truth", f"{path} truth"))
+        attrs = file.attrs
+        return ObjectView(check_name(attrs["name"], f"{path} @name"),
+                          whole_number(attrs["object_index"], f"{path} @object_index"),
+                          whole_number(attrs["view_index"], f"{path} @view_index"),
+                          check_name(attrs["split"], f"{path} @split"),
+                          _probe(attrs["probe"], path), view, touches, truth), found
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[h5py.File, Mapping[str, h5py.Group | h5py.Dataset]]]:
+    """An object file and every object of it by its path, after all of them were checked; what h5py raises in the block
+    means that the file is damaged."""
     if not path.is_file():
         raise DatasetError(f"{path} does not exist.")
     try:
         with h5py.File(path, "r") as file:
             items = check_tree(file, path)
             check_attributes(file, path)
-            found = _field(items, "truth/probe_points", path) if places else None
-            view = View(**_read_group(items, "view", "view", f"{path} view"))
-            touches = tuple(_read_touch(items, f"touches/{name}", f"{path} touches/{name}")
-                            for name in sorted(items["touches"]))
-            truth = None if blind else Truth(**_read_group(items, "truth", "truth", f"{path} truth"))
-            attrs = file.attrs
-            return ObjectView(check_name(attrs["name"], f"{path} @name"),
-                              whole_number(attrs["object_index"], f"{path} @object_index"),
-                              whole_number(attrs["view_index"], f"{path} @view_index"),
-                              check_name(attrs["split"], f"{path} @split"),
-                              _probe(attrs["probe"], path), view, touches, truth), found
+            yield file, items
     except _DAMAGE as error:
         raise _damaged(path, error) from error
 

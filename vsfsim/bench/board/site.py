@@ -20,7 +20,7 @@ from vsfsim.bench.leaderboard import Board, Row, labels_of, over_objects, supers
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP, Score, as_rows
+from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP, Score
 from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.core.shelf import scenes
@@ -32,6 +32,8 @@ _COLUMNS = ("stiffness: Spearman's rank correlation of the estimate with the tru
             "and 90 %: fraction of readings within the central interval that the method gives; right are 0.5 and 0.9.")
 _TIMES = "Meta-fit: time of a training; adapt and predict: of a new object and of a touch."
 
+ByView = dict[str, list[tuple[str, np.ndarray]]]
+"""By object view, what some methods say of it."""
 MOST_LINES = 8
 """Methods in a chart; a table has them all."""
 
@@ -51,8 +53,9 @@ def write_site(boards: Sequence[Board], out: Path) -> list[Path]:
         pages[_of_task(board.task)] = _task_page(board, names)
         for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
             pages[_of_method(board.task, number)] = _method_page(board, row, name)
+        estimates = _estimates(board, names)
         for name in _objects(board):
-            pages[_of_object(board.task, name)] = _object_page(board, names, name)
+            pages[_of_object(board.task, name)] = _object_page(board, names, name, estimates.get(name, {}))
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -164,7 +167,7 @@ def _method_page(board: Board, row: Row, name: str) -> str:
     return page(f"{name}", body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
 
 
-def _object_page(board: Board, names: Sequence[str], name: str) -> str:
+def _object_page(board: Board, names: Sequence[str], name: str, estimates: ByView) -> str:
     task, labels = board.task, board.task.protocol.labels
     known = [(row.objects[task.ranking_shot][name], number) for number, row in enumerate(board.rows)
              if name in row.objects.get(task.ranking_shot, {})]
@@ -175,7 +178,7 @@ def _object_page(board: Board, names: Sequence[str], name: str) -> str:
     body = [_picture(task, name), "<h2>Methods</h2>",
             table(["method", *(f"{label}-shot" for label in labels)], rows,
                   caption=f"{_value(task)}, mean over runs; the best first")]
-    maps = _maps(board, names, name)
+    maps = _maps(estimates)
     if maps:
         body += [f"<h2>Stiffness after {task.ranking_shot} touches</h2>",
                  paragraph("Every point is a place where a small cone measured the true stiffness and that some touch "
@@ -322,19 +325,25 @@ def _object_table(board: Board, names: Sequence[str], objects: Sequence[str]) ->
     return table(["object", *(name for _, name in ranked)], rows, caption=f"{_value(task)}; {task.ranking_shot}-shot")
 
 
-def _maps(board: Board, names: Sequence[str], name: str) -> list[str]:
-    """The truth and the estimates of the ranked methods, view by view."""
-    out: list[str] = []
-    seen: dict[str, list[tuple[str, np.ndarray]]] = {}
+def _estimates(board: Board, names: Sequence[str]) -> dict[str, ByView]:
+    """What the ranked methods say of the stiffness, by object and view: of each method its name and, a row a point,
+    place, truth and estimate (k, 5)."""
+    out: dict[str, ByView] = {}
     for row, label in zip(board.rows, names, strict=True):
-        by_view: dict[str, list[dict]] = {}
-        for point in as_rows(row.result.maps) if row.rank and row.result.maps else ():
-            if object_of(point["object"]) == name:
-                by_view.setdefault(point["object"], []).append(point)
-        for view, points in by_view.items():
-            array = np.array([[p[k] for k in ("x", "y", "z", "truth", "mean")] for p in points], float)
-            seen.setdefault(view, []).append((label, array))
-    for view, found in sorted(seen.items()):
+        if not row.rank or not row.result.maps:
+            continue
+        columns = row.result.maps
+        views = np.array(columns["object"])
+        values = np.array([columns[key] for key in ("x", "y", "z", "truth", "mean")], float).T
+        for view in dict.fromkeys(columns["object"]):
+            out.setdefault(object_of(view), {}).setdefault(view, []).append((label, values[views == view]))
+    return out
+
+
+def _maps(estimates: ByView) -> list[str]:
+    """The truth and the estimates of an object, view by view."""
+    out: list[str] = []
+    for view, found in sorted(estimates.items()):
         truth = found[0][1]
         places, true = MAP_STEP * (truth[:, :3] - MAP_ORIGIN), truth[:, 3]
         if not (true > 0.0).any():
@@ -357,7 +366,7 @@ def _picture(task: Task, name: str) -> str:
     try:
         dataset = Dataset.open(task.dataset.path()).blind()
         view = next(entry.name for entry in dataset.entries if object_of(entry.name) == name)
-        return figure(charts.png(dataset.load(view).view.rgb, name), f"What the camera sees of {view}.")
+        return figure(charts.png(dataset.picture(view), name), f"What the camera sees of {view}.")
     except (DatasetError, StopIteration, OSError):
         return paragraph(f"Its picture is in the dataset, which is not on this machine; `{task.dataset.command()}` "
                          f"makes it.", note=True)
