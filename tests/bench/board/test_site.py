@@ -140,6 +140,19 @@ def test_colours_go_from_one_end_to_the_other():
     assert charts.png(rgb, "a").startswith('<img alt="a" width="5" src="data:image/png;base64,iVBORw0KGgo')
 
 
+def test_names_of_points_meet_neither_points_nor_one_another():
+    """Seven methods at nearly one place, as a task has them."""
+    drawn = charts.points({f"method {k} (tuned)": (0.3 + 0.01 * k, 0.84 + 0.002 * k, 0.01) for k in range(7)},
+                          across="seconds", axis="error")
+    texts = [(float(x), float(y)) for x, y in re.findall(r'<text class="over" x="([0-9.]+)" y="([0-9.]+)"', drawn)]
+    points = [(float(x), float(y)) for x, y in re.findall(r'<circle cx="([0-9.]+)" cy="([0-9.]+)"', drawn)]
+    assert len(texts) == len(points) == 7
+    heights = sorted(y for _, y in texts)
+    assert np.diff(heights).min() >= 14.0
+    assert not any(x - 2.0 <= a <= x + 110.0 and y - 11.0 <= b <= y + 3.0 for x, y in texts for a, b in points)
+    assert drawn.index('class="over"') > drawn.rindex("<circle"), "names are over all lines and points"
+
+
 @pytest.mark.slow
 def test_a_browser_opens_the_pages_without_a_network(site, tmp_path):
     browser = next((b for b in ("chromium", "chromium-browser", "google-chrome") if shutil.which(b)), None)

@@ -100,23 +100,40 @@ def points(values: Mapping[str, tuple[float, float, float]], *, across: str, axi
         out.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{up}" y2="{height - down}"/>')
         out.append(_text(x, height - down + 18, f"{10.0**power:g}", "middle"))
     out.append(_text((left + width - right) / 2, height - 6, across, "middle", soft=True))
-    used: list[tuple[float, float]] = []
-    for n, (name, (at, value, error)) in enumerate(sorted(known.items(), key=lambda item: item[1][1])):
-        colour = COLOURS[n % len(COLOURS)]
-        x = left + (width - left - right) * (math.log10(at) - low) / (far - low)
-        y = up + (height - up - down) * (1.0 - min(max(value, 0.0), high) / high)
+    ordered = sorted(known.items(), key=lambda item: item[1][1])
+    at = {name: (left + (width - left - right) * (math.log10(v[0]) - low) / (far - low),
+                 up + (height - up - down) * (1.0 - min(max(v[1], 0.0), high) / high)) for name, v in ordered}
+    taken = [(x - 5.0, y - 5.0, x + 5.0, y + 5.0) for x, y in at.values()]
+    written: list[str] = []  # over all lines
+    for n, (name, (_, _, error)) in enumerate(ordered):
+        colour, (x, y) = COLOURS[n % len(COLOURS)], at[name]
         if math.isfinite(error):
             half = (height - up - down) * error / high
             out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{y - half:.1f}" y2="{y + half:.1f}" stroke="{colour}"/>')
         out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/>')
-        write = y + 4.0
-        while any(abs(write - other) < 13.0 and abs(x - there) < 130.0 for there, other in used):
-            write -= 13.0
-        used.append((x, write))
-        if write < y:  # a name that gave way to another is joined to its point
-            out.append(f'<line x1="{x:.1f}" x2="{x + 7:.1f}" y1="{y:.1f}" y2="{write - 4.0:.1f}" stroke="{colour}"/>')
-        out.append(_text(x + 8, write, name))
-    return _svg(width, height, out, f"{axis} over {across}")
+        box = _free((x + 6.0, y - 7.0, x + 10.0 + 6.2 * len(name), y + 7.0), taken, up, height - down)
+        taken.append(box)
+        middle = (box[1] + box[3]) / 2.0
+        if middle != y:  # a name that gave way is joined to its point
+            out.append(f'<line x1="{x:.1f}" x2="{x + 7:.1f}" y1="{y:.1f}" y2="{middle:.1f}" stroke="{colour}"/>')
+        written.append(_text(x + 8, middle + 4.0, name, over=True))
+    return _svg(width, height, [*out, *written], f"{axis} over {across}")
+
+
+Box = tuple[float, float, float, float]
+"""Left, upper, right and lower edge."""
+
+
+def _free(box: Box, taken: Sequence[Box], up: float, down: float) -> Box:
+    """The box moved up or down as little as needed to meet none of others between two edges; as it is if there is no
+    such place."""
+    for step in range(1, int(down - up)):
+        by = step // 2 * (-1.0 if step % 2 else 1.0)
+        moved = (box[0], box[1] + by, box[2], box[3] + by)
+        if moved[1] >= up and moved[3] <= down and not any(
+                moved[0] < b[2] and b[0] < moved[2] and moved[1] < b[3] and b[1] < moved[3] for b in taken):
+            return moved
+    return box
 
 
 def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: float, name: str) -> str:
@@ -198,8 +215,8 @@ def _frame(width: int, height: int, left: int, right: int, up: int, down: int, t
     return out
 
 
-def _text(x: float, y: float, text: str, anchor: str = "start", *, soft: bool = False) -> str:
-    kind = ' class="soft"' if soft else ""
+def _text(x: float, y: float, text: str, anchor: str = "start", *, soft: bool = False, over: bool = False) -> str:
+    kind = ' class="soft"' if soft else ' class="over"' if over else ""  # over lines, which end at its edge
     return f'<text{kind} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
 
 
