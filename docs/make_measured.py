@@ -73,6 +73,24 @@ def study(name: str, size: str = "mini") -> str:
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
 
 
+def claims() -> str:
+    """The table of `vsfsim claims` from the results that ship, and what experiments say."""
+    from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD, difference
+    from vsfsim.bench.studies.claims import all_verdicts
+
+    found = all_verdicts(boards=BOARDS, made=False)
+    rows = [[str(k), v.claim.text, v.claim.source, f"`{v.claim.task}`", v.claim.figures, v.ours, difference(v),
+             v.answer if v.answer == UNTOLD else f"**{v.answer}**"] for k, v in enumerate(found, start=1)]
+    lines = [f"- {k}: {e.conclusion}." for k, v in enumerate(found, start=1) for e in v.experiments
+             if v.answer != HOLDS and v.difference is not None and e.difference is not None]
+    notes = [f"- {k}: {v.claim.note}." for k, v in enumerate(found, start=1) if v.claim.note]
+    counts = ", ".join(f"{sum(v.answer == word for v in found)} {word}" for word in (HOLDS, FAILS, UNTOLD))
+    head = ["#", "claim", "source", "asked of", "paper", "here", "difference (objects)", "verdict"]
+    return (f"<!-- vsfsim claims -->\n{len(found)} claims: {counts}.\n\n" + piped(head, rows)
+            + "\nOf claims that do not hold or cannot be told, experiments say:\n\n" + "\n".join(lines)
+            + "\n\nWhat is different here:\n\n" + "\n".join(notes) + "\n")
+
+
 @functools.cache
 def results(name: str, size: str) -> dict:
     """Results of a study that ship, by variant."""
@@ -112,6 +130,7 @@ MEASURED: dict[str, Callable[[], str]] = {
     **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
     **{f"study-{name}": partial(study, name) for name in studies()},
     **{f"study-{name}-standard": partial(study, name, "standard") for name in STANDARD},
+    "claims": claims,
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}

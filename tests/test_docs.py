@@ -139,3 +139,4 @@ def test_the_leaderboards_of_the_pages_are_those_that_ship():
         assert (module.FOLDER / f"study-{name}.md").read_text() == module.study(name)
     for name in module.STANDARD:
         assert (module.FOLDER / f"study-{name}-standard.md").read_text() == module.study(name, "standard")
+    assert (module.FOLDER / "claims.md").read_text() == module.claims()

@@ -299,25 +299,13 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
     Reads the results that ship, those in results/TASK and those of `vsfsim study`. Each verdict names the commands
     behind it; of a claim that does not hold, experiments say what is at fault.
     """
-    from vsfsim.bench import leaderboard as board
     from vsfsim.bench.board import claims as judged
     from vsfsim.bench.commands.presets import PRESETS
-    from vsfsim.bench.studies import claims as claims_of_studies
-    from vsfsim.bench.task import load_task
+    from vsfsim.bench.studies.claims import all_verdicts
 
     check_choice("--preset", preset, PRESETS)
     check_choice("--size", size or "mini", ("mini", "standard"))
-    boards: dict[str, board.Board] = {}
-    found = []
-    for one in (size,) if size else ("standard", "mini"):
-        wanted = judged.claims_of(one)
-        for name in dict.fromkeys(claim.task for claim in wanted):
-            if name not in boards:
-                made = Path("results") / name
-                boards[name] = board.collect(load_task(name), [made] if made.is_dir() else [])
-        asked, experiments = claims_of_studies.verdicts(one, boards=boards)
-        found.append(claims_of_studies.beside([*judged.judge(wanted, boards, preset=preset), *asked], experiments))
-    verdicts = judged.with_results(found)
+    verdicts = all_verdicts(size, preset=preset)
     report(judged.text(verdicts), judged.table(verdicts), json)
 
 

@@ -253,7 +253,7 @@ def command_for(method: str, task: str, preset: str) -> str:
 
 def text(verdicts: Sequence[Verdict]) -> str:
     """The verdicts for a terminal, numbered, with the commands behind them."""
-    rows = [[str(k), v.answer, v.claim.text, v.claim.source, v.claim.figures, v.ours, _difference(v)]
+    rows = [[str(k), v.answer, v.claim.text, v.claim.source, v.claim.figures, v.ours, difference(v)]
             for k, v in enumerate(verdicts, start=1)]
     counts = ", ".join(f"{sum(v.answer == word for v in verdicts)} {word}" for word in (HOLDS, FAILS, UNTOLD))
     head = ["#", "verdict", "claim", "source", "paper", "here, ± standard error over objects", "difference (objects)"]
@@ -277,7 +277,8 @@ def text(verdicts: Sequence[Verdict]) -> str:
     return "\n".join(lines)
 
 
-def _difference(verdict: Verdict) -> str:
+def difference(verdict: Verdict) -> str:
+    """Better minus worse with its standard error, and the number of objects; "" where a result is missing."""
     d = verdict.difference
     return "" if d is None or not d.objects else f"{d.mean:+.3f} ± {d.error:.3f} ({d.objects})"
 

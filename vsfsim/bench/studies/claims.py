@@ -5,20 +5,55 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from vsfsim.bench.board.claims import UNTOLD, Claim, Experiment, Side, Verdict, decide
-from vsfsim.bench.leaderboard import Board
-from vsfsim.bench.studies.results import Found, stored
+from vsfsim.bench.board.claims import (
+    UNTOLD,
+    Claim,
+    Experiment,
+    Side,
+    Verdict,
+    claims_of,
+    decide,
+    judge,
+    with_results,
+)
+from vsfsim.bench.leaderboard import Board, collect
+from vsfsim.bench.studies.results import MADE, Found, stored
 from vsfsim.bench.studies.study import Asked, Study, load_study, studies
+from vsfsim.bench.task import load_task
 
 
-def verdicts(size: str = "mini", names: Sequence[str] | None = None,
-             boards: dict[str, Board] | None = None) -> tuple[list[Verdict], list[Experiment]]:
+def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,
+                 made: bool = True) -> list[Verdict]:
+    """All claims, those on plain rows first, with the experiments on them.
+
+    Args:
+        size: of the tasks; "" for the larger one, claim by claim, that has results. preset: of the methods in plain
+        rows. boards: as of `stored`. made: results made here count; else only those that ship.
+
+    Raises:
+        TaskError: a result is damaged.
+    """
+    boards = {} if boards is None else boards
+    found = []
+    for one in (size,) if size else ("standard", "mini"):
+        wanted = claims_of(one)
+        for name in dict.fromkeys(claim.task for claim in wanted):
+            if name not in boards:
+                here = MADE / name
+                boards[name] = collect(load_task(name), [here] if made and here.is_dir() else [])
+        asked, experiments = verdicts(one, boards=boards, made=made)
+        found.append(beside([*judge(wanted, boards, preset=preset), *asked], experiments))
+    return with_results(found)
+
+
+def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dict[str, Board] | None = None,
+             made: bool = True) -> tuple[list[Verdict], list[Experiment]]:
     """The claims of the studies beside their stored results, and their experiments.
 
     An experiment changes what a claim is asked of, so that one on tasks of another size counts as well.
 
     Args:
-        size: of the tasks. names: of studies, None for all that ship. boards: as of `stored`.
+        size: of the tasks. names: of studies, None for all that ship. boards, made: as of `stored`.
     """
     out, experiments = [], []
     for name in names if names is not None else studies():
@@ -27,7 +62,7 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None,
             continue
         used = {side[0] for a in (*study.claims, *study.experiments) for side in (a.better, a.worse)}
         at = size if size in study.tasks else next(iter(study.tasks), size)
-        found = stored(study, at, [v for v in study.variants if v.name in used], boards)
+        found = stored(study, at, [v for v in study.variants if v.name in used], boards, made)
         if study.claims and size in study.tasks:
             out += [_verdict(study, size, asked, found) for asked in study.claims]
         for asked in study.experiments:
