@@ -75,20 +75,22 @@ def study(name: str, size: str = "mini") -> str:
 
 def claims() -> str:
     """The table of `vsfsim claims` from the results that ship, and what experiments say."""
-    from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD, difference
+    from vsfsim.bench.board.claims import HOLDS, counts, difference
     from vsfsim.bench.studies.claims import all_verdicts
 
     found = all_verdicts(boards=BOARDS, made=False)
-    rows = [[str(k), v.claim.text, v.claim.source, f"`{v.claim.task}`", v.claim.figures, v.ours, difference(v),
-             v.answer if v.answer == UNTOLD else f"**{v.answer}**"] for k, v in enumerate(found, start=1)]
+    tables = []
+    for task in dict.fromkeys(v.claim.task for v in found):
+        rows = [[str(k), f"**{v.answer}**" if v.answer == HOLDS else v.answer, f"{v.claim.text} ({v.claim.source})",
+                 v.claim.figures, v.ours, difference(v)] for k, v in enumerate(found, start=1) if v.claim.task == task]
+        tables.append(f"## On `{task}`\n\n" + piped(["#", "verdict", "claim", "paper", "here", "difference (objects)"],
+                                                   rows))
     lines = [f"- {k}: {e.conclusion}." for k, v in enumerate(found, start=1) for e in v.experiments
              if v.answer != HOLDS and v.difference is not None and e.difference is not None]
     notes = [f"- {k}: {v.claim.note}." for k, v in enumerate(found, start=1) if v.claim.note]
-    counts = ", ".join(f"{sum(v.answer == word for v in found)} {word}" for word in (HOLDS, FAILS, UNTOLD))
-    head = ["#", "claim", "source", "asked of", "paper", "here", "difference (objects)", "verdict"]
-    return (f"<!-- vsfsim claims -->\n{len(found)} claims: {counts}.\n\n" + piped(head, rows)
-            + "\nOf claims that do not hold or cannot be told, experiments say:\n\n" + "\n".join(lines)
-            + "\n\nWhat is different here:\n\n" + "\n".join(notes) + "\n")
+    return (f"<!-- vsfsim claims -->\n{counts(found)}\n\n" + "\n".join(tables)
+            + "\n## What experiments say of claims that do not hold or cannot be told\n\n" + "\n".join(lines)
+            + "\n\n## What is different here\n\n" + "\n".join(notes) + "\n")
 
 
 @functools.cache

@@ -68,7 +68,7 @@ def test_a_missing_result_is_named_with_its_command():
     found = verdict(row("a", LEVEL), None)
     assert found.answer == UNTOLD and found.difference is None
     assert found.commands == (f"vsfsim evaluate --method b --preset tuned --task {TASK}",)
-    assert "1 claims: 0 holds, 0 does not hold, 1 cannot be told" in text([found])
+    assert "Of 1 claims 0 hold, 0 do not hold, and 1 cannot be told." in text([found])
     assert f"  {found.commands[0]}  # claims 1" in text([found])
     other = verdict(row("a", LEVEL), row("b", LEVEL, preset="paper"))
     assert other.answer == UNTOLD, "another preset is another row"

@@ -255,10 +255,9 @@ def text(verdicts: Sequence[Verdict]) -> str:
     """The verdicts for a terminal, numbered, with the commands behind them."""
     rows = [[str(k), v.answer, v.claim.text, v.claim.source, v.claim.figures, v.ours, difference(v)]
             for k, v in enumerate(verdicts, start=1)]
-    counts = ", ".join(f"{sum(v.answer == word for v in verdicts)} {word}" for word in (HOLDS, FAILS, UNTOLD))
     head = ["#", "verdict", "claim", "source", "paper", "here, ± standard error over objects", "difference (objects)"]
     lines = [text_table(head, rows), "",
-             f"{len(verdicts)} claims: {counts}. Told apart: paired difference over objects of more than "
+             f"{counts(verdicts)} Told apart: paired difference over objects of more than "
              f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
              f"errors."]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
@@ -275,6 +274,13 @@ def text(verdicts: Sequence[Verdict]) -> str:
             lines += ["", words, *(f"  {command}  # claims {', '.join(map(str, numbers))}"
                                    for command, numbers in by_command.items())]
     return "\n".join(lines)
+
+
+def counts(verdicts: Sequence[Verdict]) -> str:
+    """How many claims hold, in a sentence."""
+    told = {word: sum(v.answer == word for v in verdicts) for word in (HOLDS, FAILS, UNTOLD)}
+    return (f"Of {len(verdicts)} claims {told[HOLDS]} hold, {told[FAILS]} do not hold, and {told[UNTOLD]} cannot be "
+            f"told.")
 
 
 def difference(verdict: Verdict) -> str:
