@@ -215,7 +215,10 @@ def test_several_processes_read_what_one_does(dataset, task, monkeypatch):
             assert not again.value.flags.writeable
 
 
-def test_a_view_that_cannot_be_read_is_told_by_several_processes(dataset, task):
+def test_a_view_that_cannot_be_read_is_told_by_several_processes(dataset, task, monkeypatch):
     asked = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, query=1000))
     with pytest.raises(TaskError, match="touches"):
         reader.Reader().read(asked, dataset, test=dataset.names(), train=(), processes=2)
+    monkeypatch.setattr(reader, "record", lambda *_: os.kill(os.getpid(), 9))  # as the system does without memory
+    with pytest.raises(TaskError, match="ended from outside"):
+        reader.Reader().read(task, dataset, test=dataset.names(), train=(), processes=2)

@@ -6,11 +6,14 @@ import multiprocessing
 import pickle
 import signal
 from collections.abc import Hashable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 
 from vsfsim.bench.method import Specimen
 from vsfsim.bench.protocol import record, specimen_of
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.subject import Subject
+from vsfsim.core.errors import TaskError
 from vsfsim.data.dataset import Dataset
 
 
@@ -78,11 +81,17 @@ class Reader:
             self.specimen(task, dataset, name)
 
     def _read_beside(self, task: Task, dataset: Dataset, names: Sequence[str], processes: int) -> None:
-        with multiprocessing.get_context("fork").Pool(processes, _Reading.begin, (task, dataset)) as pool:
-            for name, (content, buffers) in zip(names, pool.imap(_Reading.subject, names)):
+        pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _Reading.begin, (task, dataset))
+        try:
+            for name, (content, buffers) in zip(names, pool.map(_Reading.subject, names)):
                 specimen, subject = pickle.loads(content, buffers=buffers)
                 self._subjects[self._key(task, dataset, name)] = subject
                 self._specimens.setdefault(_readings(task, dataset, name), specimen)
+        except BrokenProcessPool as error:
+            raise TaskError(f"a process that read the dataset in {dataset.path} was ended from outside; often memory "
+                            f"was short. Ask for fewer processes.") from error
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     @staticmethod
     def _key(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
