@@ -23,7 +23,7 @@ TASKS = ("fewshot-plants-v4-v1", "fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v
          "bag-punyo-v1", "bag-punyo-mini-v2", "rope-punyo-v1", "rope-punyo-mini-v2", "fewshot-shoes-v2-punyo-v1",
          "fewshot-shoes-v2-punyo-mini-v2")
 STANDARD = ("shoes-amount", "shoes-breadth", "shoes-composition", "shoes-composition-broad", "shoes-features",
-            "shoes-views", "shoes-unified", "shoes-bubble", "rope", "plants-breadth", "plants-amount")
+            "shoes-views", "shoes-unified", "shoes-bubble", "rope", "plants-breadth", "plants-amount", "plants-unified")
 """Studies with results on the task of the papers' size."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
