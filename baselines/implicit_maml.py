@@ -310,8 +310,7 @@ class ImplicitGradient:
     def turn(self) -> None:
         """One step of conjugate gradients on every task by itself."""
         tiny = torch.finfo(self._size.dtype).tiny
-        image = _joined(self._hessian @ _parted(self._direction, self._phi)) / self._divisor
-        image = self._direction + image
+        image = self._direction + _joined(self._hessian @ _parted(self._direction, self._phi)) / self._divisor
         curvature = _dot(self._direction, image)
         # A task that is solved, or whose curvature is negative, keeps its solution.
         step = torch.where((curvature > 0.0) & (self._size > 0.0), self._size / curvature.clamp_min(tiny), 0.0)
@@ -339,14 +338,6 @@ class ImplicitGradient:
 
     def _unsolved(self) -> torch.Tensor:
         return ~(self._size <= self._small_enough).all()
-
-
-def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: Batch, *, regularisation: float,
-                      damping: float = 0.0, cg_steps: int = 10) -> tuple[Parameters, torch.Tensor]:
-    """Gradient of every task's query loss with respect to theta (each (B, ...)), and those losses (B,)."""
-    solving = ImplicitGradient(network, phi, support, query, regularisation=regularisation, damping=damping)
-    solving.solve(cg_steps)
-    return solving.gradient(), solving.loss()
 
 
 def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

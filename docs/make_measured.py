@@ -75,7 +75,7 @@ def study(name: str, size: str = "mini") -> str:
 
 def claims() -> str:
     """The table of `vsfsim claims` from the results that ship, and what experiments say."""
-    from vsfsim.bench.board.claims import HOLDS, counts, difference
+    from vsfsim.bench.board.claims import HOLDS, conclusions, counts, difference
     from vsfsim.bench.studies.claims import all_verdicts
 
     found = all_verdicts(boards=BOARDS, made=False)
@@ -85,8 +85,7 @@ def claims() -> str:
                  v.claim.figures, v.ours, difference(v)] for k, v in enumerate(found, start=1) if v.claim.task == task]
         tables.append(f"## On `{task}`\n\n" + piped(["#", "verdict", "claim", "paper", "here", "difference (objects)"],
                                                    rows))
-    lines = [f"- {k}: {e.conclusion}." for k, v in enumerate(found, start=1) for e in v.experiments
-             if v.answer != HOLDS and v.difference is not None and e.difference is not None]
+    lines = [f"- {line}." for line in conclusions(found)]
     notes = [f"- {k}: {v.claim.note}." for k, v in enumerate(found, start=1) if v.claim.note]
     return (f"<!-- vsfsim claims -->\n{counts(found)}\n\n" + "\n".join(tables)
             + "\n## What experiments say of claims that do not hold or cannot be told\n\n" + "\n".join(lines)

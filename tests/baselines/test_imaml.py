@@ -6,7 +6,7 @@ import torch
 
 from vsfsim.baselines import outer_loop
 from vsfsim.baselines.imaml import Imaml, ImamlVision
-from vsfsim.baselines.implicit_maml import Batch, ImplicitGradient, Network, Table, adapt, implicit_gradient
+from vsfsim.baselines.implicit_maml import Batch, ImplicitGradient, Network, Table, adapt
 from vsfsim.baselines.outer_loop import OuterLoop, Rates
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.mock import mock_view
@@ -38,7 +38,9 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
         return network.loss(adapt(network, parameters, support, **solve), query)
 
     phi = adapt(network, theta, support, **solve)
-    gradient, loss = implicit_gradient(network, phi, support, query, regularisation=2.0, cg_steps=60)
+    solving = ImplicitGradient(network, phi, support, query, regularisation=2.0)
+    solving.solve(60)
+    gradient, loss = solving.gradient(), solving.loss()
     torch.testing.assert_close(loss, query_loss(theta))
     rng = np.random.default_rng(0)
     for index in range(len(theta)):
@@ -73,8 +75,11 @@ def test_tasks_in_a_batch_are_independent_of_each_other_and_of_the_padding():
     together, single = (adapt(network, theta, b, rate=0.1, steps=7, regularisation=2.0) for b in (both, alone))
     for a, b in zip(together, single):
         torch.testing.assert_close(a[1], b[0])
-    g1, _ = implicit_gradient(network, together, both, both, regularisation=2.0, damping=100.0)
-    g2, _ = implicit_gradient(network, single, alone, alone, regularisation=2.0, damping=100.0)
+    solved = [ImplicitGradient(network, *given, regularisation=2.0, damping=100.0)
+              for given in ((together, both, both), (single, alone, alone))]
+    for solving in solved:
+        solving.solve(10)
+    g1, g2 = (solving.gradient() for solving in solved)
     for a, b in zip(g1, g2):
         torch.testing.assert_close(a[1], b[0])
 

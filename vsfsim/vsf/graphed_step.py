@@ -29,7 +29,7 @@ class GraphedStep:
     def __init__(self, step: Callable[[], torch.Tensor], *, device: str):
         self.step, self.device = step, torch.device(device)
         self.calls = 0
-        self._graph: torch.cuda.CUDAGraph | None = None
+        self._graphs: list[torch.cuda.CUDAGraph] = []
         self._out: torch.Tensor | None = None
 
     def __call__(self) -> torch.Tensor:
@@ -40,17 +40,21 @@ class GraphedStep:
         with torch.cuda.device(self.device):
             if self.calls <= _WARM_UP:
                 return _warm_up(self.step, self.device)
-            if self._graph is None:
-                self._graph, self._out = _captured(self.step, self.device)
-            self._graph.replay()
+            if not self._graphs:
+                self._capture()
+            self._replay()
         return self._out
 
+    def _capture(self) -> None:
+        graph, self._out = _captured(self.step, self.device)
+        self._graphs = [graph]
 
-class GraphedLoop:
-    """A step of three parts, called repeatedly: ``begin`` once, ``turn`` again and again, ``end`` once.
+    def _replay(self) -> None:
+        self._graphs[0].replay()
 
-    On a CPU they are called. On a GPU they are called in `_WARM_UP` steps, captured, and replayed from then on; ``end``
-    then returns one tensor, which each replay overwrites.
+
+class GraphedLoop(GraphedStep):
+    """A step of three parts: ``begin`` once, ``turn`` again and again, ``end`` once. Each is a graph.
 
     Args:
         begin: returns a tensor () bool that says whether a ``turn`` is needed.
@@ -62,34 +66,12 @@ class GraphedLoop:
 
     def __init__(self, begin: Callable[[], torch.Tensor], turn: Callable[[], None], end: Callable[[], torch.Tensor], *,
                  most: int, device: str):
+        super().__init__(lambda: self._run(begin, turn, end), device=device)
         self._parts = begin, turn, end
-        self.most, self.device = most, torch.device(device)
-        self.calls = 0
-        self._graphs: list[torch.cuda.CUDAGraph] = []
+        self.most = most
         self._goes_on: torch.Tensor | None = None
-        self._out: torch.Tensor | None = None
 
-    def __call__(self) -> torch.Tensor:
-        """Make one step."""
-        self.calls += 1
-        if self.device.type != "cuda":
-            return self._step()
-        with torch.cuda.device(self.device):
-            if self.calls <= _WARM_UP:
-                return _warm_up(self._step, self.device)
-            if not self._graphs:
-                self._capture()
-            first, again, last = self._graphs
-            first.replay()
-            for _ in range(self.most):
-                if not self._goes_on:
-                    break
-                again.replay()
-            last.replay()
-        return self._out
-
-    def _step(self) -> torch.Tensor:
-        begin, turn, end = self._parts
+    def _run(self, begin: Callable[[], torch.Tensor], turn: Callable[[], None], end: Callable[[], T]) -> T:
         goes_on = begin()
         for _ in range(self.most):
             if not goes_on:
@@ -104,6 +86,15 @@ class GraphedLoop:
         again, _ = _captured(turn, self.device, first)
         last, self._out = _captured(end, self.device, first)
         self._graphs = [first, again, last]
+
+    def _replay(self) -> None:
+        first, again, last = self._graphs
+
+        def begin() -> torch.Tensor:
+            first.replay()
+            return self._goes_on
+
+        self._run(begin, again.replay, last.replay)
 
 
 def _captured(step: Callable[[], T], device: torch.device,

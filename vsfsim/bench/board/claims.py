@@ -261,10 +261,9 @@ def text(verdicts: Sequence[Verdict]) -> str:
              f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
              f"errors."]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
-    why = [f"  {k}: {e.conclusion}" for k, v in enumerate(verdicts, start=1) for e in v.experiments
-           if v.answer != HOLDS and v.difference is not None and e.difference is not None]
+    why = conclusions(verdicts)
     if why:
-        lines += ["", "Of claims that do not hold or cannot be told, by experiments:", *why]
+        lines += ["", "Of claims that do not hold or cannot be told, by experiments:", *(f"  {line}" for line in why)]
     for words, wanted in (("Made by:", True), ("Missing; these commands make them:", False)):
         by_command: dict[str, list[int]] = {}
         for k, v in enumerate(verdicts, start=1):
@@ -281,6 +280,12 @@ def counts(verdicts: Sequence[Verdict]) -> str:
     told = {word: sum(v.answer == word for v in verdicts) for word in (HOLDS, FAILS, UNTOLD)}
     return (f"Of {len(verdicts)} claims {told[HOLDS]} hold, {told[FAILS]} do not hold, and {told[UNTOLD]} cannot be "
             f"told.")
+
+
+def conclusions(verdicts: Sequence[Verdict]) -> list[str]:
+    """What experiments say of claims that do not hold or cannot be told, each with the claim's number."""
+    return [f"{k}: {e.conclusion}" for k, v in enumerate(verdicts, start=1) for e in v.experiments
+            if v.answer != HOLDS and v.difference is not None and e.difference is not None]
 
 
 def difference(verdict: Verdict) -> str:
