@@ -113,7 +113,9 @@ def evaluate(task: TaskName,
                                ] = None,
              every: Annotated[bool, typer.Option("--all", help="All methods that ship, with all their presets; results "
                                                                "that are there already are kept. With --set "
-                                                               "device=cuda:0 those use the GPU that it makes faster.")
+                                                               "device=cuda:0 those use the GPU that it makes faster; "
+                                                               "with device=cuda each training of several "
+                                                               "--processes uses one of all GPUs.")
                              ] = False,
              preset: Annotated[str, typer.Option(help="Settings of a method that ships: paper or tuned; default: those "
                                                       "of its constructor.")] = "",

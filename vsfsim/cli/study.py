@@ -30,8 +30,8 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                              ] = 1,
           variant: Annotated[list[str] | None, typer.Option(help="Make this variant only; may be given again.")
                              ] = None,
-          device: Annotated[str, typer.Option(help="Torch device, cuda:0 for instance, of the methods that a GPU makes "
-                                                   "faster.")] = "",
+          device: Annotated[str, typer.Option(help="Torch device of the methods that a GPU makes faster: cuda:0 for "
+                                                   "instance; with cuda each training uses one of all GPUs.")] = "",
           show: Annotated[bool, typer.Option("--show", help="Print what is stored and make nothing.")] = False,
           json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.

@@ -116,6 +116,18 @@ def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch, tm
     assert sorted(read.read_text().split()) == sorted(dataset.names())
 
 
+@pytest.mark.parametrize(("device", "seen"), [("cuda", ["3", "3", "5", "5"]), ("cuda:0", ["3,5"] * 4)])
+def test_trainings_side_by_side_have_a_gpu_each_unless_told_which(dataset, task, monkeypatch, tmp_path, device, seen):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
+    path, report = tmp_path / "shown.json", tmp_path / "shown"
+    report.mkdir()
+    name, given = "toy_methods:ShownGpus", {"report": str(report), "device": device}
+    score = partial(finish, name, task, dataset, path, parameters=given, check=False)
+    job = Evaluation(path, name, task, dataset, score, given)
+    assert [message for _, message in make([job], 4, check=False)] == [""]
+    assert sorted(file.read_text() for file in report.iterdir()) == seen
+
+
 def test_trainings_side_by_side_end_where_the_last_method_fails(dataset, task, tmp_path):
     """What was left of the queue was of an evaluation that had failed, and nothing was waited for, for ever."""
     path = tmp_path / "crash.json"

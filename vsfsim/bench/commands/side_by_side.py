@@ -1,7 +1,8 @@
 """Evaluations whose trainings run side by side: every training of every evaluation is a job in a process of its own.
 
 A job keeps its answers in a folder beside the result, and the last job of an evaluation scores them all. A second call
-with the same operands makes only what is missing.
+with the same operands makes only what is missing. Where a method's ``device`` is "cuda", without a number, each of its
+trainings is shown one GPU, that with the fewest of them.
 """
 
 from __future__ import annotations
@@ -70,6 +71,11 @@ class Evaluation:
         """
         return list(dict.fromkeys(s.name for s in self._stages(seeded=seeded)))
 
+    @property
+    def on_any_gpu(self) -> bool:
+        """Whether each training may have another GPU."""
+        return self.parameters.get("device") == "cuda"
+
     def _stages(self, *, seeded: bool) -> tuple[Stage, ...]:
         protocol = self.task.protocol
         runs = protocol.runs(seeded=seeded) if self.seeds is None else tuple(range(self.seeds))
@@ -135,6 +141,8 @@ class _Job:
     of: Evaluation
     stage: str | None
     """None for the last one, which scores."""
+    gpu: str = ""
+    """The only one that it sees, as CUDA_VISIBLE_DEVICES names it; "" for what its parent sees."""
 
 
 def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = True,
@@ -199,6 +207,7 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int, progress: Cal
     context = multiprocessing.get_context("fork")
     running: dict[Connection, tuple[_Job, BaseProcess]] = {}
     failed: set[Path] = set()
+    gpus = _gpus()
     total, done = len(queue) + sum(n > 0 for n in left.values()), 0
     try:
         while queue or running:
@@ -207,6 +216,8 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int, progress: Cal
                 if job.of.path in failed:
                     done += 1
                     continue
+                if job.of.on_any_gpu and job.stage is not None:
+                    job.gpu = _freest(gpus, [j.gpu for j, _ in running.values()])
                 mine, theirs = context.Pipe(duplex=False)
                 child: BaseProcess = context.Process(target=_work, args=(job, theirs, read))
                 child.start()
@@ -242,10 +253,26 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int, progress: Cal
             child.join()
 
 
+def _gpus() -> list[str]:
+    """What CUDA_VISIBLE_DEVICES may name here, without starting a driver: what is started before a fork is of no use
+    after it."""
+    shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if shown is not None:
+        return [name.strip() for name in shown.split(",") if name.strip()]
+    return [str(k) for k in range(len(list(Path("/dev").glob("nvidia[0-9]*"))))]
+
+
+def _freest(gpus: Sequence[str], taken: Sequence[str]) -> str:
+    """The GPU that is taken least often, the first of several; "" where there is none."""
+    return min(gpus, key=taken.count, default="")
+
+
 def _work(job: _Job, answer: Connection, read: Reader) -> None:
     """In the child: do the job and send "" or what went wrong. ``read`` is the parent's, with what it has read."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")  # of the method's process, which begins after this
+    if job.gpu:
+        os.environ["CUDA_VISIBLE_DEVICES"] = job.gpu
     with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
         try:
             if job.stage is None:
