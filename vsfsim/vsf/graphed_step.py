@@ -46,7 +46,7 @@ class GraphedStep:
         return self._out
 
     def _capture(self) -> None:
-        graph, self._out = _captured(self.step, self.device)
+        graph, self._out = _captured(self.step, torch.cuda.Stream(self.device))
         self._graphs = [graph]
 
     def _replay(self) -> None:
@@ -81,10 +81,12 @@ class GraphedLoop(GraphedStep):
 
     def _capture(self) -> None:
         begin, turn, end = self._parts
-        first, self._goes_on = _captured(begin, self.device)
-        # One pool of memory: what a part leaves to the next stays where it is as long as it is referred to.
-        again, _ = _captured(turn, self.device, first)
-        last, self._out = _captured(end, self.device, first)
+        # One stream, since gradients are taken on the stream where their operands were made. One pool of memory: what a
+        # part leaves to the next stays where it is as long as it is referred to.
+        stream = torch.cuda.Stream(self.device)
+        first, self._goes_on = _captured(begin, stream)
+        again, _ = _captured(turn, stream, first)
+        last, self._out = _captured(end, stream, first)
         self._graphs = [first, again, last]
 
     def _replay(self) -> None:
@@ -97,13 +99,17 @@ class GraphedLoop(GraphedStep):
         self._run(begin, again.replay, last.replay)
 
 
-def _captured(step: Callable[[], T], device: torch.device,
+def _captured(step: Callable[[], T], stream: torch.cuda.Stream,
                  beside: torch.cuda.CUDAGraph | None = None) -> tuple[torch.cuda.CUDAGraph, T]:
-    """The graph of a step, not replayed yet, and what it returns; ``beside``: a graph whose memory it shares."""
+    """The graph of a step, not replayed yet, and what it returns.
+
+    Args:
+        step: to be captured. stream: of the step's device (torch's own for captures is on the first device that was
+        captured on). beside: a graph whose memory it shares.
+    """
     graph = torch.cuda.CUDAGraph()
     pool = None if beside is None else beside.pool()
-    # torch keeps one stream for captures, on the first device that was captured on
-    with torch.cuda.graph(graph, pool=pool, stream=torch.cuda.Stream(device)):
+    with torch.cuda.graph(graph, pool=pool, stream=stream):
         out = step()
     return graph, out
 

@@ -170,7 +170,8 @@ def claims_of(size: str = "mini") -> list[Claim]:
               metric="mask_f1", note="one force a frame of a ball here; dense forces of a bubble there"),
         Claim("the neural field locates a hidden object at a smaller angle than contact points", "Neural VSF, fig. 7",
               "drawn, no number", "localization-mini-v3", Side("neural-vsf", "all"), Side("contact-points", "all"),
-              metric="rotation_error", note="one force a frame of a ball here; dense forces of a bubble there")]
+              metric="rotation_error", note="one force a frame of a ball here; dense forces of a bubble there",
+              key="pads/angle")]
     return out
 
 
