@@ -119,6 +119,16 @@ def test_the_same_evaluation_has_one_file_in_all_studies(study):
     assert folds.task_of(half, "mini").protocol.folds == 3 and folds.stem(half) != study.stem(half)
 
 
+def test_folds_of_a_task_without_cross_validation_need_trainings_and_draws():
+    """Without them nothing would be evaluated, and a mean of nothing be asked for."""
+    text = TEXT.replace(TASK, "localization-mini-v3").replace('title = "A toy"', 'title = "A toy"\nfolds = 4')
+    study = parse_study(text, Path("toy.toml"))
+    with pytest.raises(TaskError, match="localization-mini-v3 for 0 trainings and 0 draws"):
+        study.task_of(study.variant("all"), "mini")
+    study = parse_study(text.replace("folds = 4", "folds = 4\ntrainings = 1\ndraws = 2"), Path("toy.toml"))
+    assert study.task_of(study.variant("all"), "mini").protocol.seeds == 2
+
+
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('baseline = "all"', 'baseline = "none"', "has no variant 'none'"),
     ("share_of_objects = 0.5", "share_of_objects = 2.0", "share_of_objects is 2.0"),

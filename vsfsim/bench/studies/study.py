@@ -174,6 +174,10 @@ class Study:
     def _asked(self, task: Task) -> Task:
         p = task.protocol
         trainings, draws = self.trainings or p.trainings, self.draws or p.draws
+        if (self.folds or self.trainings or self.draws) and not trainings * draws:
+            raise TaskError(f"study {self.name} asks the task {task.name} for {trainings} trainings and {draws} draws "
+                            f"of the support. That task has no cross-validation of its own; give trainings = ... and "
+                            f"draws = ... of 1 or more in the study's file.")
         protocol = dataclasses.replace(p, shots=self.shots or p.shots, trainings=trainings, draws=draws,
                                        folds=self.folds or p.folds, seeds=trainings * draws)
         return dataclasses.replace(task, protocol=protocol)
