@@ -61,13 +61,14 @@ def leaderboard(task: str) -> str:
 
 def study(name: str, size: str = "mini") -> str:
     """The table of `vsfsim study NAME` from the results that ship; a variant without one has no row."""
-    from vsfsim.bench.studies.report import cells, title
+    from vsfsim.bench.studies.report import cells, on_other_data, title
     from vsfsim.bench.studies.study import load_study
 
     one = load_study(name)
     found = results(name, size)
     head, rows = cells(one, found)
-    note = f" {one.note}" if one.note else ""
+    note = "".join(f" {line[0].upper()}{line[1:]}{'' if line.endswith('.') else '.'}"
+                   for line in (*([one.note] if one.note else []), *on_other_data(found)))
     return (f"<!-- vsfsim study {name} --size {size} -->\n{one.title} ({one.source}): {title(one, size, found)}; "
             f"\\* told apart by two standard errors.{note}\n\n"
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))

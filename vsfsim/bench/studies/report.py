@@ -91,15 +91,25 @@ def text(study: Study, size: str, found: Mapping[str, Found]) -> str:
         return f"{lines[0]}\n\nThis table is made by another command:\n  {study.command}"
     head, rows = cells(study, found)
     lines += [title(study, size, found), "", text_table(head, rows)]
-    odd = differences(found)
-    if odd:
-        lines.append(f"made on other data than '{next(iter(found))}': {', '.join(odd)}; make them again")
+    lines += on_other_data(found)
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
         lines += ["", f"missing: {', '.join(missing)}; `vsfsim study {study.name} --size {size}` makes them"]
     if study.note:
         lines += ["", study.note]
     return "\n".join(lines)
+
+
+def on_other_data(found: Mapping[str, Found]) -> list[str]:
+    """A line for the variants that were made on other data than the first one, and one for those that were made on the
+    same data, made again."""
+    if len(found) < 2:
+        return []
+    odd, first = differences(found), next(iter(found))
+    other, again = (", ".join(f"'{name}'" for name in odd if odd[name] is kind) for kind in (True, False))
+    lines = {f"made on other data than '{first}': {other}; make them again": other,
+             f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}
+    return [line for line, names in lines.items() if names]
 
 
 def _value(value: Mapping[str, Any] | None) -> str:

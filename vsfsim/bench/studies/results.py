@@ -18,7 +18,7 @@ from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.studies.study import Study, Variant
 from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
-from vsfsim.core.errors import VsfsimError
+from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
 
 MADE = Path("results")
@@ -165,12 +165,28 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
         yield jobs[one.path][0], message
 
 
-def differences(found: Mapping[str, Found]) -> list[str]:
-    """Names of variants of the same query touches as the first one with other readings: another dataset."""
-    names = list(found)
-    out = []
-    for name in names[1:]:
-        apart = readings_apart(found[name].result.readings, found[names[0]].result.readings)
+def differences(found: Mapping[str, Found]) -> dict[str, bool]:
+    """Variants of the same query touches as the first one with other readings, by name: whether that is more than the
+    same dataset differs by when it is made again on a machine that rounds otherwise.
+
+    A result of a study keeps no fingerprints of its data. Its data are the task's if a row of the task's leaderboard
+    that was made on them is ranked.
+    """
+    out = {}
+    ranked: set[str] | None = None
+    first, *others = found.items()
+    for name, one in others:
+        apart = readings_apart(one.result.readings, first[1].result.readings)
         if apart is not None and apart > leaderboard.SAME_READINGS:
-            out.append(name)
+            ranked = _ranked_data(one.result.task) if ranked is None else ranked
+            out[name] = not ranked.issuperset((one.result.dataset_sha256, first[1].result.dataset_sha256))
     return out
+
+
+def _ranked_data(task: str) -> set[str]:
+    """Datasets of the ranked rows of a task; none of a world, which has no leaderboard."""
+    try:
+        board = leaderboard.collect(load_task(task))
+    except TaskError:
+        return set()
+    return {row.result.dataset_sha256 for row in board.rows if row.rank is not None}
