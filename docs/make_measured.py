@@ -23,7 +23,8 @@ TASKS = ("fewshot-plants-v4-v1", "fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v
          "bag-punyo-v1", "bag-punyo-mini-v2", "rope-punyo-v1", "rope-punyo-mini-v2", "fewshot-shoes-v2-punyo-v1",
          "fewshot-shoes-v2-punyo-mini-v2")
 STANDARD = ("shoes-amount", "shoes-breadth", "shoes-composition", "shoes-composition-broad", "shoes-features",
-            "shoes-views", "shoes-unified", "shoes-bubble", "rope", "plants-breadth", "plants-amount", "plants-unified")
+            "shoes-views", "shoes-unified", "shoes-bubble", "rope", "plants-breadth", "plants-amount", "plants-unified",
+            "plants-features")
 """Studies with results on the task of the papers' size."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
@@ -67,8 +68,8 @@ def study(name: str, size: str = "mini") -> str:
     one = load_study(name)
     found = results(name, size)
     head, rows = cells(one, found)
-    note = "".join(f" {line[0].upper()}{line[1:]}{'' if line.endswith('.') else '.'}"
-                   for line in (*([one.note] if one.note else []), *on_other_data(found)))
+    note = "".join([f" {one.note}" if one.note else "", *(f" {line[0].upper()}{line[1:]}."
+                                                          for line in on_other_data(found))])
     return (f"<!-- vsfsim study {name} --size {size} -->\n{one.title} ({one.source}): {title(one, size, found)}; "
             f"\\* told apart by two standard errors.{note}\n\n"
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
