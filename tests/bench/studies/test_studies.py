@@ -120,6 +120,20 @@ def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer,
     assert {HOLDS: "at fault: data", FAILS: "not at fault: data", UNTOLD: "nothing is stored"}[answer] in said
 
 
+def test_an_experiment_of_another_size_counts_where_there_is_none_of_the_size_asked(study, monkeypatch):
+    both = found(study, all=LEVEL, half=[v + 0.1 for v in LEVEL])
+    asked = dataclasses.replace(study, claims=(), experiments=study.claims,
+                                tasks={"standard": "fewshot-shoes-v2-v1", **study.tasks})
+    monkeypatch.setattr(claims, "load_study", lambda name: asked)
+    for size in ("standard", "mini"):
+        monkeypatch.setattr(claims, "stored", lambda study, at, *_, size=size: both if at == size else {})
+        _, (experiment,) = claims.verdicts("standard", ["toy"])
+        assert experiment.answer == HOLDS and experiment.difference.mean == pytest.approx(-0.1)
+    monkeypatch.setattr(claims, "stored", lambda *_: {})
+    _, (experiment,) = claims.verdicts("standard", ["toy"])
+    assert experiment.difference is None
+
+
 def test_the_same_evaluation_has_one_file_in_all_studies(study):
     half, every = study.variant("half"), study.variant("all")
     other = parse_study(TEXT.replace("A toy", "Another"), Path("other.toml"))

@@ -50,7 +50,8 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dic
              made: bool = True) -> tuple[list[Verdict], list[Experiment]]:
     """The claims of the studies beside their stored results, and their experiments.
 
-    An experiment changes what a claim is asked of, so that one on tasks of another size counts as well.
+    An experiment changes what a claim is asked of, so that one on tasks of another size counts as well where there is
+    none of this size.
 
     Args:
         size: of the tasks. names: of studies, None for all that ship. boards, made: as of `stored`.
@@ -61,12 +62,14 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dic
         if study.command or not (study.claims or study.experiments):
             continue
         used = {side[0] for a in (*study.claims, *study.experiments) for side in (a.better, a.worse)}
-        at = size if size in study.tasks else next(iter(study.tasks), size)
-        found = stored(study, at, [v for v in study.variants if v.name in used], boards, made)
+        wanted = [v for v in study.variants if v.name in used]
+        sizes = sorted(study.tasks or [size], key=lambda one: one != size)  # the one that is asked first
+        found = {one: stored(study, one, wanted, boards, made) for one in (sizes if study.experiments else sizes[:1])}
         if study.claims and size in study.tasks:
-            out += [_verdict(study, size, asked, found) for asked in study.claims]
+            out += [_verdict(study, size, asked, found[size]) for asked in study.claims]
         for asked in study.experiments:
-            v = _verdict(study, size, asked, found)
+            asks = [_verdict(study, one, asked, found[one]) for one in sizes]
+            v = next((v for v in asks if v.difference is not None), asks[0])
             experiments.append(Experiment(asked.text, asked.note, study.name, v.answer, v.difference))
     return out, experiments
 
