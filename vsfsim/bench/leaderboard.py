@@ -272,9 +272,7 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     if over_objects(board.task) and board.rows:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")
-    if any(row.other_bits for row in board.rows):
-        lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
-            f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
+    lines += on_other_bits(board)
     if board.rows and not board.has_record:
         lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
     if not board.rows:
@@ -284,6 +282,14 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
         lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {board.task.ranking_shot}-shot with the "
                      f"true probe stiffness where touched")
     return lines
+
+
+def on_other_bits(board: Board) -> list[str]:
+    """What ~ behind a method's name says; [] where no row has it."""
+    if not any(row.other_bits for row in board.rows):
+        return []
+    return ["~ on the same dataset, made on a machine that rounds otherwise" + (
+        f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else "")]
 
 
 def _paper(board: Board) -> list[list[str]]:

@@ -11,7 +11,7 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board import charts
-from vsfsim.bench.board.site import _called, _index, write_site
+from vsfsim.bench.board.site import _called, _index, _task_page, write_site
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import load_task, parse_task
@@ -115,6 +115,13 @@ def test_a_superseded_task_has_its_own_table_and_an_object_the_model_that_its_sc
     assert _called(load_task("fewshot-shoes-v2-mini-v3"), "shoes-v2-mini-0003") == (
         "shoes-v2-mini-0003, felt-slipper")
     assert _called(board.task, "mock-0003") == "mock-0003"
+
+
+def test_a_row_on_data_that_another_machine_made_again_is_marked():
+    board = leaderboard.collect(load_task("fewshot-shoes-v2-v3"))
+    page = _task_page(board, leaderboard.labels_of([row.result for row in board.rows]))
+    assert ">imaml (paper) ~<" in page and ">imaml (tuned)<" in page
+    assert "~ on the same dataset, made on a machine that rounds otherwise." in page
 
 
 def test_a_task_of_masks_is_compared_by_its_own_metric_and_not_by_the_error_of_readings(tmp_path):

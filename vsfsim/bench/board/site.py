@@ -16,7 +16,7 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, figure, file_name, link, page, paragraph, table
-from vsfsim.bench.leaderboard import Board, Row, labels_of, over_objects, superseded, unit_of
+from vsfsim.bench.leaderboard import Board, Row, labels_of, on_other_bits, over_objects, superseded, unit_of
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
 from vsfsim.bench.task import Task
@@ -112,7 +112,7 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
     rows: list[list[Cell]] = []
     best = next((row for row in board.rows if row.rank == 1), None)
     for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
-        rows.append([str(row.rank or "-"), link(_of_method(task, number), name),
+        rows.append([str(row.rank or "-"), link(_of_method(task, number), f"{name} ~" if row.other_bits else name),
                      *(_cell(row, task, label) for label in labels),
                      *([_difference(row, best, task)] if over else []), *_other_scores(row, task)])
     body = [paragraph(task.description)]
@@ -120,6 +120,7 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
         body.append(paragraph(f"This task is {superseded(task)}."))
     body += [paragraph(_how(board), note=True),
              table(head, rows, text=(1,), caption=_COLUMNS)]
+    body += [paragraph(f"{line}.", note=True) for line in on_other_bits(board)]
     body += [paragraph(f"{name} is not ranked: {row.mark}.", note=True)
              for row, name in zip(board.rows, names, strict=True) if row.mark]
     if over:
