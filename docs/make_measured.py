@@ -69,7 +69,7 @@ def study(name: str, size: str = "mini") -> str:
     found = results(name, size)
     head, rows = cells(one, found)
     note = "".join([f" {one.note}" if one.note else "", *(f" {line[0].upper()}{line[1:]}."
-                                                          for line in on_other_data(found))])
+                                                          for line in on_other_data(found, BOARDS))])
     return (f"<!-- vsfsim study {name} --size {size} -->\n{one.title} ({one.source}): {title(one, size, found)}; "
             f"\\* told apart by two standard errors.{note}\n\n"
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))

@@ -66,7 +66,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     boards: dict = {}
     for one in known:
         found = stored(one, size, boards=boards)
-        pages.append(tables.text(one, size, found))
+        pages.append(tables.text(one, size, found, boards))
         numbers.append(tables.table(one, size, found))
     report("\n\n".join(pages), numbers[0] if len(numbers) == 1 else numbers, json)
     if failed:

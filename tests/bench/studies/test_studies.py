@@ -84,7 +84,7 @@ def test_a_table_says_which_rows_are_on_other_data_and_which_on_the_same_made_ag
     readings = {**given.readings, "ss": [1.1] * len(LEVEL)}
     both["half"] = dataclasses.replace(both["half"], result=dataclasses.replace(given, readings=readings))
     assert "made on other data than 'all': 'half'; make them again" in report.text(study, "mini", both)
-    monkeypatch.setattr(stored_results, "_ranked_data", lambda task: {""})  # the toys' dataset_sha256
+    monkeypatch.setattr(stored_results, "_ranked_data", lambda task, boards: {""})  # the toys' dataset_sha256
     assert "made again by a machine that rounds otherwise: 'half'" in report.text(study, "mini", both)
     assert "data" not in report.text(study, "mini", found(study, all=LEVEL, half=LEVEL))
 

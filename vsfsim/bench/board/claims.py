@@ -27,6 +27,10 @@ from vsfsim.core.text_table import text_table
 
 HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
 
+DATA = "data"
+"""What an experiment changes that asks a world in which the papers' model is exact: what fails there, too, is the
+method's. Any other experiment that fails rules out what it changes, and no more."""
+
 EQUAL_WITHIN = 0.15
 """Two sides count as equal only if a difference of this share of the second one would have been told; a wider interval
 says nothing."""
@@ -75,7 +79,7 @@ class Experiment:
     key: str
     """Of the claim."""
     changes: str
-    """What it changes, e.g. "data"."""
+    """What it changes; `DATA` where it asks data that fit the method's model."""
     study: str
     """Name of the study that it is part of."""
     answer: str
@@ -91,7 +95,8 @@ class Experiment:
             return f"{where} nothing is stored"
         d = f"{self.difference.mean:+.3f} ± {self.difference.error:.3f}, {self.difference.objects} objects"
         return {HOLDS: f"at fault: {self.changes}; {where} it holds ({d})",
-                FAILS: f"not at fault: {self.changes}; {where} it does not hold either ({d}), so the method",
+                FAILS: f"not at fault: {self.changes}; {where} it does not hold either ({d})"
+                       + (", so the method" if self.changes == DATA else ""),
                 UNTOLD: f"open: {self.changes}; {where} it cannot be told either ({d})"}[self.answer]
 
 

@@ -16,10 +16,9 @@ from vsfsim.bench.board.claims import (
     judge,
     with_results,
 )
-from vsfsim.bench.leaderboard import Board, collect
-from vsfsim.bench.studies.results import MADE, Found, stored
+from vsfsim.bench.leaderboard import Board
+from vsfsim.bench.studies.results import Found, board_of, stored
 from vsfsim.bench.studies.study import Asked, Study, load_study, studies
-from vsfsim.bench.task import load_task
 
 
 def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,
@@ -38,9 +37,7 @@ def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Boa
     for one in (size,) if size else ("standard", "mini"):
         wanted = claims_of(one)
         for name in dict.fromkeys(claim.task for claim in wanted):
-            if name not in boards:
-                here = MADE / name
-                boards[name] = collect(load_task(name), [here] if made and here.is_dir() else [])
+            board_of(name, boards, made)
         asked, experiments = verdicts(one, boards=boards, made=made)
         found.append(beside([*judge(wanted, boards, preset=preset), *asked], experiments))
     return with_results(found)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from vsfsim.bench.board.compare import Paired, interval, paired
-from vsfsim.bench.leaderboard import unit_of
+from vsfsim.bench.leaderboard import Board, unit_of
 from vsfsim.bench.studies.results import Found, differences
 from vsfsim.bench.studies.study import Study
 from vsfsim.core.text_table import text_table
@@ -84,14 +84,14 @@ def title(study: Study, size: str, found: Mapping[str, Found]) -> str:
             f"from '{study.baseline}'; size {size}")
 
 
-def text(study: Study, size: str, found: Mapping[str, Found]) -> str:
-    """The study for a terminal."""
+def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, Board] | None = None) -> str:
+    """The study for a terminal; ``boards`` as of `vsfsim.bench.studies.results.stored`."""
     lines = [f"{study.name}: {study.title} ({study.source})"]
     if study.command:
         return f"{lines[0]}\n\nThis table is made by another command:\n  {study.command}"
     head, rows = cells(study, found)
     lines += [title(study, size, found), "", text_table(head, rows)]
-    lines += on_other_data(found)
+    lines += on_other_data(found, {} if boards is None else boards)
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
         lines += ["", f"missing: {', '.join(missing)}; `vsfsim study {study.name} --size {size}` makes them"]
@@ -100,12 +100,12 @@ def text(study: Study, size: str, found: Mapping[str, Found]) -> str:
     return "\n".join(lines)
 
 
-def on_other_data(found: Mapping[str, Found]) -> list[str]:
+def on_other_data(found: Mapping[str, Found], boards: dict[str, Board]) -> list[str]:
     """A line for the variants that were made on other data than the first one, and one for those that were made on the
-    same data, made again."""
+    same data, made again; ``boards`` as of `vsfsim.bench.studies.results.stored`."""
     if len(found) < 2:
         return []
-    odd, first = differences(found), next(iter(found))
+    odd, first = differences(found, boards), next(iter(found))
     other, again = (", ".join(f"'{name}'" for name in odd if odd[name] is kind) for kind in (True, False))
     lines = {f"made on other data than '{first}': {other}; make them again": other,
              f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}

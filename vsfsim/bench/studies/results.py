@@ -82,12 +82,24 @@ def _file(study: Study, variant: Variant, task: Task, roots: Sequence[Path]) -> 
     return None
 
 
+def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True) -> leaderboard.Board:
+    """The leaderboard of a task, read once.
+
+    Args:
+        task: its name. boards, made: as of `stored`.
+
+    Raises:
+        TaskError: there is no such task; a file is damaged.
+    """
+    if task not in boards:
+        here = MADE / task
+        boards[task] = leaderboard.collect(load_task(task), [here] if made and here.is_dir() else [])
+    return boards[task]
+
+
 def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board],
          made: bool) -> tuple[Path, Result] | None:
-    if task.name not in boards:
-        here = MADE / task.name
-        boards[task.name] = leaderboard.collect(load_task(task.name), [here] if made and here.is_dir() else [])
-    return next(((row.path, row.result) for row in boards[task.name].rows if row.rank is not None and (
+    return next(((row.path, row.result) for row in board_of(task.name, boards, made).rows if row.rank is not None and (
         row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
 
 
@@ -165,28 +177,30 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
         yield jobs[one.path][0], message
 
 
-def differences(found: Mapping[str, Found]) -> dict[str, bool]:
+def differences(found: Mapping[str, Found], boards: dict[str, leaderboard.Board]) -> dict[str, bool]:
     """Variants of the same query touches as the first one with other readings, by name: whether that is more than the
     same dataset differs by when it is made again on a machine that rounds otherwise.
 
     A result of a study keeps no fingerprints of its data. Its data are the task's if a row of the task's leaderboard
     that was made on them is ranked.
+
+    Args:
+        found: results by variant. boards: as of `stored`; others are added.
     """
     out = {}
-    ranked: set[str] | None = None
     first, *others = found.items()
     for name, one in others:
         apart = readings_apart(one.result.readings, first[1].result.readings)
         if apart is not None and apart > leaderboard.SAME_READINGS:
-            ranked = _ranked_data(one.result.task) if ranked is None else ranked
-            out[name] = not ranked.issuperset((one.result.dataset_sha256, first[1].result.dataset_sha256))
+            out[name] = not _ranked_data(one.result.task, boards).issuperset(
+                (one.result.dataset_sha256, first[1].result.dataset_sha256))
     return out
 
 
-def _ranked_data(task: str) -> set[str]:
+def _ranked_data(task: str, boards: dict[str, leaderboard.Board]) -> set[str]:
     """Datasets of the ranked rows of a task; none of a world, which has no leaderboard."""
     try:
-        board = leaderboard.collect(load_task(task))
+        board = board_of(task, boards)
     except TaskError:
         return set()
     return {row.result.dataset_sha256 for row in board.rows if row.rank is not None}
