@@ -72,7 +72,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
     timing = {"meta_fit_s": run.meta_fit_s, "fits": run.fits, "adapt_s": sum(a.adapt_s for a in answers),
               "predict_s": sum(a.predict_s for a in answers), "adapts": sum(a.adapt_s > 0.0 for a in answers),
               "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
-    notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
+    notes = [*run.notes, *([f"superseded by {task.superseded_by}"] if task.superseded_by else [])]
     wanted = len(task.protocol.runs(seeded=said.seeded))
     if len(run.seeds) != wanted:
         notes.append(f"{len(run.seeds)} seeds instead of the task's {wanted}")
@@ -86,7 +86,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), timing=timing,
         peak_memory_mib=round(run.peak_memory_mib, 1), machine=machine(), made_by=made_by(), versions=versions(),
         notes=tuple(notes), readings=readings, package={"name": said.package, "version": said.version},
-        isolation=isolation.sandbox, data=data, preset=preset, study=training.table(),
+        isolation=isolation.sandbox, contents=run.contents, data=data, preset=preset, study=training.table(),
         maps={} if training.table() else _maps(answers, task, dataset),
         answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
                  if answer is not Answer.READINGS and rows[answer]})

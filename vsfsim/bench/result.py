@@ -88,6 +88,9 @@ class Result:
     answers: Mapping[str, Mapping[str, list]] = dataclasses.field(default_factory=dict)
     """As `queries`, by the name of what else was answered (`vsfsim.bench.metrics.Answer`): columns with one row a
     query touch, or one an object with its metrics."""
+    contents: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """sha256 of everything that decided the answers, by name (`vsfsim.bench.method.contents_of`); {} in results that
+    are older than this field, and where the scorer did not run the method."""
     preset: str = ""
     """Name of the settings that were asked for (`vsfsim.bench.commands.presets`), "" for none."""
     maps: Mapping[str, list] = dataclasses.field(default_factory=dict)
@@ -182,8 +185,8 @@ class Result:
         optional = {"isolation", "preset",
                     *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
         given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps", "study"},
-                  SCHEMA_VERSION: {"readings", "study"}}
+        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps", "study", "contents"},
+                  SCHEMA_VERSION: {"readings", "study", "contents"}}
         odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
         if odd:
             raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "

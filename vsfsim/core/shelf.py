@@ -7,13 +7,16 @@ import importlib.metadata
 import importlib.resources
 import os
 import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file
 
 METHOD_GROUP = "vsfsim.methods"
 EFFECTOR_GROUP = "vsfsim.effectors"
+FAMILY_GROUP = "vsfsim.families"
 
 
 def folder(name: str) -> Path:
@@ -54,8 +57,46 @@ def tasks() -> dict[str, Path]:
 
 
 def families() -> list[str]:
-    """Names of the procedural families: Python files of ``scenes/`` with a function ``build``."""
-    return sorted(p.stem for p in folder("scenes").glob("*.py") if not p.stem.startswith("_"))
+    """Names of the procedural families: Python files of ``scenes/`` with a function ``build``, and the entry points of
+    the group ``vsfsim.families``, each a module with one."""
+    shipped = {p.stem for p in folder("scenes").glob("*.py") if not p.stem.startswith("_")}
+    return sorted(shipped | {ep.name for ep in importlib.metadata.entry_points(group=FAMILY_GROUP)})
+
+
+def family(name: str, where: str) -> ModuleType:
+    """The module of a family: of the group ``vsfsim.families``, or a file of ``scenes/``; ``where`` begins messages.
+
+    Raises:
+        SceneError: there is none, or it cannot be imported.
+    """
+    if name not in families():
+        raise SceneError(f"{where}: unknown family '{name}'. {did_you_mean(name, families())}")
+    shipped = importlib.metadata.EntryPoint(name, f"vsfsim.scenes.{name}", FAMILY_GROUP)
+    entry = next(iter(importlib.metadata.entry_points(group=FAMILY_GROUP, name=name)), shipped)
+    try:
+        return entry.load()
+    except Exception as error:  # a module may raise anything while it is imported
+        raise SceneError(f"{where}: the family '{name}' ({entry.value}, entry point of {FAMILY_GROUP}) cannot be "
+                         f"loaded: {type(error).__name__}: {error}. Install its package again.") from error
+
+
+def plug_ins(scene: Mapping[str, Any], effector: str) -> list[importlib.metadata.EntryPoint]:
+    """The entry points of other packages that a scene uses.
+
+    Args:
+        scene: its tables. effector: the name of its effector.
+    """
+    texts = {effector, *_texts(scene.get("object", {}))}
+    return [entry for group in (EFFECTOR_GROUP, FAMILY_GROUP)
+            for entry in importlib.metadata.entry_points(group=group) if entry.name in texts]
+
+
+def _texts(tree: Any) -> Iterator[str]:
+    if isinstance(tree, str):
+        yield tree
+    elif isinstance(tree, (Mapping, list)):
+        for part in tree.values() if isinstance(tree, Mapping) else tree:
+            yield from _texts(part)
 
 
 def _find(given: str, shelf: dict[str, Path], kind: str, error: type[VsfsimError]) -> Path:

@@ -10,6 +10,7 @@ from typing import Any
 
 from vsfsim.core.errors import DatasetError, unknown_key
 from vsfsim.core.plain_text import plain
+from vsfsim.core.system.content import differences
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Recipe:
     """"warp" or "pyrender"."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Anything else that changes the numbers, e.g. {"resolution": 0.004}; plain JSON values."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """sha256 of every file that the scene names (a mesh) and of the source of every plug-in that it uses, by name."""
 
     @property
     def scene_sha256(self) -> str:
@@ -50,7 +53,9 @@ class Recipe:
         """As JSON values; `Recipe.read` takes them back."""
         out = dataclasses.asdict(self)
         out["splits"], out["options"] = dict(self.splits), dict(self.options)
-        return {**out, "scene_sha256": self.scene_sha256}
+        files = dict(out.pop("files"))
+        # without a file as it was before there were any, so that a finished dataset keeps its bytes
+        return {**out, "scene_sha256": self.scene_sha256, **({"files": files} if files else {})}
 
     @classmethod
     def read(cls, table: Any, where: str) -> Recipe:
@@ -65,6 +70,7 @@ class Recipe:
         for key in table:
             if key not in names and key != "scene_sha256":
                 raise DatasetError(unknown_key(f"{where} recipe", key, names))
+        table = {"files": {}, **table}
         for name in names:
             if name not in table:
                 raise DatasetError(f"{where}: the recipe has no '{name}'; the file is damaged or of another version.")
@@ -72,6 +78,9 @@ class Recipe:
             if not isinstance(table[name], kind) or isinstance(table[name], bool):
                 raise DatasetError(f"{where}: the recipe's {name} is {plain(table[name], longest=60)}; the file is "
                                    f"damaged or of another version.")
+        if not all(isinstance(text, str) for text in table["files"].values()):
+            raise DatasetError(f"{where}: the recipe's files are {plain(table['files'], longest=60)}; the file is "
+                               f"damaged or of another version.")
         return cls(**{name: table[name] for name in names})
 
     def differences(self, other: Recipe) -> list[str]:
@@ -79,17 +88,18 @@ class Recipe:
         out = []
         mine, theirs = self.table(), other.table()
         for key in mine:
-            if mine[key] == theirs[key] or key == "scene_text":
+            if key == "files" or mine[key] == theirs[key] or key == "scene_text":
                 continue
             if key == "scene_sha256":
                 out.append(_text_difference(self.scene_text, other.scene_text))
             else:
                 out.append(f"{key} {mine[key]!r} there, {theirs[key]!r} asked for")
-        return out
+        return out + differences(self.files, other.files)
 
 
 _KINDS = {"scene": str, "scene_text": str, "seed": int, "objects": int, "views": int, "touches": int, "splits": dict,
-          "device": str, "tier": str, "precision": str, "renderer": str, "options": dict}
+          "device": str, "tier": str, "precision": str, "renderer": str, "options": dict,
+          "files": dict}
 
 
 def text_sha256(text: str) -> str:

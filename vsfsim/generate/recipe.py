@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import Scene, SceneFile
+from pathlib import Path
+
+from vsfsim.core import shelf
+from vsfsim.core.errors import DatasetError, SceneError
+from vsfsim.core.scene import Scene, SceneFile, parse_scene
+from vsfsim.core.system.content import differences, file_sha256, named_files, source_sha256
 from vsfsim.data.recipe import Recipe
 from vsfsim.generate.effector import effector_of
 
@@ -48,4 +52,35 @@ def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = N
         scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
         views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
         touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
-        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer, options=options)
+        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer, options=options,
+        files=files_of(scene_file, scene.effector))
+
+
+def files_of(scene_file: SceneFile, effector: str) -> dict[str, str]:
+    """sha256 of every file that a scene names, and of the source of its effector and its families where they are from
+    another package, by name; see `Recipe.files`.
+
+    Args:
+        scene_file: as written. effector: its name.
+    """
+    out = {text: file_sha256(path) for text, path in named_files(scene_file.tree, scene_file.path.parent).items()}
+    for entry in shelf.plug_ins(scene_file.tree, effector):
+        out[f"the plug-in {entry.name}"] = source_sha256(entry.module)
+    return out
+
+
+def check_files(recipe: Recipe, path: Path) -> None:
+    """Refuse to go on if what decides the numbers is no longer what it was.
+
+    Args:
+        recipe: of the dataset. path: of its scene file, to which the names of files are relative.
+
+    Raises:
+        DatasetError: a file that the scene names has changed since the recipe was made.
+    """
+    if recipe.files:
+        written = parse_scene(recipe.scene_text, path)
+        changed = differences(recipe.files, files_of(written, written.sample(0).effector))
+        if changed:
+            raise DatasetError(f"the dataset cannot go on, because while it was made {'; '.join(changed)}. Restore "
+                               f"what it was made from, or delete the folder and generate it again.")

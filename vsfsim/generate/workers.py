@@ -19,6 +19,7 @@ from vsfsim.data.hdf5 import write_view
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
+from vsfsim.generate.recipe import check_files
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial.transform", "torch",
@@ -125,6 +126,7 @@ def write(job: Job, view: ObjectView) -> None:
             if touch.channel(name) is None:
                 raise DatasetError(f"{job.name} touches/{index:03d}: the effector '{scene.effector}' declares the "
                                    f"channel '{name}' and did not record it.")
+    check_files(job.recipe, job.path)
     write_view(job.file, view)
 
 

@@ -12,6 +12,7 @@ from vsfsim.bench.commands.evaluate import evaluate, finish
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.side_by_side import Evaluation, make
 from vsfsim.bench.isolation.limits import Isolation
+from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset
 from vsfsim.bench.trials.training import Training
@@ -95,4 +96,8 @@ def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: in
         task.sha256, dataset_sha256, choice.method, choice.preset)
     runs = len(task.protocol.runs(seeded="seed" in result.parameters)) if seeds is None else seeds
     asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items() if key != "device")
-    return result if same and asked and len(result.seeds) == runs else None
+    if not (same and asked and len(result.seeds) == runs):
+        return None
+    here = contents_of(choice.method, result.parameters)
+    # of the harness, what it makes of the same answers is computed again by the board
+    return result if all(result.contents.get(key) == here[key] for key in here if key != "the harness") else None

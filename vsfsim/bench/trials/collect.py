@@ -12,6 +12,7 @@ from typing import Any
 
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodProcess
+from vsfsim.bench.method import contents_of
 from vsfsim.bench.protocol import support
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials import answers as kept
@@ -21,6 +22,7 @@ from vsfsim.bench.trials.stages import Stage, first_run, stages
 from vsfsim.bench.trials.subject import Subject, Trial
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
+from vsfsim.core.system.content import differences
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 
@@ -71,6 +73,10 @@ class Collector:
     """Largest resident size of the method's processes [MiB]."""
     description: Description | None = None
     """What the method said of itself."""
+    contents: dict[str, str] = field(default_factory=dict)
+    """What decides its answers (`vsfsim.bench.method.contents_of`), once the method is known."""
+    notes: list[str] = field(default_factory=list)
+    """For the user, one sentence each."""
     seeds: tuple[int, ...] = ()
     """Numbers of the runs (`vsfsim.bench.task.Protocol`), once the method is known."""
     done: dict[str, list[Answers]] = field(default_factory=dict)
@@ -98,6 +104,7 @@ class Collector:
         try:
             process = self._process(hidden)
             self.description = process.description
+            self.contents = contents_of(self.name, process.description.parameters)
             self.seeds = self._runs()
             self._stages = tuple(s for s in stages(self.task.protocol, folds, self.seeds,
                                                    seeded=self.description.seeded) if self.only in (None, s.name))
@@ -214,11 +221,14 @@ class Collector:
         made = {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.name,
                 "entry": description.entry, "parameters": dict(description.parameters),
                 "package": [description.package, description.version], "sandbox": self.isolation.sandbox,
+                "contents": self.contents,
                 **({"training": self.training.table()} if self.training.table() else {}),
                 "shots": list(self.task.protocol.labels),
                 **({"runs": len(self.seeds)} if self.task.protocol.folds else {})}
         self._key = json.dumps(made, sort_keys=True).encode()
-        if (self.part / NOTE).is_file() and (self.part / NOTE).read_bytes() == self._key:
+        if (self.part / NOTE).is_file() and (self.part / NOTE).read_bytes() != self._key:
+            self._tell_what_differs(made)
+        elif (self.part / NOTE).is_file():
             for stage in self._stages:
                 found = kept.load(self.part / f"{stage.name}.npz")
                 if found is not None:
@@ -226,6 +236,21 @@ class Collector:
                     self._recall(stage.name)
             if self.done and not self.task.protocol.folds and self._stages[0].name not in self.done:
                 self.done.clear()  # the shots that are the same for every seed are in the first
+
+    def _tell_what_differs(self, made: dict[str, Any]) -> None:
+        """Say why stages that were kept are made again."""
+        assert self.part is not None
+        finished = len(list(self.part.glob("*.npz")))
+        try:
+            before = json.loads((self.part / NOTE).read_bytes())
+            odd = [key for key in made if key != "contents" and before.get(key) != made[key]]
+            why = [*(f"the {key} is another one" for key in odd),
+                   *differences(before.get("contents", {}), self.contents)]
+        except (OSError, ValueError, TypeError, AttributeError):
+            why = [f"{NOTE} cannot be read"]
+        if finished:
+            self.notes.append(f"{finished} finished {self._unit}{'s' * (finished > 1)} of an earlier run "
+                              f"{'are' if finished > 1 else 'is'} not used, because {'; '.join(why)}")
 
     def _keep(self, stage: str) -> None:
         """Put the answers of a finished stage on disk; the folder is made with the first of them."""

@@ -231,7 +231,7 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     **dict.fromkeys(("task", "task_sha256", "dataset_sha256", "method", "entry", "observation", "unit", "isolation",
                      "preset"),
                     _word),
-    **dict.fromkeys(("dataset_made_by", "parameters", "machine", "made_by", "versions", "package", "study"),
+    **dict.fromkeys(("dataset_made_by", "parameters", "machine", "made_by", "versions", "package", "study", "contents"),
                     _plain_table),
     "shots": _words, "seeds": _seeds, "scores": _scores, "queries": _queries, "timing": _timing,
     "peak_memory_mib": lambda where, value: _number(where, value, low=0.0), "notes": _words, "readings": _readings,

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from pathlib import Path
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import ObjectSpec
 from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, Rod, Sphere, extent
-from vsfsim.core.shelf import families
+from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.mesh import structured as blocks
 
@@ -62,9 +61,7 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
 
 
 def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid:
-    if shape.name not in families():
-        raise SceneError(f"[object] shape: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
-    module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
+    module = family(shape.name, "[object] shape")
     if not hasattr(module, "build"):
         raise SceneError(f"[object] shape: the family '{shape.name}' is a plant, made of beams and touched by an "
                          f"[arm]; it is no solid body that can be pressed. Use `vsfsim generate`.")

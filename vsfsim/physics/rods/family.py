@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
-
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.shape import Family
-from vsfsim.core.shelf import families
+from vsfsim.core.shelf import family
 
 
 def grow(shape: Family, rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
@@ -18,9 +16,7 @@ def grow(shape: Family, rng: np.random.Generator, *, where: str, number: int = 0
     Raises:
         SceneError: an unknown family, one that makes solid bodies, or a parameter that is wrong.
     """
-    if shape.name not in families():
-        raise SceneError(f"{where}: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
-    module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
+    module = family(shape.name, where)
     if not hasattr(module, "grow"):
         raise SceneError(f"{where}: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use "
                          f"family = \"plant\", or take [arm] out and give a [probe].")

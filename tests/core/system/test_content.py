@@ -1,0 +1,45 @@
+"""What decides a result is found by content, without importing any of it."""
+
+from vsfsim.core.system.content import differences, named_files, source_files, source_sha256
+
+
+def write(folder, **files):
+    for name, text in files.items():
+        path = folder / name.replace("__", "/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.with_suffix(".py").write_text(text)
+
+
+def test_the_source_is_all_that_is_imported_at_any_depth(tmp_path):
+    write(tmp_path, mine="import numpy\nfrom parts import deep\n\n\ndef late():\n    import helper\n",
+          helper="raise RuntimeError('never imported')\n", parts__deep="from . import other\n", parts__other="A = 1\n",
+          stranger="B = 2\n")
+    (tmp_path / "parts" / "__init__.py").write_text("")
+    assert sorted(source_files("mine", tmp_path)) == ["helper", "mine", "parts", "parts.deep", "parts.other"]
+    before = source_sha256("mine", tmp_path)
+    write(tmp_path, stranger="B = 3\n")
+    assert source_sha256("mine", tmp_path) == before
+    write(tmp_path, parts__other="A = 2\n")
+    assert source_sha256("mine", tmp_path) != before
+    assert source_sha256("there_is_none_of_this_name", tmp_path) == ""
+
+
+def test_the_source_of_a_baseline_is_its_particle_model_and_no_other_package():
+    found = source_files("vsfsim.baselines.sbml")
+    assert {"vsfsim.baselines.sbml", "vsfsim.vsf.estimate.map", "vsfsim.vsf.observations"} <= set(found)
+    assert not [name for name in found if not name.startswith("vsfsim")]
+
+
+def test_files_are_found_by_the_texts_that_name_them(tmp_path):
+    (tmp_path / "ball.stl").write_text("x")
+    tree = {"object": {"shape": {"mesh": "ball.stl"}}, "parts": [{"name": "a" * 500},
+                                                                     {"mesh": f"{tmp_path}/ball.stl"}],
+            "weights": "ball.stl@" + "0" * 64, "other": "\0", "number": 3, "folder": "."}
+    assert set(named_files(tree, tmp_path)) == {"ball.stl", f"{tmp_path}/ball.stl", "ball.stl@" + "0" * 64}
+
+
+def test_differences_are_told_by_name():
+    assert differences({"a": "1" * 64, "b": "2"}, {"a": "3" * 64, "c": "4"}) == [
+        "a has another content (sha256 111111111111 there, 333333333333 here)", "c was not recorded there",
+        "b is not found here"]
+    assert differences({"a": "1"}, {"a": "1"}) == []

@@ -1,0 +1,107 @@
+"""Every file that a scene names belongs to the recipe of its dataset by its content."""
+
+import dataclasses
+
+import pytest
+import trimesh
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.core.scene import load_scene
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.verify import verify
+from vsfsim.generate import workers
+from vsfsim.generate.effectors import probe
+from vsfsim.generate.recipe import files_of, make_recipe
+from vsfsim.generate.run import generate
+from vsfsim.generate.workers import write
+
+SCENE = """
+[object]
+shape = { mesh = "thing.stl" }
+resolution = 0.03
+tier = "linear"
+young_modulus = 5e4
+[probe]
+shape = { sphere = 0.01 }
+[touches]
+count = 1
+depth = 0.003
+frames = { free = 1, in = 2, hold = 0, out = 0 }
+[camera]
+width = 48
+height = 32
+distance = 0.3
+[dataset]
+objects = 2
+views = 1
+splits = { train = 1, test = 1 }
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    (tmp_path / "named.toml").write_text(SCENE)
+    trimesh.creation.box((0.06, 0.06, 0.06)).export(tmp_path / "thing.stl")
+    return load_scene(tmp_path / "named.toml")
+
+
+def ball(scene):
+    trimesh.creation.icosphere(2, 0.03).export(scene.path.parent / "thing.stl")
+
+
+def in_this_process(monkeypatch):
+    """Views are made one after the other, here."""
+    def make_each(jobs, *, device, workers):
+        for job in jobs:
+            write(job, probe.EFFECTOR.make_view(job, device=device))
+            yield 3, job.name
+
+    monkeypatch.setattr(probe, "make_each", make_each)
+
+
+def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    with monkeypatch.context() as patch:
+        written, original = [], workers.write_view
+
+        def write_view(path, view):
+            if written:
+                raise KeyboardInterrupt
+            written.append(path)
+            original(path, view)
+
+        patch.setattr(workers, "write_view", write_view)
+        with pytest.raises(KeyboardInterrupt):
+            generate(scene, tmp_path / "data", workers=1)
+    assert (tmp_path / "data" / "dataset.part.json").exists()
+    before = (tmp_path / "thing.stl").read_bytes()
+    ball(scene)
+    with pytest.raises(DatasetError, match=r"holds another dataset: thing\.stl has another content \(sha256 "):
+        generate(scene, tmp_path / "data", workers=1)
+    (tmp_path / "thing.stl").write_bytes(before)
+    made = generate(scene, tmp_path / "data", workers=1)
+    assert set(made.recipe.files) == {"thing.stl"} and verify(made.path).ok
+    assert Dataset.open(made.path).recipe == made.recipe
+
+
+def test_a_mesh_that_is_replaced_while_the_dataset_is_made_is_told(scene, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    original = workers.write_view
+
+    def write_view(path, view):
+        original(path, view)
+        ball(scene)
+
+    monkeypatch.setattr(workers, "write_view", write_view)
+    with pytest.raises(DatasetError, match=r"cannot go on, because while it was made thing\.stl has another content"):
+        generate(scene, tmp_path / "data", workers=1)
+    assert not (tmp_path / "data" / "dataset.json").exists()
+
+
+def test_a_mesh_of_an_obstacle_counts_too_and_a_scene_without_files_has_none(scene, tmp_path):
+    text = SCENE.replace('{ mesh = "thing.stl" }', "{ box = [0.06, 0.06, 0.03] }")
+    (tmp_path / "plain.toml").write_text(text)
+    plain = make_recipe(load_scene(tmp_path / "plain.toml"))
+    assert plain.files == {} and "files" not in plain.table()
+    tree = dataclasses.replace(scene, tree={"obstacles": [{"shape": {"mesh": str(tmp_path / "thing.stl")}}]})
+    assert set(files_of(tree, "probe")) == {str(tmp_path / "thing.stl")}

@@ -1,0 +1,159 @@
+"""What decides a result, by content: the source of a piece of code, and the files that are named beside it.
+
+The source of a module is its own file and every file that it imports, at any depth and also inside functions, as far as
+they belong to the same installed package, to vsfsim, or to no installed package at all. Nothing is imported to find
+them. Other packages count by their versions.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from typing import Any
+
+_INSTALLED = {"site-packages", "dist-packages"}
+"""Folders of installed packages."""
+
+
+def source_files(module: str, folder: str | Path = "") -> dict[str, Path]:
+    """The files of the source of a module, by the names of their modules; {} if there is none of this name.
+
+    Args:
+        module: its dotted name. folder: where modules are looked for besides ``sys.path``.
+    """
+    found: dict[str, Path] = {}
+    waiting, top = [module], module.partition(".")[0]
+    seen = set(waiting)
+    while waiting:
+        name = waiting.pop()
+        file = None if name.partition(".")[0] in sys.stdlib_module_names else _file(name, str(folder))
+        if file is None or not _counts(file, name.partition(".")[0], top):
+            continue
+        found[name] = file
+        for used in _imports(str(file), file.stat().st_mtime_ns, name, file.name == "__init__.py"):
+            parts = used.split(".")
+            for some in (".".join(parts[:k]) for k in range(1, len(parts) + 1)):
+                if some not in seen:
+                    seen.add(some)
+                    waiting.append(some)
+    return found
+
+
+def source_sha256(module: str, folder: str | Path = "") -> str:
+    """sha256 of the source of a module, "" if there is none of this name; operands as of `source_files`."""
+    files = source_files(module, folder)
+    return files_sha256(files) if files else ""
+
+
+def files_sha256(files: Mapping[str, Path]) -> str:
+    """sha256 of the names and contents of files."""
+    lines = "".join(f"{name} {file_sha256(path)}\n" for name, path in sorted(files.items()))
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """sha256 of a file."""
+    out = hashlib.sha256()
+    with open(path, "rb") as file:
+        while chunk := file.read(1 << 20):
+            out.update(chunk)
+    return out.hexdigest()
+
+
+def named_files(values: Any, folder: str | Path) -> dict[str, Path]:
+    """The files that texts in a tree of tables and lists name, by that text.
+
+    Args:
+        values: JSON or TOML values. folder: that relative paths are relative to.
+    """
+    out: dict[str, Path] = {}
+    for text in _texts(values):
+        # "FILE@sha256" names the weights of a network and what they must be.
+        name = text.partition("@")[0]
+        if not name or "\0" in name:
+            continue
+        path = Path(folder, Path(name).expanduser())
+        try:
+            if path.is_file():
+                out[text] = path.absolute()
+        except OSError:  # a text that is no name of a file, such as one of 300 letters
+            continue
+    return out
+
+
+def differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+    """In words, how the contents ``here`` differ from those ``there``, each a sha256 by name."""
+    out = [f"{name} has another content (sha256 {there[name][:12]} there, {here[name][:12]} here)"
+           for name in here if name in there and there[name] != here[name]]
+    out += [f"{name} was not recorded there" for name in here if name not in there]
+    return out + [f"{name} is not found here" for name in there if name not in here]
+
+
+def _texts(values: Any) -> Iterator[str]:
+    if isinstance(values, str):
+        yield values
+    elif isinstance(values, (Mapping, list, tuple)):
+        for item in values.values() if isinstance(values, Mapping) else values:
+            yield from _texts(item)
+
+
+def _file(name: str, folder: str) -> Path | None:
+    """The source file of a module, found without importing anything; None for a module without one."""
+    path: Iterable[str] | None = None
+    parts = name.split(".")
+    for k in range(1, len(parts) + 1):
+        spec = _spec(".".join(parts[:k]), path, folder if k == 1 else "")
+        if spec is None:
+            return None
+        path = spec.submodule_search_locations
+        if path is None and k < len(parts):
+            return None
+    assert spec is not None
+    return Path(spec.origin).resolve() if spec.origin and spec.origin.endswith(".py") else None
+
+
+def _spec(name: str, path: Iterable[str] | None, folder: str) -> ModuleSpec | None:
+    if folder:
+        found = PathFinder.find_spec(name, [folder])
+        if found is not None and found.origin:
+            return found
+    for finder in sys.meta_path:
+        try:
+            found = finder.find_spec(name, None if path is None else list(path))
+        except Exception:  # a finder of another package may raise anything
+            continue
+        if found is not None:
+            return found
+    return None
+
+
+def _counts(file: Path, package: str, top: str) -> bool:
+    return package in (top, "vsfsim") or not _INSTALLED & set(file.parts)
+
+
+@functools.lru_cache(maxsize=4096)
+def _imports(file: str, _: int, name: str, is_package: bool) -> tuple[str, ...]:
+    """Names of what a file imports; of ``from a import b`` both a and a.b, of which one may be no module."""
+    try:
+        tree = ast.parse(Path(file).read_bytes())
+    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
+        return ()
+    out: list[str] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            out += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = name.split(".")[:len(name.split(".")) - node.level + is_package]
+                base = ".".join([*above, *([base] if base else [])])
+            out += [base, *(f"{base}.{alias.name}" for alias in node.names if alias.name != "*")] if base else []
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("vsfsim."):
+            named = node.value.partition(":")  # "module:function" of a table
+            out += [named[0]] if named[1] else []
+    return tuple(dict.fromkeys(out))
