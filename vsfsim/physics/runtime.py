@@ -100,6 +100,8 @@ def compile_kernels(kernels: list[Any], device: str, *,
         if progress is not None:
             short = module.name.rpartition(".")[2].removeprefix("vsfsim_").split("__")[0]
             progress(done, len(modules), f"kernel modules compiled or found, now {short}")
-        module.load(wp.get_device(device))
+        # on a CPU Warp launches blocks of one thread, and keeps a module for each size of block that it met
+        where = wp.get_device(device)
+        module.load(where, block_dim=1 if where.is_cpu else None)
     if progress is not None:
         progress(len(modules), len(modules), "kernel modules ready")

@@ -1,0 +1,61 @@
+"""The mechanisms of the solver, each with how it is switched off: the solver itself has no such switches."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from vsfsim.physics import tiers
+from vsfsim.physics.solve import newton, tangent_factor, touches
+from vsfsim.physics.solve.branch import Branch
+from vsfsim.physics.solve.newton import Equilibrium
+from vsfsim.physics.solve.touches import Solver
+
+_NEVER = 10**9  # iterations after which something is done
+Patch = Callable[[], list[Any]]
+
+
+def _set(owner: Any, **values: Any) -> Patch:
+    return lambda: [mock.patch.object(owner, name, value) for name, value in values.items()]
+
+
+def _unhalved() -> list[Any]:
+    inner = tiers.options
+    return [mock.patch.object(tiers, "options", lambda tier: dataclasses.replace(inner(tier), halvings=0))]
+
+
+MECHANISMS: dict[str, tuple[str, Patch]] = {
+    "predictor": ("a step begins from the extrapolated, condensed problem", _set(Solver, _predict=lambda *_: None)),
+    "halving": ("a step that fails is made in two", _unhalved),
+    "branch": ("states of another branch are barred and marked", _set(
+        Branch, bar=lambda *_: None, mark=lambda *_, **__: None,
+        repeats=lambda _self, columns, _pose: np.zeros(len(columns), bool))),
+    "doubts": ("a step that lacks energy is made again in shorter ones", _set(touches, _DOUBTS=0)),
+    "softening": ("softer contact leads a body that goes deep", _set(
+        Solver, _far_from_balance=lambda _self, measure: measure < 0.0)),
+    "correction": ("every Newton step is corrected by a condensed problem", _set(
+        newton, correct=lambda _balance, _columns, direction, *_: direction)),
+    "modes": ("a line search follows modes of negative curvature", _set(Equilibrium, _follows_modes=False)),
+    "shifts": ("a tangent with negative curvature is shifted", _set(newton, _SHIFTS=0)),
+    "second-order": ("a step of a nearly incompressible body is corrected at its end", _set(
+        Equilibrium, _second_order=lambda self, columns, _residual: self.evaluate(columns))),
+    "local factors": ("a factor of the most deformed nodes corrects the factor at rest", _set(
+        tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER)),
+    "factors": ("a factor of a deformed state preconditions", _set(
+        tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER, _FIRST=_NEVER)),
+}
+"""What each does, and the patches without it."""
+
+
+def without(names: Sequence[str]) -> ExitStack:
+    """Switches off mechanisms while it is open."""
+    out = ExitStack()
+    for name in names:
+        for patch in MECHANISMS[name][1]():
+            out.enter_context(patch)
+    return out
