@@ -29,32 +29,22 @@ def solver(device: Device = "cpu",
            compare: Annotated[bool,
                               typer.Option(help="On a GPU: run a few touches on the CPU as well and compare "
                                                 "the forces.")] = True,
-           gate: Annotated[bool, typer.Option("--gate",
-                                              help="Press the gate's 40 cells instead: frames, forces, iterations and "
-                                                   "CPU time.")] = False,
            without: Annotated[list[str] | None,
                               typer.Option(help="Press the gate's cells with and without this mechanism; given again: "
                                                 "without all of them.")] = None,
            against: Annotated[Path | None,
-                              typer.Option(metavar="FILE", help="Compare the gate's cells with a record of --gate "
-                                                                "--json FILE.")] = None,
+                              typer.Option(metavar="FILE", help="Compare the gate's cells with a record of --cell "
+                                                                "all --json FILE.")] = None,
            cell: Annotated[list[str] | None,
-                           typer.Option(help="Only this cell of the gate, or small for eight quick ones; may be given "
-                                             "again.")] = None,
+                           typer.Option(help="Press this cell of the gate alone, small for eight quick ones, or all "
+                                             "for 40; may be given again.")] = None,
            out: JsonFile = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a
     batch; or what every mechanism of the solver buys on 40 fixed presses."""
-    if gate or without or cell or against is not None:
-        from benchmarks.gate import compare
-        from benchmarks.gate.cells import CELLS, SMALL
-        from benchmarks.gate.mechanisms import MECHANISMS
+    if without or cell or against is not None:
+        from benchmarks.gate.compare import measure as measure_gate
 
-        for name in without or []:
-            check_choice("--without", name, MECHANISMS)
-        for name in cell or []:
-            check_choice("--cell", name, [*(c.name for c in CELLS), "small"])
-        names = [one for name in cell or [] for one in (SMALL if name == "small" else (name,))]
-        _report(compare.measure(names or None, names=without or (), against=against, progress=step), out)
+        _report(measure_gate(cell or ("all",), names=without or (), against=against, progress=step), out)
         return
     from benchmarks.solver import TIERS, measure
 

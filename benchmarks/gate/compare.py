@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.gate.cells import CELLS, GateCell, Run, press
-from benchmarks.gate.mechanisms import without
+from benchmarks.gate.cells import CELLS, SMALL, GateCell, Run, press
+from benchmarks.gate.mechanisms import MECHANISMS, without
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from vsfsim.cli.options import check_choice
 from vsfsim.core.errors import VsfsimError
 
 _LEAST = 0.05  # of the largest force: the differences of smaller forces are told relative to this part of it [-]
@@ -41,7 +42,7 @@ def earlier(path: Path) -> dict[str, Run]:
         rows = json.loads(path.read_text())["cells"]
         return {row["cell"]: Run(**row["run"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise VsfsimError(f"{path} is not a record of `vsfsim measure solver --gate --json FILE` ({error}). Make one "
+        raise VsfsimError(f"{path} is not a record of `vsfsim measure solver --cell all --json FILE` ({error}). Make one "
                           "first.") from None
 
 
@@ -54,17 +55,24 @@ def _pairs(cells: Sequence[GateCell], names: Sequence[str], before: dict[str, Ru
             yield cell.name, known, press(cell)
 
 
-def measure(cells: Sequence[str] | None = None, *, names: Sequence[str] = (), against: Path | None = None,
+def measure(cells: Sequence[str] = ("all",), *, names: Sequence[str] = (), against: Path | None = None,
             progress: Progress = lambda _: None) -> Measurement:
     """Press the cells, and press them again without some mechanisms.
 
     Args:
-        cells: their names; None for all.
+        cells: their names, "small" for the quick ones, or "all".
         names: mechanisms that are switched off together.
         against: a record of an earlier run that is compared instead of a run with all mechanisms.
         progress: called with what is going on.
+
+    Raises:
+        VsfsimError: a cell or mechanism has no such name, or the record is none.
     """
-    chosen = [c for c in CELLS if cells is None or c.name in cells]
+    for name in names:
+        check_choice("--without", name, MECHANISMS)
+    for name in cells:
+        check_choice("--cell", name, [*(c.name for c in CELLS), "small", "all"])
+    chosen = [c for c in CELLS if "all" in cells or c.name in cells or ("small" in cells and c.name in SMALL)]
     press(next(c for c in CELLS if c.name == "ball"))  # kernels are loaded
     rows: list[dict[str, Any]] = []
     for name, known, run in _pairs(chosen, names, None if against is None else earlier(against), progress):
