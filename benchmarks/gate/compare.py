@@ -42,8 +42,8 @@ def earlier(path: Path) -> dict[str, Run]:
         rows = json.loads(path.read_text())["cells"]
         return {row["cell"]: Run(**row["run"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise VsfsimError(f"{path} is not a record of `vsfsim measure solver --cell all --json FILE` ({error}). Make one "
-                          "first.") from None
+        raise VsfsimError(f"{path} is not a record of `vsfsim measure solver --cell all --json FILE` ({error}). "
+                          "Make one first.") from None
 
 
 def _pairs(cells: Sequence[GateCell], names: Sequence[str], before: dict[str, Run] | None,
