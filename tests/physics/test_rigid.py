@@ -223,7 +223,7 @@ def broken(kind):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=RADIUS)
     if kind == "hole":
         ball.update_faces(ball.triangles_center[:, 2] < 0.9 * RADIUS)
-        return ball, "not watertight"
+        return ball, "Not watertight"
     if kind == "inside out":
         ball.faces = ball.faces[:, ::-1]
         return ball, "inside out"

@@ -69,7 +69,7 @@ class PressSpec:
 def beside(shape: ProbeShape, path: Path) -> ProbeShape:
     """A mesh's file relative to the scene file ``path``; other shapes as they are."""
     if isinstance(shape, MeshFile) and not Path(shape.path).is_absolute():
-        return MeshFile(str(path.parent / shape.path), shape.scale)
+        return MeshFile(str(path.parent / shape.path), shape.scale, shape.up)
     return shape
 
 

@@ -67,7 +67,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a
+    """A surface mesh of the user's own (OBJ, PLY, STL, OFF). As an object its origin is the centre of its base; as a
     probe, that of its bounding box."""
 
     path: str
@@ -75,6 +75,8 @@ class MeshFile:
     scale: float | None = None
     """Metres per unit of the file [m], or None to decide from the size: a bounding box over 5 units is read as
     millimetres, with a note."""
+    up: str = "z"
+    """Axis of the file that points up, one of `UP`; it becomes z."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,8 @@ class Family:
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
 ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile | Chain | Dome
 
+UP = ("x", "y", "z")
+"""Axes of a mesh file that may point up."""
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 
@@ -177,13 +181,16 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
 
 def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
     for key in table:
-        if key not in ("mesh", "scale"):
-            raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale")))
+        if key not in ("mesh", "scale", "up"):
+            raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale", "up")))
     if not isinstance(table["mesh"], str) or not table["mesh"]:
-        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY or STL file, relative to "
+        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY, STL or OFF file, relative to "
                          f"the scene file.")
-    scale = table.get("scale")
-    return MeshFile(table["mesh"], None if scale is None else _positive(where, "scale", scale))
+    scale, up = table.get("scale"), table.get("up", "z")
+    if up not in UP:
+        raise SceneError(f"{where}: up is {up!r}; it is the axis of the mesh file that points up, one of "
+                         f"{', '.join(UP)}.")
+    return MeshFile(table["mesh"], None if scale is None else _positive(where, "scale", scale), up)
 
 
 def probe_table(shape: ProbeShape) -> dict[str, Any]:
@@ -203,8 +210,8 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
             return {"chain": shape.table()}
         case Dome():
             return {"dome": shape.table()}
-        case MeshFile(path, scale):
-            return {"mesh": path} if scale is None else {"mesh": path, "scale": scale}
+        case MeshFile(path, scale, up):
+            return {"mesh": path, **({} if scale is None else {"scale": scale}), **({} if up == "z" else {"up": up})}
     raise AssertionError(shape)
 
 

@@ -117,8 +117,8 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
         # along a slender bar the fields change slowly: quadratic elements about as long as its radius
         return min(10.0 * own.body * spec.shape.radius, tip)
     if isinstance(spec.shape, MeshFile):
-        # scan imports trimesh, which a box does not need
-        from vsfsim.physics.mesh.scan import extents
+        # repair imports trimesh, which a box does not need
+        from vsfsim.physics.mesh.repair import extents
 
         # a flat sheet is refused with a reason when it is filled; here its size must only not be 0
         size = np.maximum(extents(spec.shape), 1e-3 * extents(spec.shape).max())

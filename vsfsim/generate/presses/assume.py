@@ -33,7 +33,7 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
         return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
     shape = scene.object.shape
     if isinstance(shape, MeshFile):
-        from vsfsim.physics.mesh.scan import extents  # imports trimesh
+        from vsfsim.physics.mesh.repair import extents  # imports trimesh
 
         size = extents(shape)
     else:

@@ -18,17 +18,19 @@ import hashlib
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 from scipy import ndimage
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.physics import disk_cache
-from vsfsim.physics.contact import closest_point
+from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 from vsfsim.physics.mesh.winding import winding_number
+
+if TYPE_CHECKING:
+    from vsfsim.physics.mesh.repair import Surface
 
 LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
 MAX_NODES = 2_000_000
@@ -40,7 +42,7 @@ _RIM = 4
 _CLOSED_EDGE = 1 / 8
 _ENVELOPE = 1e-3  # how far fTetWild may move a broken surface, over the diagonal of its bounding box
 _SLOW = 1.0  # duration of a bake above which it is kept on disk [s]
-_RECIPE = 1  # part of the cache key: raise it when the bake changes
+_RECIPE = 2  # part of the cache key: raise it when the bake changes
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
         slow: duration of a bake above which it is kept on disk [s].
 
     Raises:
-        MeshError: as `vsfsim.physics.mesh.scan.read_surface`, or a surface that cannot be closed.
+        MeshError: as `vsfsim.physics.mesh.repair.read_surface`, or a surface that cannot be closed.
     """
     path = Path(shape.path)
     stamp = path.stat().st_mtime_ns if path.is_file() else None
@@ -119,31 +121,29 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
 @functools.lru_cache(maxsize=16)
 def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: float,
            stamp: int | None) -> DistanceGrid:
-    # scan imports trimesh, which a sphere does not need. ``stamp`` is the file's time: an edited file is read again
-    from vsfsim.physics.mesh import scan
+    # repair imports trimesh, which a sphere does not need. ``stamp`` is the file's time: an edited file is read again
+    from vsfsim.physics.mesh import repair, tetwild
 
     path = Path(shape.path)
-    content = scan._content(path)
-    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, spacing, LONGEST, SHORTEST, MAX_NODES,
+    content = repair.content(path)
+    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, shape.up, spacing, LONGEST, SHORTEST, MAX_NODES,
                                          _RECIPE)).encode()).hexdigest()
     stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
     grid = _read(stored)
     if grid is None:
         began = time.perf_counter()
-        surface, notes = scan.read_surface(shape)
-        vertices, faces = np.asarray(surface.vertices), np.asarray(surface.faces)
-        notes = [note for note in notes if not note.startswith("Not watertight")]
-        broken = _fault(surface, vertices, faces)
+        surface = repair.read_surface(shape)
+        vertices, faces, notes = surface.vertices, surface.faces, list(surface.notes)
+        broken = _fault(surface)
         if broken:
-            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()),
-                                                          _ENVELOPE, path))
+            vertices, faces = _boundary(*tetwild.run(surface, _CLOSED_EDGE * float(surface.extents.max()), _ENVELOPE,
+                                                     path))
             if not len(faces) or _volume(vertices, faces) < 1e-4 * float(np.prod(surface.extents)):
                 raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. "
                                 f"Close it or give it thickness.")
             notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to {100 * _ENVELOPE:g} % of its "
                          f"diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
-        grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]),
-                    notes=tuple(notes))
+        grid = bake(vertices + surface.centre, faces, spacing=spacing, centre=surface.centre, notes=tuple(notes))
         if broken or time.perf_counter() - began > slow:
             _write(stored, grid)
             # another worker may have been first; fTetWild never returns the same surface twice, so that one counts
@@ -193,23 +193,14 @@ def spline(distance: np.ndarray) -> np.ndarray:
 
 def exact_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Signed distance (k,) [m] of ``points`` (k, 3) to a closed triangle mesh; negative inside."""
-    kernel = _query()
-    corners = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
-    mesh = wp.Mesh(points=corners, indices=wp.array(faces.astype(np.int32).reshape(-1), dtype=wp.int32, device="cpu"),
-                   support_winding_number=True)
-    out = wp.array(np.full(len(points), np.nan), dtype=wp.float64, device="cpu")
-    exact = ((vertices, wp.vec3d), (faces, wp.vec3i), (points, wp.vec3d))
-    wp.launch(kernel, dim=len(points), device="cpu",
-              inputs=[mesh.id, *(wp.array(values, dtype=dtype, device="cpu") for values, dtype in exact), out])
-    return out.numpy()
+    return SurfaceDistance(vertices, faces)(points)
 
 
-def _fault(surface, vertices: np.ndarray, faces: np.ndarray) -> str:
+def _fault(surface: "Surface") -> str:
     """Why a surface bounds no simple solid, or "" if it does."""
-    if not surface.is_watertight:
+    if not surface.watertight:
         return "The surface is not watertight"
-    if not surface.is_winding_consistent:
-        return "The surface is not consistently wound"
+    vertices, faces = surface.vertices, surface.faces
     # faces inside the body (overlapping parts, self-intersections) give winding numbers beyond 0 and 1 somewhere
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     probes = low + (high - low) * np.random.default_rng(0).random((min(500, max(50, 20_000_000 // len(faces))), 3))
@@ -234,34 +225,6 @@ def _boundary(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.nd
 def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.einsum("fc,fc->f", a, np.cross(b, c)).sum() / 6.0)
-
-
-@functools.cache
-def _query():
-    near = closest_point.functions(wp.float64, "vsfsim_distance_grid")
-
-    @wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
-    def query(
-        # model
-        mesh: wp.uint64, vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=wp.vec3i),
-        # state in
-        point_in: wp.array(dtype=wp.vec3d),
-        # state out
-        distance_out: wp.array(dtype=wp.float64),
-    ):
-        i = wp.tid()
-        x = point_in[i]
-        found = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(x), 1.0e6)
-        if found.result:
-            # the search is in single precision; the distance to the triangle that it found is computed again in double
-            f = faces[found.face]
-            m = near.on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
-            d = wp.length(x - (m[0] * vertices[f[0]] + m[1] * vertices[f[1]] + m[2] * vertices[f[2]]))
-            if found.sign < 0.0:
-                d = -d
-            distance_out[i] = d
-
-    return query
 
 
 # ---------------------------------------------------------------------------------------------- the cache

@@ -20,6 +20,17 @@ def body_of_each_tet(tets: np.ndarray) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
+def shells(faces: np.ndarray) -> list[np.ndarray]:
+    """Triangles (f, 3) of a closed boundary, parted into those that edges join."""
+    edge = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edge.T)
+    same = (edge[order][1:] == edge[order][:-1]).all(axis=1)
+    owner = order // 3
+    graph = coo_matrix((np.ones(int(same.sum())), (owner[:-1][same], owner[1:][same])), shape=(len(faces),) * 2)
+    amount, part = connected_components(graph, directed=False)
+    return [faces[part == p] for p in range(amount)]
+
+
 def pinched_vertices(tets: np.ndarray) -> np.ndarray:
     """Vertices where the boundary is not one sheet: its faces there form more than one fan (k,).
 
