@@ -87,6 +87,9 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     order = list(TIERS)
     enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_DEFAULT)
     tier = asked or scene.object.tier
+    if tier == "auto" and isinstance(scene.object.shape, MeshFile) and "needs" not in scene.given:
+        # the default press of a scan goes past small strain
+        return max("fem", enough, key=order.index)
     incompressible = scene.object.poisson_ratio > MOST_POISSON_RATIO
     if tier == "auto":
         if scene.object.foam is not None and order.index(enough) < order.index(_FOAM):

@@ -1,0 +1,148 @@
+"""Readers of mesh files: the right surface, or an error that says what does not fit."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from vsfsim.core.errors import MeshError
+from vsfsim.core.shape import MeshFile
+from vsfsim.physics.mesh.formats import parse
+from vsfsim.physics.mesh.repair import read_surface, signed_volume
+from vsfsim.physics.mesh.scan import fill_mesh_file
+
+CUBE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+QUADS = [(4, 3, 2, 1), (5, 6, 7, 8), (1, 2, 6, 5), (2, 3, 7, 6), (3, 4, 8, 7), (4, 1, 5, 8)]
+
+
+def obj_block(low: tuple[float, float, float], size: tuple[float, float, float]) -> str:
+    """A block whose faces count back from its own last vertex."""
+    corners = [tuple(low[k] + size[k] * c[k] for k in range(3)) for c in CUBE]
+    return "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(
+        "f " + " ".join(str(i - 9) for i in quad) + "\n" for quad in QUADS)
+
+
+def volume(content: str | bytes, name: str) -> float:
+    data = content.encode() if isinstance(content, str) else content
+    found = parse(data, Path(name))
+    return signed_volume(found.vertices, found.faces)
+
+
+def test_relative_indices_count_from_where_they_stand(tmp_path: Path) -> None:
+    """Two parts of 100 x 100 x 30 and 40 x 40 x 30 mm, one on the other: the first was lost, the last read twice."""
+    path = tmp_path / "two.obj"
+    path.write_text(obj_block((-0.05, -0.05, 0.0), (0.1, 0.1, 0.03)) + obj_block((-0.02, -0.02, 0.03), (0.04, 0.04, 0.03)))
+    surface = read_surface(MeshFile(str(path)))
+    assert surface.extents == pytest.approx([0.1, 0.1, 0.06])
+    solid = fill_mesh_file(MeshFile(str(path)), resolution=0.012, cache=tmp_path)
+    assert solid.volume() == pytest.approx(0.1 * 0.1 * 0.03 + 0.04 * 0.04 * 0.03, rel=0.02)
+
+
+def test_polygons_that_are_not_convex_are_cut_by_their_ears() -> None:
+    """A prism over an L of 3/4 of a square, its two ends polygons of six corners that a fan would fold."""
+    ring = [(0.5, 0.5), (0.5, 1), (0, 1), (0, 0), (1, 0), (1, 0.5)]
+    text = "".join(f"v {x} {y} {z}\n" for z in (0, 1) for x, y in ring)
+    text += "f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n" + "".join(
+        f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}\n" for k in range(6))
+    found = parse(text.encode(), Path("l.obj"))
+    assert signed_volume(found.vertices, found.faces) == pytest.approx(0.75)
+    assert trimesh.Trimesh(found.vertices, found.faces).area == pytest.approx(1.5 + 4.0)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off"])
+def test_formats_agree(suffix: str) -> None:
+    mesh = trimesh.creation.box((1, 2, 3))
+    data = mesh.export(file_type=suffix)
+    assert volume(data, f"box.{suffix}") == pytest.approx(6.0)
+    if suffix == "ply":
+        assert volume(mesh.export(file_type="ply", encoding="ascii"), "box.ply") == pytest.approx(6.0)
+    if suffix == "stl":
+        assert volume(mesh.export(file_type="stl_ascii"), "box.stl") == pytest.approx(6.0)
+        assert volume(b"solid facet".ljust(80) + data[80:], "box.stl") == pytest.approx(6.0), "binary, begins with solid"
+
+
+def test_counts_are_compared_with_the_header() -> None:
+    box = trimesh.creation.box((1, 2, 3))
+    stl, ply, off = box.export(file_type="stl"), box.export(file_type="ply"), box.export(file_type="off")
+    ascii_ply = box.export(file_type="ply", encoding="ascii")
+    off = off.encode() if isinstance(off, str) else off
+    for data, name, word in (
+        (stl[:80] + struct.pack("<I", 13) + stl[84:], "a.stl", "announces 13 triangles, and it holds 12"),
+        (stl[:80] + struct.pack("<I", 11) + stl[84:], "a.stl", "announces 11 triangles"),
+        (stl[:-30], "a.stl", "announces 12 triangles"),
+        (ply[:-5], "a.ply", "announces 12 of face"), (ply.replace(b"face 12", b"face 11"), "a.ply", "do not agree"),
+        (ascii_ply.replace(b"vertex 8", b"vertex 7"), "a.ply", "a.ply"),
+        (ascii_ply[:-10], "a.ply", "announces 12 of face"),
+        (off.replace(b"8 12", b"8 13", 1), "a.off", "announces 8 vertices and 13 faces"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a.obj", "names vertex 3, counted from 0"),
+        (b"v 0 0 0\nf -2 -1 -1\n", "a.obj", "line 2 names vertex -2"),
+    ):
+        with pytest.raises(MeshError, match=word):
+            parse(data, Path(name))
+
+
+@pytest.mark.parametrize("flips", [(1, -1), (-1, 1), (1, 1), (-1, -1)])
+def test_a_part_inside_another_is_a_cavity_whatever_way_it_is_wound(flips: tuple[int, int], tmp_path: Path) -> None:
+    outer, inner = (trimesh.creation.icosphere(subdivisions=3, radius=r) for r in (0.04, 0.024))
+    for ball, flip in zip((outer, inner), flips, strict=True):
+        if flip < 0:
+            ball.invert()
+    trimesh.util.concatenate([outer, inner]).export(tmp_path / "b.stl")
+    surface = read_surface(MeshFile(str(tmp_path / "b.stl")))
+    assert (surface.cavities, surface.parts) == (1, 1)
+    solid = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01, cache=tmp_path)
+    assert solid.volume() == pytest.approx(abs(outer.volume) - abs(inner.volume), rel=0.02)
+    assert any("cavities 1 for 1" in note for note in solid.notes)
+
+
+def test_the_same_surface_gives_the_same_body_in_every_format(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
+    ball.vertices *= 1 + 0.1 * np.sin(90 * ball.vertices[:, :1])
+    solids = []
+    for suffix in ("stl", "ply", "obj", "off"):
+        ball.export(tmp_path / f"b.{suffix}")
+        solids.append(fill_mesh_file(MeshFile(str(tmp_path / f"b.{suffix}")), resolution=0.01, cache=tmp_path / suffix))
+    again = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01, cache=tmp_path / "again")
+    assert np.array_equal(again.vertices, solids[0].vertices) and np.array_equal(again.tets, solids[0].tets)
+    for other in solids[1:]:
+        assert np.array_equal(other.tets, solids[0].tets)
+        assert np.abs(other.vertices - solids[0].vertices).max() < 1e-6
+
+
+def test_a_block_comes_out_exactly_with_a_flat_base(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.06))
+    box.apply_translation((1000.0, -500.0, 20.0))  # far from the origin, as in a surveyor's coordinates
+    path = tmp_path / "box.off"
+    path.write_text("OFF\n8 12 0\n" + "".join(f"{x:.9f} {y:.9f} {z:.9f}\n" for x, y, z in box.vertices)
+                    + "".join(f"3 {a} {b} {c}\n" for a, b, c in box.faces))
+    solid = fill_mesh_file(MeshFile(str(path), 1.0), resolution=0.012, cache=tmp_path)
+    assert solid.volume() == pytest.approx(6e-4, rel=1e-6)
+    assert np.ptp(solid.vertices, axis=0) == pytest.approx([0.1, 0.1, 0.06], abs=1e-7)
+    base = solid.vertices[solid.vertices[:, 2] < 1e-6]
+    assert np.ptp(base[:, :2], axis=0) == pytest.approx([0.1, 0.1], abs=1e-7)
+
+
+def test_up_and_colours(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.06, 0.04))
+    box.visual.vertex_colors = np.tile([[255, 0, 0, 255]], (8, 1))
+    box.export(tmp_path / "b.ply")
+    solid = fill_mesh_file(MeshFile(str(tmp_path / "b.ply"), 1.0, "y"), resolution=0.01, cache=tmp_path)
+    assert np.ptp(solid.vertices, axis=0) == pytest.approx([0.1, 0.04, 0.06], abs=1e-6)
+    assert solid.appearance is not None and solid.appearance.albedo[0] == pytest.approx([1, 0, 0])
+    found = parse(b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n", Path("a.obj"))
+    assert "materials (red) are not used" in found.notes[0]
+
+
+def test_double_sided_and_touching_parts(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.06))
+    both = trimesh.Trimesh(box.vertices, np.concatenate([box.faces, box.faces[:, ::-1]]), process=False)
+    other = box.copy()
+    other.apply_translation((0.1, 0.0, 0.0))
+    for mesh, size in ((both, 6e-4), (trimesh.util.concatenate([box, other]), 12e-4)):
+        mesh.export(tmp_path / "b.ply")
+        assert fill_mesh_file(MeshFile(str(tmp_path / "b.ply")), resolution=0.015,
+                              cache=tmp_path).volume() == pytest.approx(size, rel=0.01)
