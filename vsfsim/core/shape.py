@@ -184,8 +184,8 @@ def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
         if key not in ("mesh", "scale", "up"):
             raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale", "up")))
     if not isinstance(table["mesh"], str) or not table["mesh"]:
-        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY, STL or OFF file, relative to "
-                         f"the scene file.")
+        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY, STL or OFF file, relative "
+                         f"to the scene file.")
     scale, up = table.get("scale"), table.get("up", "z")
     if up not in UP:
         raise SceneError(f"{where}: up is {up!r}; it is the axis of the mesh file that points up, one of "

@@ -35,7 +35,8 @@ def volume(content: str | bytes, name: str) -> float:
 def test_relative_indices_count_from_where_they_stand(tmp_path: Path) -> None:
     """Two parts of 100 x 100 x 30 and 40 x 40 x 30 mm, one on the other: the first was lost, the last read twice."""
     path = tmp_path / "two.obj"
-    path.write_text(obj_block((-0.05, -0.05, 0.0), (0.1, 0.1, 0.03)) + obj_block((-0.02, -0.02, 0.03), (0.04, 0.04, 0.03)))
+    path.write_text(obj_block((-0.05, -0.05, 0.0), (0.1, 0.1, 0.03))
+                    + obj_block((-0.02, -0.02, 0.03), (0.04, 0.04, 0.03)))
     surface = read_surface(MeshFile(str(path)))
     assert surface.extents == pytest.approx([0.1, 0.1, 0.06])
     solid = fill_mesh_file(MeshFile(str(path)), resolution=0.012, cache=tmp_path)
@@ -62,7 +63,7 @@ def test_formats_agree(suffix: str) -> None:
         assert volume(mesh.export(file_type="ply", encoding="ascii"), "box.ply") == pytest.approx(6.0)
     if suffix == "stl":
         assert volume(mesh.export(file_type="stl_ascii"), "box.stl") == pytest.approx(6.0)
-        assert volume(b"solid facet".ljust(80) + data[80:], "box.stl") == pytest.approx(6.0), "binary, begins with solid"
+        assert volume(b"solid facet".ljust(80) + data[80:], "box.stl") == pytest.approx(6.0), "it is binary"
 
 
 def test_counts_are_compared_with_the_header() -> None:

@@ -126,8 +126,8 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: flo
 
     path = Path(shape.path)
     content = repair.content(path)
-    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, shape.up, spacing, LONGEST, SHORTEST, MAX_NODES,
-                                         _RECIPE)).encode()).hexdigest()
+    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, shape.up, spacing, LONGEST, SHORTEST,
+                                         MAX_NODES, _RECIPE)).encode()).hexdigest()
     stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
     grid = _read(stored)
     if grid is None:

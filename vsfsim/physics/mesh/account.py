@@ -140,5 +140,5 @@ def refuse(found: Account, path: Path, resolution: float) -> None:
     if found.worst <= REFUSED:
         return
     raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m so that the body is "
-                    f"within {100 * REFUSED:g} % of the scan. {found.sentence().split(' The filling departs')[0]} Use a "
-                    "finer resolution ([object] resolution), or repair the mesh by hand (e.g. in MeshLab).")
+                    f"within {100 * REFUSED:g} % of the scan. {found.sentence().split(' The filling departs')[0]} Use "
+                    "a finer resolution ([object] resolution), or repair the mesh by hand (e.g. in MeshLab).")

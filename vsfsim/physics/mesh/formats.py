@@ -88,8 +88,8 @@ def _obj(content: bytes, path: Path) -> Facets:
     notes = []
     if materials:
         notes.append(f"The file's {len(materials)} materials ({', '.join(sorted(materials)[:3])}"
-                     f"{', ...' if len(materials) > 3 else ''}) are not used: a scan is one body of the scene's material "
-                     "and of one colour.")
+                     f"{', ...' if len(materials) > 3 else ''}) are not used: a scan is one body of the scene's "
+                     "material and of one colour.")
     elif textured:
         notes.append("The file's texture coordinates are not used: a scan has one colour.")
     return Facets(points, _triangles(points, polygons), _unit(colours), tuple(notes))
@@ -267,7 +267,7 @@ def _stl(content: bytes, path: Path) -> Facets:
         points = np.array(corners, float).reshape(-1, 3)
     else:
         if count < 0:
-            raise _Bad(f"it has {len(content)} bytes; a binary STL has 84 and 50 a triangle, a text begins with 'solid'")
+            raise _Bad(f"it has {len(content)} bytes; a binary STL has 84 and 50 a triangle, a text has 'solid'")
         have = (len(content) - 84) / 50
         if count > have or len(content[84 + 50 * count:].strip(b"\0\r\n ")):
             raise _Bad(f"its header announces {count} triangles, and it holds {have:g}")

@@ -126,7 +126,7 @@ def _move_nodes(nodes: np.ndarray, state: np.ndarray, pairs: np.ndarray, cut: tu
 def _clip(points: np.ndarray, tets: np.ndarray, state: np.ndarray, number: dict[tuple[int, int], int]) -> np.ndarray:
     """What is inside of each tetrahedron, cut into tetrahedra."""
     signs = state[tets]
-    plus, minus = (signs > 0).sum(axis=1), (signs < 0).sum(axis=1)
+    minus = (signs < 0).sum(axis=1)
     out = [tets[minus == 0]]
     prisms: list[list[int]] = []
     single: list[list[int]] = []
@@ -193,7 +193,7 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
 
 
 def move_boundary(vertices: np.ndarray, tets: np.ndarray, targets: dict[int, np.ndarray]) -> np.ndarray:
-    """Vertices (n, 3) [m] with those of the boundary moved to ``targets`` (3,) [m], by number, as `pull_to_features`."""
+    """Vertices (n, 3) [m], those of the boundary moved to ``targets`` (3,) [m], by number, like `pull_to_features`."""
     mover = _Mover(vertices, tets)
     rim = set(mover.rim.tolist())
     for v, target in sorted(targets.items()):

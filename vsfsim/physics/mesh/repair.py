@@ -75,8 +75,8 @@ def content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY, STL or OFF "
-                        "file, relative to the scene file.") from error
+        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY, STL or "
+                        "OFF file, relative to the scene file.") from error
 
 
 def extents(shape: MeshFile) -> np.ndarray:
