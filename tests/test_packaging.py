@@ -226,7 +226,7 @@ def test_five_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path)
     for words, extra in ((("press", "indent"), "sim"), (("check", "gaussian"), "methods"),
                          (("inspect", "toy"), "render")):
         out = vsfsim(*words)
-        assert out.returncode == 2 and f'pip install "vsfsim[{extra}]"' in out.stderr, (words, out.stderr)
+        assert out.returncode == 2 and f'pip install ".[{extra}]"' in out.stderr, (words, out.stderr)
         assert "Traceback" not in out.stderr
 
 

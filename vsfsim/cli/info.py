@@ -54,7 +54,7 @@ def versions() -> Iterator[Fact]:
     """vsfsim, Python, the system, and every package of the base and of the extras."""
     import importlib.metadata
 
-    from vsfsim.core.extras import EXTRA_OF
+    from vsfsim.core.extras import EXTRA_OF, install_command
     from vsfsim.data.provenance import made_by
 
     made = made_by()
@@ -68,7 +68,7 @@ def versions() -> Iterator[Fact]:
         if names:
             yield Fact("versions", package, importlib.metadata.version(names[0]))
         else:
-            yield Fact("versions", package, "not installed", f'pip install "vsfsim[{EXTRA_OF.get(package, "all")}]"')
+            yield Fact("versions", package, "not installed", install_command(EXTRA_OF.get(package, "all")))
 
 
 def devices() -> Iterator[Fact]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import errno
 import io
+import os
 import sys
 import traceback
 from typing import Annotated, NoReturn
@@ -88,10 +89,20 @@ def main() -> None:
         sys.stderr.close()  # The reader of a pipe has left; nothing is wrong.
         sys.exit(0)
     except OSError as error:
-        if error.errno not in _DISK:
+        nowhere = "No usable temporary directory" in str(error)
+        if error.errno not in (*_DISK, errno.ENAMETOOLONG) and not nowhere:
             _report_bug()
         if debug:
             traceback.print_exc()
+        if error.errno == errno.ENAMETOOLONG:
+            print(f"error: the name '{str(error.filename)[:60]}...' is too long for this system, which allows 255 "
+                  f"bytes a name; use a shorter one.", file=sys.stderr)
+            sys.exit(2)
+        if nowhere or (error.filename is None and error.errno == errno.ENOSPC):
+            print(f"error: a temporary file cannot be written: {error.strerror}. TMPDIR is "
+                  f"'{os.environ.get('TMPDIR', '/tmp')}': free some space there, or export TMPDIR with a folder that "
+                  f"has some.", file=sys.stderr)
+            sys.exit(2)
         print(f"error: {error.filename or 'a file'} cannot be written: {error.strerror}. Free some space, or choose "
               f"another place, and run the same command again.", file=sys.stderr)
         sys.exit(2)

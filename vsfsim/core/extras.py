@@ -1,4 +1,4 @@
-"""Optional dependencies: which extra of `pip install "vsfsim[...]"` brings a package that is not installed.
+"""Optional dependencies: which extra of vsfsim brings a package that is not installed, and the command for it.
 
 Scores, datasets and leaderboards need numpy, scipy, h5py, typer and rich alone; everything else is in an extra.
 """
@@ -6,6 +6,7 @@ Scores, datasets and leaderboards need numpy, scipy, h5py, typer and rich alone;
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 
 from vsfsim.core.errors import VsfsimError
 
@@ -32,7 +33,16 @@ def missing(error: ModuleNotFoundError) -> MissingPackage | None:
 def missing_package(package: str, extra: str) -> MissingPackage:
     """The error for a package (by the name that is imported) that ``extra`` brings."""
     return MissingPackage(f"this needs the package '{package}', which is not installed. Install the extra '{extra}': "
-                          f"pip install \"vsfsim[{extra}]\", or \"vsfsim[all]\" for everything.", name=package)
+                          f"{install_command(extra)} (\"[all]\" for everything).", name=package)
+
+
+def install_command(extra: str) -> str:
+    """What brings an extra: vsfsim is on no package index, so the command is for the checkout that this package lies
+    in, or for any checkout if it was installed from a wheel."""
+    root = Path(__file__).resolve().parents[2]
+    if (root / "pyproject.toml").is_file():
+        return f"cd '{root}' && pip install -e \".[{extra}]\""
+    return f"in a checkout of vsfsim, pip install \".[{extra}]\""
 
 
 def require(extra: str, *packages: str) -> None:

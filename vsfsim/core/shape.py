@@ -112,6 +112,18 @@ def extent(shape: Box | Sphere | Cylinder | Rod) -> tuple[float, float, float]:
     raise AssertionError(shape)
 
 
+LEAST = 1e-5
+"""Least length of a shape [m]: under it an elastic continuum is no model of the matter, and a slip of units the
+usual cause."""
+
+
+def _length(where: str, name: str, value: Any) -> float:
+    length = _positive(where, name, value)
+    if length < LEAST:
+        raise SceneError(f"{where}: {name} is {value!r}; it must be a length in metres, at least {LEAST:g}.")
+    return length
+
+
 def _positive(where: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < float(value) < 1e3:
         raise SceneError(
@@ -123,7 +135,7 @@ def _positive(where: str, name: str, value: Any) -> float:
 def _numbers(where: str, key: str, value: Any, names: tuple[str, ...]) -> list[float]:
     if not isinstance(value, (list, tuple)) or len(value) != len(names):
         raise SceneError(f"{where}: {key} is {value!r}; give [{', '.join(names)}] in metres.")
-    return [_positive(where, f"{key} {name}", v) for name, v in zip(names, value, strict=True)]
+    return [_length(where, f"{key} {name}", v) for name, v in zip(names, value, strict=True)]
 
 
 def parse_object_shape(table: Any, where: str) -> ObjectShape:
@@ -149,7 +161,7 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
     if key == "box":
         return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))  # type: ignore[arg-type]
     if key == "sphere":
-        return Sphere(_positive(where, "sphere radius", value))
+        return Sphere(_length(where, "sphere radius", value))
     if key == "cylinder":
         return Cylinder(*_numbers(where, key, value, ("radius", "height")))
     return Rod(*_numbers(where, key, value, ("length", "radius")))
@@ -169,7 +181,7 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
     key = _only_key(table, PROBE_SHAPES, where)
     value = table[key]
     if key == "sphere":
-        return Sphere(_positive(where, "sphere radius", value))
+        return Sphere(_length(where, "sphere radius", value))
     if key == "capsule":
         return Capsule(*_numbers(where, key, value, ("radius", "length")))
     if key == "cylinder":

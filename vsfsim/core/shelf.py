@@ -23,8 +23,17 @@ def folder(name: str) -> Path:
     """The folder that holds ``name``: "scenes", "tasks", "baselines" or "leaderboard".
 
     In a wheel they lie inside the package; an editable install sees the live folders of the checkout.
+
+    Raises:
+        VsfsimError: they are those of another copy than the package.
     """
-    return Path(str(importlib.resources.files(f"vsfsim.{name}").joinpath("")))
+    found = Path(str(importlib.resources.files(f"vsfsim.{name}").joinpath("")))
+    root = Path(__file__).resolve().parents[2]
+    if (root / name).is_dir() and (root / "pyproject.toml").is_file() and found.resolve() != root / name:
+        raise VsfsimError(f"two copies of vsfsim are mixed: the package is that of '{root}', and its {name} are those "
+                          f"of '{found}'. Install the one that is meant (cd '{root}' && pip install -e .), or take it "
+                          f"out of PYTHONPATH.")
+    return found
 
 
 def checkout() -> Path:

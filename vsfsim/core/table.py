@@ -15,6 +15,10 @@ LARGEST_FILE = 4 << 20
 """A TOML file with more bytes is not read."""
 
 
+DEEPEST = 50
+"""Levels of tables and lists that a TOML file may have."""
+
+
 def read_text(path: Path, kind: str, error: type[VsfsimError]) -> str:
     """The text of a TOML file; ``kind`` is "scene" or "task".
 
@@ -36,9 +40,21 @@ def parse_toml(text: str, path: Path, kind: str, error: type[VsfsimError]) -> di
         VsfsimError: of class ``error``; it is not valid TOML.
     """
     try:
-        return tomllib.loads(text)
+        tree = tomllib.loads(text)
+        if _deeper(tree, DEEPEST):
+            raise ValueError(f"its tables are more than {DEEPEST} deep")
+        return tree
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as problem:
         raise error(f"{kind} file '{path}' is not valid TOML: {plain(problem)}.") from problem
+
+
+def _deeper(tree: Any, levels: int) -> bool:
+    """Whether tables and lists are nested more than ``levels`` deep."""
+    row = [tree]
+    for _ in range(levels + 1):
+        row = [value for node in row if isinstance(node, (dict, list))
+               for value in (node.values() if isinstance(node, dict) else node)]
+    return bool(row)
 
 
 class Table:

@@ -1,0 +1,38 @@
+"""Input that used to end in a traceback: an error that names it instead."""
+
+from pathlib import Path
+
+import pytest
+
+from vsfsim.core import extras, shelf
+from vsfsim.core.errors import SceneError, VsfsimError
+from vsfsim.core.shape import parse_object_shape, parse_probe_shape
+from vsfsim.core.table import parse_toml
+
+
+@pytest.mark.parametrize("text", ["[" + ".".join("a" * 3000) + "]", "a." * 60 + "b = 1", "x = " + "[" * 80 + "]" * 80])
+def test_deep_tables_are_refused(text: str) -> None:
+    with pytest.raises(SceneError, match=r"more than 50 deep|not valid TOML"):
+        parse_toml(text, Path("deep.toml"), "scene", SceneError)
+
+
+@pytest.mark.parametrize("table", [{"box": [1e-9, 0.1, 0.1]}, {"sphere": 1e-9}, {"cylinder": [0.1, 1e-8]}])
+def test_lengths_have_a_lower_limit(table: dict) -> None:
+    for parse in (parse_object_shape, parse_probe_shape):
+        with pytest.raises(SceneError, match="at least 1e-05"):
+            parse(table, "s.toml")
+
+
+def test_two_copies_are_not_mixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("vsfsim/core", "scenes"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "pyproject.toml").touch()
+    monkeypatch.setattr(shelf, "__file__", str(tmp_path / "vsfsim" / "core" / "shelf.py"))
+    with pytest.raises(VsfsimError, match="two copies of vsfsim are mixed"):
+        shelf.scenes()
+
+
+def test_the_advice_names_the_checkout() -> None:
+    root = Path(__file__).parents[2]
+    assert str(extras.missing_package("warp", "sim")).endswith(
+        f"cd '{root}' && pip install -e \".[sim]\" (\"[all]\" for everything).")
