@@ -169,7 +169,7 @@ def methods(paper: Annotated[bool,
 @app.command()
 def features(task: Annotated[str,
                              typer.Option(help="Task whose training objects are used; its test objects are not opened, "
-                                               "but with --on-test.")] = "fewshot-shoes-mini-v1",
+                                               "but with --on-test.")] = "inclusion-mini-v3",
              dataset: DatasetFolder = None,
              feature: Annotated[list[str] | None,
                                 typer.Option(help="A kind of features; may be given again. Default: local, "
@@ -329,7 +329,7 @@ def plant_learning(task: Annotated[str, typer.Argument(metavar="TASK", help="Nam
 
 @app.command(name="plant-sheet")
 def plant_sheet(scene: Annotated[str, typer.Argument(help="Name of a scene with [arm], or the path of its .toml "
-                                                          "file.")] = "plants-v3",
+                                                          "file.")] = "plants-v4",
                 picture: Annotated[Path | None, picture_option("Also draw them here, with their names.")] = None,
                 objects: Annotated[int | None, typer.Option(min=1,
                                                             help="Plants; default: the scene's own number.")] = None,
@@ -341,7 +341,7 @@ def plant_sheet(scene: Annotated[str, typer.Argument(help="Name of a scene with 
 
 
 @app.command(name="plant-likeness")
-def plant_likeness(scene: Annotated[str, typer.Option(help="Scene of plants, with [arm].")] = "plants-v3-mini",
+def plant_likeness(scene: Annotated[str, typer.Option(help="Scene of plants, with [arm].")] = "plants-v4-mini",
                    objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
                    touches: Annotated[int, typer.Option(min=1, help="Touches of each plant.")] = 5,
                    seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 1, out: JsonFile = None) -> None:
@@ -352,7 +352,7 @@ def plant_likeness(scene: Annotated[str, typer.Option(help="Scene of plants, wit
 
 
 @app.command(name="plant-yield")
-def plant_yield(scene: Annotated[str, typer.Option(help="Scene of artificial plants.")] = "plants-v3-mini",
+def plant_yield(scene: Annotated[str, typer.Option(help="Scene of artificial plants.")] = "plants-v4-mini",
                 objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
                 touches: Annotated[int, typer.Option(min=1, help="Touches of each plant.")] = 6,
                 out: JsonFile = None) -> None:

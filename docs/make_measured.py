@@ -16,10 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
 TASKS = ("fewshot-plants-v4-v1", "fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v3", "fewshot-plants-v4-mini-v1",
-         "fewshot-plants-v3-mini-v2",
-         "fewshot-shoes-mini-v1", "fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1",
-         "fewshot-shoes-punyo-mini-v1",
-         "fewshot-plants-mini-v2", "inclusion-mini-v3", "localization-mini-v3",
+         "inclusion-mini-v3", "localization-mini-v3",
          "bag-punyo-v1", "bag-punyo-mini-v2", "rope-punyo-v1", "rope-punyo-mini-v2", "fewshot-shoes-v2-punyo-v1",
          "fewshot-shoes-v2-punyo-mini-v2")
 STANDARD = ("shoes-amount", "shoes-breadth", "shoes-composition", "shoes-composition-broad", "shoes-features",

@@ -15,8 +15,8 @@ WIDTH = 1000  # px: what a page shows
 PICTURES = {
     "shoe": [["inspect", "shoes-v2-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
-    "plant": [["press", "plants-v3-mini", "--seed", "1", "--picture", "OUT"]],
-    "plants-v3": [["measure", "plant-sheet", "plants-v3", "--picture", "OUT"]],
+    "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
+    "plants-v4": [["measure", "plant-sheet", "plants-v4", "--picture", "OUT"]],
     "contact-sheet": [["generate", "shoes-v2-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
                        "DATASET"],
                       ["inspect", "DATASET", "--out", "OUT"]],

@@ -32,7 +32,7 @@ def test_h_is_help_of_every_command(vsfsim, tmp_path):
     ("vsfsim lea", "leaderboard"),
     ("vsfsim press inde", "indent-homogeneous"),
     ("vsfsim check gauss", "gaussian-zero"),
-    ("vsfsim leaderboard --task fewshot-shoes-pu", "fewshot-shoes-punyo-mini-v1"),
+    ("vsfsim leaderboard --task fewshot-shoes-v2-pu", "fewshot-shoes-v2-punyo-mini-v2"),
 ])
 def test_a_shell_completes_commands_and_names(typed, found):
     """As bash asks for it (the script of `vsfsim --show-completion bash`)."""
@@ -49,16 +49,16 @@ def test_info_says_what_is_there_and_what_to_do(vsfsim, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "cache" / "vsfsim").mkdir(parents=True)
     (tmp_path / "cache" / "vsfsim" / "mesh.npz").write_bytes(bytes(2_000_000))
-    (tmp_path / "data" / "shoes-mini-v1").mkdir(parents=True)
-    (tmp_path / "data" / "shoes-mini-v1" / "dataset.json").write_bytes(bytes(1000))
+    (tmp_path / "data" / "bag-punyo-mini-v2").mkdir(parents=True)
+    (tmp_path / "data" / "bag-punyo-mini-v2" / "dataset.json").write_bytes(bytes(1000))
     facts = json.loads(vsfsim("info", "--json", "-", cwd=tmp_path).stdout)
     by_name = {(fact["group"], fact["name"]): fact for fact in facts}
     assert {group for group, _ in by_name} == {"versions", "devices", "renderers", "caches", "weights", "datasets"}
     assert by_name["caches", "meshes"]["size"] == 2_000_000 and "2.0 MB" in by_name["caches", "meshes"]["value"]
     assert by_name["versions", "numpy"]["value"] == np.__version__
-    assert by_name["datasets", "shoes-mini-v1"]["size"] == 1000
-    missing = by_name["datasets", "plants-mini-v1"]
-    assert missing["todo"].startswith("vsfsim generate plants-mini --objects") and str(tmp_path) in missing["todo"]
+    assert by_name["datasets", "bag-punyo-mini-v2"]["size"] == 1000
+    missing = by_name["datasets", "rope-punyo-v1"]
+    assert missing["todo"].startswith("vsfsim generate rope-punyo --objects") and str(tmp_path) in missing["todo"]
     assert by_name["renderers", "warp"]["value"].startswith("works")
     text = vsfsim("info", cwd=tmp_path).stdout
     assert all(fact["name"] in text and fact["todo"] in text for fact in facts)
@@ -68,9 +68,9 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     """Those that need no dataset; `test_python.py` and `test_press_cli.py` hold the others."""
     scenes = json.loads(vsfsim("scenes", "--json", "-", cwd=tmp_path).stdout)
     assert {row["scene"] for row in scenes["scenes"]} == set(shelf.scenes()) and "shoe" in scenes["families"]
-    board = json.loads(vsfsim("leaderboard", "--task", "fewshot-shoes-mini-v1", "--json", "-", cwd=tmp_path).stdout)
+    board = json.loads(vsfsim("leaderboard", "--task", "fewshot-shoes-v2-mini-v3", "--json", "-", cwd=tmp_path).stdout)
     ranks = [row["rank"] for row in board["rows"] if row["rank"]]
-    assert len(ranks) >= 5 and ranks == list(range(1, 1 + len(ranks)))
+    assert len(ranks) >= 5 and ranks == sorted(ranks) and ranks[0] == 1
     assert all(row["not_ranked_because"] for row in board["rows"] if row["rank"] is None)
     assert {row["origin"] for row in board["rows"]} == {"shipped"}
     checked = json.loads(vsfsim("check", "gaussian", "--json", "-", cwd=tmp_path).stdout)
@@ -96,7 +96,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     (("verify", "data/trry"), "there is no folder of a dataset 'data/trry'. Did you mean 'data/try'?"),
     (("check", "mine.py:Mine"), "without .py: mine:Mine"),
     (("check", "mine:Min"), "has no 'Min'. Did you mean 'Mine'?"),
-    (("score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-mini-v1", "--dataset", "data/try"),
+    (("score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v2-mini-v3", "--dataset", "data/try"),
      "there is no file of predictions 'predictions.npz'. Did you mean 'prediction.npz'?"),
 ])
 def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, message, monkeypatch):
@@ -193,17 +193,17 @@ def test_the_default_folder_of_a_dataset_is_where_its_task_looks(monkeypatch):
 
 
 def test_the_first_command_without_out_makes_the_dataset_of_the_task(monkeypatch, tmp_path):
-    """`vsfsim generate shoes-mini`, up to the point where it would simulate."""
+    """`vsfsim generate bag-punyo-mini`, up to the point where it would simulate."""
     import vsfsim
     from vsfsim.generate import run
 
     monkeypatch.chdir(tmp_path)
     asked = {}
     monkeypatch.setattr(run, "generate", lambda scene, out, **options: asked.update(out=out))
-    vsfsim.generate("shoes-mini")
-    assert asked["out"] == vsfsim.tasks()["fewshot-shoes-mini-v1"].dataset.path() == Path("datasets/shoes-mini-v1")
-    vsfsim.generate("shoes-mini", objects=1)
-    assert asked["out"] == Path("datasets/shoes-mini")
+    vsfsim.generate("bag-punyo-mini")
+    assert asked["out"] == vsfsim.tasks()["bag-punyo-mini-v2"].dataset.path() == Path("datasets/bag-punyo-mini-v2")
+    vsfsim.generate("bag-punyo-mini", objects=1)
+    assert asked["out"] == Path("datasets/bag-punyo-mini")
 
 
 def test_a_script_without_a_main_guard_can_use_workers(tmp_path):
@@ -289,11 +289,11 @@ for words in (["verify", "toy"], ["score", "p.npz", "--task", "toy-v1.toml", "--
 
 
 def test_the_leaderboard_says_which_rows_shipped_and_which_were_made_here(vsfsim, tmp_path):
-    name = "fewshot-shoes-mini-v1"
+    name = "fewshot-shoes-v2-mini-v3"
     made = tmp_path / "results" / name
     made.mkdir(parents=True)
-    shipped = shelf.folder("leaderboard") / name / "gaussian.json"
-    (made / "gaussian.json").write_bytes(shipped.read_bytes())
+    shipped = shelf.folder("leaderboard") / name / "gaussian.tuned.json"
+    (made / "gaussian.tuned.json").write_bytes(shipped.read_bytes())
     table = json.loads(shipped.read_text())
     (made / "mine.json").write_text(json.dumps({**table, "method": "mine"}))
     board = json.loads(vsfsim("leaderboard", "--task", name, "--json", "-", cwd=tmp_path).stdout)

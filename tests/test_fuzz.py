@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
             writer.add(view)
         writer.finish()
     np.savez(out / "predictions.npz", **{"a/0/0/000": np.zeros((12, 1)), "b/5/1/011": np.ones((12, 1))})
-    shipped = shelf.folder("leaderboard") / "inclusion-mini-v2" / "gaussian.json"
+    shipped = shelf.folder("leaderboard") / "inclusion-mini-v3" / "gaussian.tuned.json"
     (out / "result.json").write_text(json.dumps(json.loads(shipped.read_text())))
     (out / "task.toml").write_text(shelf.tasks()["inclusion-mini-v3"].read_text())
     (out / "scene.toml").write_text(shelf.scenes()["inclusion-pieces-mini"].read_text())

@@ -166,9 +166,10 @@ def small_turn(turn):
 def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
     """The same command as for a block: one touch with its joint torques, which are J^T of the recorded forces; plot,
     picture and file beside it. The touch converges in 16, 24, 32 and 40 frames."""
-    text = find_scene("plants-short-mini").read_text()
+    text = find_scene("plants-mini").read_text()
     for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"),
-                     ("free = 5, in = 40, hold = 1, out = 8", "free = 1, in = 16, hold = 1, out = 2"),
+                     ("free = 5, in = 64, hold = 2, out = 14", "free = 1, in = 16, hold = 1, out = 2"),
+                     ("depth = 0.24", "depth = 0.08"), ("approach = 0.14", "approach = 0.12"),
                      ("width = 480\nheight = 432", "width = 120\nheight = 108")):
         assert old in text
         text = text.replace(old, new)

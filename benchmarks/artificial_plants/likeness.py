@@ -30,7 +30,7 @@ SHIFTS = (0.002, 0.005, 0.01, 0.02, 0.04)
 """Distances of a line from the first one [m]."""
 
 
-def measure(*, scene: str = "plants-v3-mini", objects: int | None = None, touches: int = 5, seed: int = 1,
+def measure(*, scene: str = "plants-v4-mini", objects: int | None = None, touches: int = 5, seed: int = 1,
             progress: Progress = lambda _: None) -> Measurement:
     """The difference of the torques of neighbouring touches over those of the first one, for each distance.
 

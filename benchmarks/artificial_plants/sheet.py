@@ -33,7 +33,7 @@ def measure(scene: str, *, picture: Path | None = None, objects: int | None = No
     """
     loaded = load_scene(find_scene(scene))
     if loaded.sample(0).arm is None:
-        raise VsfsimError(f"measure plant-sheet: {loaded.path} has no [arm]; give a scene of plants, e.g. plants-v3.")
+        raise VsfsimError(f"measure plant-sheet: {loaded.path} has no [arm]; give a scene of plants, e.g. plants-v4.")
     recipe = make_recipe(loaded, seed=seed, objects=objects)
     jobs = [job for job in jobs_of(recipe, loaded.path, Path("."), None) if job.view_index == 0]
     rows, images = [], []

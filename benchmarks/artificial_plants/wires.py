@@ -28,7 +28,7 @@ NOISE = 1.2
 """Norm of the torques that a real Gen3 shows when it meets nothing [N m]."""
 
 
-def measure(*, scene: str = "plants-v3-mini", objects: int | None = None, touches: int = 6, seed: int = 0,
+def measure(*, scene: str = "plants-v4-mini", objects: int | None = None, touches: int = 6, seed: int = 0,
             progress: Progress = lambda _: None) -> Measurement:
     """Share of the touches whose wires yield, what that changes in forces and torques, and how far plants stay bent.
 

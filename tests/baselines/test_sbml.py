@@ -140,7 +140,7 @@ def test_views_of_one_object_are_learned_from_or_held_out_together():
                                                                               if i not in part}) for part in held)
         if networks > 1:
             assert sorted(i for part in held for i in part) == list(range(24))
-    assert object_of(Specimen("plants-v3-0003-v2", None, ())) == "plants-v3-0003"
+    assert object_of(Specimen("plants-v4-0003-v2", None, ())) == "plants-v4-0003"
     assert Sbml(networks=3)._held_out(["alone"]) == [set()]
     assert sorted(Sbml(networks=3)._held_out(["alone"] * 2), key=min) == [{0}, {1}], "the other views are all there is"
 

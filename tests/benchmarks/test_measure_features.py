@@ -25,7 +25,7 @@ def made(folder, train, test=1):
 
 
 def test_variants_are_scored_on_objects_left_out_and_test_objects_stay_closed(tmp_path, monkeypatch):
-    dataset, task = made(tmp_path / "toy", 3), load_task("fewshot-shoes-mini-v1")
+    dataset, task = made(tmp_path / "toy", 3), load_task("inclusion-mini-v3")
     opened = []
     load = type(dataset).load
     monkeypatch.setattr(type(dataset), "load", lambda self, name: (opened.append(name), load(self, name))[1])
@@ -39,7 +39,7 @@ def test_variants_are_scored_on_objects_left_out_and_test_objects_stay_closed(tm
 
 
 def test_the_one_look_at_the_test_objects(tmp_path):
-    dataset, task = made(tmp_path / "toy", 2, 2), load_task("fewshot-shoes-mini-v1")
+    dataset, task = made(tmp_path / "toy", 2, 2), load_task("inclusion-mini-v3")
     first, second, third = choose(task, dataset, features=("xyzrgb", "local"), noises=(1.0,), folds=2,
                                   settings={"epochs": 2}, on_test=True)
     assert second.difference == (0.0, 0.0)
@@ -63,5 +63,5 @@ def test_the_one_look_at_the_test_objects(tmp_path):
 
 def test_one_object_is_too_few(tmp_path):
     with pytest.raises(MethodError, match="1 training objects and 1 folds"):
-        choose(load_task("fewshot-shoes-mini-v1"), made(tmp_path / "toy", 1), features=("xyzrgb",), noises=(3.0,),
+        choose(load_task("inclusion-mini-v3"), made(tmp_path / "toy", 1), features=("xyzrgb",), noises=(3.0,),
                folds=4)

@@ -11,11 +11,11 @@ from vsfsim.core.shelf import find_scene
 
 
 def scene(folder, *, plant, yields):
-    """The scene plants-v3-mini with a small plant and few frames."""
-    text = find_scene("plants-v3-mini").read_text()
+    """The scene plants-v4-mini with a small plant and few frames."""
+    text = find_scene("plants-v4-mini").read_text()
     for old, new in (('plant = "by-object"', f'plant = "{plant}"'), ("yields = true", f"yields = {yields}"),
                      ("wood_segments = 120", "wood_segments = 60"), ("leaf_segments = 300", "leaf_segments = 80"),
-                     ("frames = { free = 5, in = 46, hold = 2, out = 10 }", "frames = { free = 1, in = 12, out = 6 }"),
+                     ("frames = { free = 5, in = 46, hold = 2, out = 0 }", "frames = { free = 1, in = 12, out = 6 }"),
                      ("reject_below = 1.2", "reject_below = 0.0")):
         assert old in text, old
         text = text.replace(old, new)
@@ -33,5 +33,5 @@ def test_an_orange_tree_gives_way_and_stays_bent(tmp_path):
 
 
 def test_a_scene_without_yielding_wires_is_refused(tmp_path):
-    with pytest.raises(VsfsimError, match="no wire of plants-v3-mini yields"):
+    with pytest.raises(VsfsimError, match="no wire of plants-v4-mini yields"):
         measure(scene=scene(tmp_path, plant="boxwood", yields="false"), objects=1, touches=1)

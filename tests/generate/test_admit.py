@@ -18,12 +18,12 @@ from vsfsim.generate.recipe import make_recipe
 
 @pytest.fixture
 def job(tmp_path):
-    text = find_scene("plants-v3-mini").read_text()
+    text = find_scene("plants-v4-mini").read_text()
     for old, new in (("wood_segments = 120", "wood_segments = 30"), ("leaf_segments = 300", "leaf_segments = 30"),
                      ('plant = "by-object"', 'plant = "boxwood"')):
         assert old in text
         text = text.replace(old, new)
-    loaded = parse_scene(text, find_scene("plants-v3-mini"))
+    loaded = parse_scene(text, find_scene("plants-v4-mini"))
     recipe = make_recipe(loaded, seed=3, objects=1, views=2, touches=1)
     return jobs_of(recipe, loaded.path, tmp_path, None)[1]
 
@@ -71,6 +71,6 @@ def test_pilot_touches_tell_a_stiff_plant_from_a_soft_one_and_a_far_one(job, mon
 
 
 def test_the_scenes_of_artificial_plants_are_the_issues():
-    mini, full = (load_scene(find_scene(name)).sample(0) for name in ("plants-v3-mini", "plants-v3"))
+    mini, full = (load_scene(find_scene(name)).sample(0) for name in ("plants-v4-mini", "plants-v4"))
     assert mini.dataset.objects >= 12 and full.dataset.objects >= 24 and full.dataset.views == 4
     assert 50 <= full.touches.count <= 70 and full.touches.depth == 0.10 and full.arm.sweep == 0.0

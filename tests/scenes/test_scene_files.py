@@ -14,7 +14,7 @@ from vsfsim.physics.rods.family import grow
 
 
 def test_the_shelf_is_complete() -> None:
-    assert {"plants", "plants-mini", "shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball",
+    assert {"plants", "plants-mini", "shoes-v2-mini", "indent", "indent-homogeneous", "rod-bend", "ball",
             "punyo"} <= set(shelf.scenes())
     assert {"plant", "shoe"} <= set(shelf.families())
 

@@ -86,7 +86,7 @@ def test_place_is_thickness_and_place_alone_as_logarithms():
 
 
 def test_a_leaf_that_hangs_far_below_the_foot_has_finite_features():
-    """The lowest height is a quantile; a plant of plants-v3-mini has 103 of 58,676 pixels up to 79 mm below it."""
+    """The lowest height is a quantile; a plant of plants-v4-mini has 103 of 58,676 pixels up to 79 mm below it."""
     depth = np.zeros((300, 220))
     depth[40:150, 20:120] = 1.0
     depth[150:270, 119] = 1.0

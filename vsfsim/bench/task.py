@@ -180,7 +180,7 @@ def parse_task(text: str, path: str | Path) -> Task:
                                   "noise", "metrics", "paper"), error=TaskError)
     name = top.text("name")
     if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
-        raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-mini-v1.")
+        raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-v2-mini-v3.")
     d = top.section("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
                               "sha256"))
     wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""),

@@ -125,15 +125,15 @@ def test_a_row_on_data_that_another_machine_made_again_is_marked():
 
 
 def test_a_task_of_masks_is_compared_by_its_own_metric_and_not_by_the_error_of_readings(tmp_path):
-    board = leaderboard.collect(load_task("rope-punyo-mini-v1"))
+    board = leaderboard.collect(load_task("rope-punyo-mini-v2"))
     neural, grid = (next(row for row in board.rows if row.result.method == name) for name in ("neural-vsf", "grid-vsf"))
     found = {row.result.method: row.scores["mask_f1"]["all"].mean for row in (neural, grid)}
     assert np.mean(list(neural.objects["all"].values())) == pytest.approx(found["neural-vsf"])
     pages = {path.name: " ".join(Page(path.read_text()).words) for path in write_site([board], tmp_path)}
-    page = pages["task-rope-punyo-mini-v1.html"]
+    page = pages["task-rope-punyo-mini-v2.html"]
     assert f"{found['grid-vsf'] - found['neural-vsf']:+.3f} ±" in page, "the difference is one of F1 scores"
     assert "Score over touches" in page and not any("error over that of" in words for words in pages.values())
-    first = pages["object-rope-punyo-mini-v1-rope-punyo-mini-0000.html"].split(" -shot")[-1]
+    first = pages["object-rope-punyo-mini-v2-rope-punyo-mini-0000.html"].split(" -shot")[-1]
     best = max(board.rows, key=lambda row: row.objects["all"]["rope-punyo-mini-0000"])
     order = [name for name in re.findall(r"[a-z]+-vsf", first) if name in {row.result.method for row in board.rows}]
     assert order[0] == best.result.method, "the highest F1 comes first"

@@ -17,12 +17,12 @@ from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import scenes
 
-TASK = "fewshot-shoes-v2-mini-v1"
+TASK = "fewshot-shoes-v2-mini-v3"
 TEXT = """
 title = "A toy"
 source = "nobody"
 unit = "hPa"
-tasks = { mini = "fewshot-shoes-v2-mini-v1" }
+tasks = { mini = "fewshot-shoes-v2-mini-v3" }
 baseline = "all"
 [classes]
 boot = ["work-boot", "desert-boot", "combat-boot"]
@@ -123,7 +123,7 @@ def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer,
 def test_an_experiment_of_another_size_counts_where_there_is_none_of_the_size_asked(study, monkeypatch):
     both = found(study, all=LEVEL, half=[v + 0.1 for v in LEVEL])
     asked = dataclasses.replace(study, claims=(), experiments=study.claims,
-                                tasks={"standard": "fewshot-shoes-v2-v1", **study.tasks})
+                                tasks={"standard": "fewshot-shoes-v2-v3", **study.tasks})
     monkeypatch.setattr(claims, "load_study", lambda name: asked)
     for size in ("standard", "mini"):
         monkeypatch.setattr(claims, "stored", lambda study, at, *_, size=size: both if at == size else {})

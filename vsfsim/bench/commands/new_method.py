@@ -129,8 +129,8 @@ A stiffness estimator for [vsfsim](https://pypi.org/project/vsfsim). The method 
 pip install -e ".[test]"
 pytest
 vsfsim check {name}
-vsfsim evaluate --method {name} --task fewshot-shoes-mini-v1
-vsfsim leaderboard --task fewshot-shoes-mini-v1
+vsfsim evaluate --method {name} --task fewshot-shoes-v2-mini-v3
+vsfsim leaderboard --task fewshot-shoes-v2-mini-v3
 ```
 """
 
@@ -171,4 +171,5 @@ def write_package(name: str, out: Path | None = None) -> str:
         write_atomic(file, text.format(**values).encode(), error=MethodError)
     return (f"written to {folder}: {module}.py (the method), its test, pyproject.toml with the entry point\n\n"
             f"  cd {folder}\n  vsfsim check {module}:{values['classname']}    # before it is installed\n"
-            f"  pip install -e \".[test]\" && pytest\n  vsfsim evaluate --method {name} --task fewshot-shoes-mini-v1")
+            f"  pip install -e \".[test]\" && pytest\n"
+            f"  vsfsim evaluate --method {name} --task fewshot-shoes-v2-mini-v3")
