@@ -74,7 +74,7 @@ def shallow(out: JsonFile = None) -> None:
 def drag(young: Annotated[float, typer.Option(min=100.0, help="Modulus of the block [Pa].")] = 3e4,
          depth: Annotated[float, typer.Option(min=0.001, max=0.02, help="Depth of the press [m].")] = 0.006,
          frames: Annotated[int, typer.Option(min=1, help="Of each move.")] = 10,
-         limit: Annotated[float | None, typer.Option(min=0.1, help="Wall-clock limit of a frame [s].")] = None,
+         limit: Annotated[float | None, typer.Option(min=0.1, help="Limit of a frame's processor time [s].")] = None,
          out: JsonFile = None) -> None:
     """A bubble dragged by 10 mm and twisted by 45 degrees on a soft block, against Coulomb's law."""
     from benchmarks.drag import measure

@@ -48,7 +48,7 @@ def moved(move: str, *, young: float, depth: float, frames: int, nodes: int = 39
         depth: way past the first contact before the move, to about 1 mm [m].
         frames: of the move.
         nodes: of the membrane.
-        limit: processor or wall-clock time of a frame, see `PressRequest.seconds` [s].
+        limit: processor time of a frame, see `PressRequest.seconds` [s].
         friction: Coulomb's coefficient.
     """
     half = np.radians(22.5) if move == "twist" else 0.0

@@ -115,7 +115,7 @@ def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device
     Args:
         cells: in the order in which they are made.
         file: see `finished`.
-        limit: wall-clock limit of a frame [s].
+        limit: limit of a frame's processor time [s].
         workers: processes.
         device: Warp device.
         budget: time after which no new cell begins [s]; None for none.

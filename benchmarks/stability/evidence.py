@@ -81,7 +81,7 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
     Args:
         cell: which.
         folder: an empty folder for its files.
-        limit: wall-clock limit of a frame [s].
+        limit: limit of a frame's processor time [s].
         device: Warp device.
         frames: factor on the number of frames of a solid.
         tier: of a solid, instead of the cell's.

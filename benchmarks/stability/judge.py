@@ -77,7 +77,7 @@ def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
 
     Args:
         cell: which.
-        limit: wall-clock limit of a frame [s].
+        limit: limit of a frame's processor time [s].
         device: Warp device.
     """
     began = time.perf_counter()

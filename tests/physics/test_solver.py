@@ -1,6 +1,7 @@
 """What a user may rely on from the solver: retracing, batches, precision, marks, limits, audit."""
 
 import dataclasses
+import itertools
 import time
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import pytest
 from frame_checks import numbers_stand_for_equilibria
 
 from vsfsim.core.shape import Cylinder, Plane, Sphere
+from vsfsim.physics import clock
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.rigid_contact import RigidContact
@@ -167,7 +169,7 @@ def test_a_body_that_ran_out_of_time_on_the_way_goes_on_from_there(model, line, 
             now[0] = 1e12
 
     monkeypatch.setattr(Solver, "_reach", slow)
-    monkeypatch.setattr(touches, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    monkeypatch.setattr(touches, "clock", SimpleNamespace(now=lambda: now[0]))
     monkeypatch.setattr(touches.path, "stride", lambda *given: 0.002)
     frames = Solver(model, PROBE, device=device, options=SolverOptions(seconds=1e9)).run(poses)
     assert frames.reason[:, 0].tolist() == [Reason.NONE, Reason.TIME, Reason.NONE]
@@ -176,6 +178,38 @@ def test_a_body_that_ran_out_of_time_on_the_way_goes_on_from_there(model, line, 
     monkeypatch.undo()
     straight = Solver(model, PROBE, device=device, options=SolverOptions(seconds=1e9)).run(poses[[0, 2]])
     assert frames.force[2, 0, 2] == pytest.approx(straight.force[1, 0, 2], rel=1e-3)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_marks_do_not_depend_on_what_else_the_machine_does(model, line, device, monkeypatch, linear):
+    """Every look at the wall clock is an hour later than the one before, as on a machine that does something else; the
+    processor's clock stands still."""
+    hours = itertools.count(0.0, 3600.0)
+    with monkeypatch.context() as busy:
+        busy.setattr(time, "perf_counter", lambda: next(hours))
+        busy.setattr(time, "process_time", lambda: 0.0)
+        frames = Solver(model, PROBE, device=device, linear=linear).run(down(line, [0.002, 0.004]))
+    assert frames.converged.all() and frames.seconds.min() >= 3600.0
+    assert np.array_equal(frames.force, Solver(model, PROBE, device=device, linear=linear).run(
+        down(line, [0.002, 0.004])).force)
+
+
+def test_the_processor_time_of_a_frame_ends_it(model, line, device, monkeypatch):
+    """Every look at the processor's clock is a second later: a frame of one touch has the limit once, one of eight has
+    it eight times, so that no touch is marked for its number of neighbours."""
+
+    def looks(count, limit):
+        seconds = itertools.count()
+        with monkeypatch.context() as m:
+            m.setattr(clock, "now", lambda: float(next(seconds)))
+            poses = np.repeat(down(line, [0.004]), count, axis=1)
+            frames = Solver(model, PROBE, device=device, options=SolverOptions(seconds=limit)).run(poses)
+        return frames.reason, next(seconds)
+
+    reason, took = looks(1, 1e9)
+    assert (reason == Reason.NONE).all() and took > 20
+    assert (looks(1, 0.25 * took)[0] == Reason.TIME).all()
+    assert (looks(8, 0.25 * took)[0] == Reason.NONE).all()
 
 
 def test_a_press_of_six_tenths_of_the_thickness_is_converged_or_marked(model, line, device):

@@ -130,6 +130,32 @@ def test_a_motor_at_its_limit_is_marked(blind, touch):
     assert motion.saturated.all()
 
 
+def at_stop(arm, joint, away):
+    """Held ``away`` [rad] from the upper stop of a joint, without friction, by a force that turns the joint towards it:
+    the motion, and J^T f."""
+    q = np.array([0.0, 0.26, 3.14, -2.0, 0.0, 0.96, 1.57])
+    q[joint] = arm.upper[joint] - away
+    q, times = np.tile(q, (3, 1)), np.array([0.0, 0.1, 0.2])
+    force, moment = np.zeros((2, 3, len(arm.shapes), 3))
+    push = 5.0 * np.eye(3)[:, None] * (np.arange(len(arm.shapes)) == len(arm.shapes) - 1)[None, :, None]
+    turns = [body_torque(arm, q[:1], p[None], moment=0.0 * p[None])[0, joint] for p in push]
+    force[:, -1] = 5.0 * np.array(turns) / np.linalg.norm(turns)
+    motion = simulate(arm, q, times, series(times, force, moment), drive=IMPEDANCE)
+    return motion, body_torque(arm, motion.q, force, moment=moment)
+
+
+@pytest.mark.parametrize("joint", [1, 3, 5])
+def test_a_joint_at_its_stop_is_marked_and_one_at_the_margin_reads_the_contact(joint):
+    """At a stop MuJoCo's constraint carries the load, and the sensor reads a part of J^T f, 0.054 of 0.502 N m once."""
+    arm = load_arm(joints=JointParameters(coulomb=(0.0,) * 7))
+    motion, torque = at_stop(arm, joint, 1e-3)
+    assert motion.stopped.all() and torque[-1, joint] > 0.3
+    assert motion.torque[-1, joint] < 0.5 * torque[-1, joint], "or there is nothing to mark"
+    motion, torque = at_stop(arm, joint, np.radians(3.0))
+    assert not motion.stopped.any() and not motion.saturated.any()
+    assert motion.torque[-1] == pytest.approx(torque[-1], abs=0.02)
+
+
 def test_what_cannot_be_run_is_refused(blind, touch):
     q, _, _ = touch
     with pytest.raises(ArmError, match="growing time"):

@@ -43,7 +43,7 @@ def test_the_whole_line_is_met(punyo):
     between = (q[1:] + q[:-1]) / 2
     assert all(a < b for a, b in zip(off(arm, between, start, stop, turn), (1e-5, 1e-4), strict=True))
     assert np.abs(np.diff(q, axis=0)).max() < 0.05
-    assert (q >= arm.lower).all() and (q <= arm.upper).all()
+    assert (q >= arm.least).all() and (q <= arm.most).all()
     at = arm.postures(q)
     assert clearance.self_gaps(arm, at)[0].min() >= 0.005 and clearance.table_gaps(arm, at, 0.0)[0].min() >= 0.005
     assert np.array_equal(q, straight_touch(arm, start, stop, turn, frames=60)), "the same bits again"
@@ -52,7 +52,7 @@ def test_the_whole_line_is_met(punyo):
 def test_every_pose_that_the_arm_can_take_is_found(arm):
     """Poses made from random joint angles can be had; one start of five is enough for each."""
     rng = np.random.default_rng(11)
-    low, high = np.where(np.isfinite(arm.lower), arm.lower, -np.pi), np.where(np.isfinite(arm.upper), arm.upper, np.pi)
+    low, high = np.where(np.isfinite(arm.least), arm.least, -np.pi), np.where(np.isfinite(arm.most), arm.most, np.pi)
     for _ in range(60):
         target, _ = arm.tool_jacobian(rng.uniform(low, high))
         tries = [solve(arm, target, rng.uniform(low, high)) for _ in range(5)]
@@ -60,7 +60,20 @@ def test_every_pose_that_the_arm_can_take_is_found(arm):
         assert best.found
         pose, _ = arm.tool_jacobian(best.q)
         assert np.abs(pose - target).max() < 2e-6
-        assert (best.q >= arm.lower).all() and (best.q <= arm.upper).all()
+        assert (best.q >= arm.least).all() and (best.q <= arm.most).all()
+
+
+@pytest.mark.parametrize("joint", [1, 3, 5])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_no_path_leads_into_the_margin_of_a_joint(arm, joint, side):
+    """A pose 1 mrad from a limit is made otherwise or refused, whatever posture the search begins at."""
+    q = np.array([0.3, 0.5, 2.6, -1.9, 0.4, 1.1, 1.0])
+    q[joint] = arm.upper[joint] - 1e-3 if side > 0.0 else arm.lower[joint] + 1e-3
+    target, _ = arm.tool_jacobian(q)
+    found = solve(arm, target, q)
+    assert (found.q >= arm.lower + np.radians(3.0) - 1e-12).all()
+    assert (found.q <= arm.upper - np.radians(3.0) + 1e-12).all()
+    assert found.found or found.at_limit
 
 
 @pytest.mark.parametrize(("start", "stop", "turn", "limits", "reason"), [

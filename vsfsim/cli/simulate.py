@@ -51,7 +51,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
           picture: Annotated[Path | None, picture_option("Write a picture of the deformed body at full depth.")] = None,
           save: ArchiveFile = None,
           limit: Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS",
-                                                      help="Wall-clock limit of a frame; one that takes longer is "
+                                                      help="Processor time of a frame; one that takes more is "
                                                            "marked. Default: the tier's own, 120, and 1,500 "
                                                            "conjugate gradients.")] = None,
           refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES",

@@ -29,7 +29,7 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
               budget: Annotated[str | None, typer.Option(metavar="TIME",
                                                          help="Begin no new cell after this time, e.g. 90s, 10m, 2h; "
                                                               "default: make all cells.")] = None,
-              limit: Annotated[float, typer.Option(min=0.1, help="Wall-clock limit of a frame [s].")] = 10.0,
+              limit: Annotated[float, typer.Option(min=0.1, help="Limit of a frame's processor time [s].")] = 10.0,
               seed: Annotated[int, typer.Option(min=0, help="Of the random cells and of the order.")] = 0,
               kind: Annotated[list[str] | None, typer.Option(help="Only this kind, solid, bubble, rod or input; may be "
                                                                   "given again.")] = None,

@@ -34,7 +34,7 @@ class PressRequest:
     cache: Path | None = None
     """Folder of meshes that were made before, or None for the user's own cache."""
     seconds: float | None = None
-    """Wall-clock limit of a frame [s], or None for the tier's own."""
+    """Limit of a frame's processor time [s], or None for the tier's own."""
     keep: bool = False
     """Whether `PressResult.panels` and `PressResult.arrays` are filled."""
     progress: Callable[[int, int, str], None] | None = None

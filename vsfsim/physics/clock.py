@@ -1,4 +1,4 @@
-"""Where the solver's time goes: off by default, switched on by `vsfsim measure solver`."""
+"""The clock of a frame's limit; and where the solver's time goes, switched on by `vsfsim measure solver`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ import torch
 
 _running = False
 _spent: dict[str, list[float]] = defaultdict(lambda: [0, 0.0])
+
+
+def now() -> float:
+    """Processor time of this process [s], by which the limit of a frame is measured: what else runs on the machine does
+    not decide which frames are marked. A thread that waits for the GPU counts, since it waits actively."""
+    return time.process_time()
 
 
 @contextmanager

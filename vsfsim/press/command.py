@@ -126,7 +126,7 @@ def press(scene: str | Path | SceneFile, *, seed: int = 0, tier: str | None = No
         device: Warp device, "cpu" or "cuda:0".
         precision: of the solver, "float64" or "float32".
         refine: press 3 to 6 finer and finer meshes, for the observed order of convergence; None for one mesh.
-        limit: wall-clock limit of a frame [s], None for the tier's own; a frame that takes longer is marked.
+        limit: limit of a frame's processor time [s], None for the tier's own; a frame that takes longer is marked.
         keep: whether `Press.picture` and `Press.save` are wanted.
         cache: folder of meshes that were made before, None for the user's own cache.
         progress: called with (done, in all, what).

@@ -64,6 +64,11 @@ class Arm:
     """Lower joint limits (7,) [rad], infinite for a continuous joint."""
     upper: np.ndarray
     """Upper joint limits (7,) [rad], infinite for a continuous joint."""
+    least: np.ndarray
+    """Least joint angles that a path is planned with (7,) [rad]: `gen3.MARGIN` from the limit, for a joint at its stop
+    does not feel all of a contact's torque."""
+    most: np.ndarray
+    """Greatest ones (7,) [rad]."""
     capsules: tuple[gen3.LinkCapsule, ...]
     """The capsules (K,)."""
     shapes: tuple[Capsule, ...]
@@ -105,6 +110,7 @@ class Arm:
         limited = self.model.jnt_limited.astype(bool)
         self.lower = np.where(limited, self.model.jnt_range[:, 0], -np.inf)
         self.upper = np.where(limited, self.model.jnt_range[:, 1], np.inf)
+        self.least, self.most = self.lower + gen3.MARGIN, self.upper - gen3.MARGIN
         self.capsules = gen3.CAPSULES + (gen3.PUNYO_CAPSULES if punyo else ())
         self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start))))
                             for c in self.capsules)

@@ -71,6 +71,9 @@ class Motion:
     """Readings of the torque sensors without the weight, with the sign of J^T f (T, 7) [N m]."""
     saturated: np.ndarray
     """Whether a motor was at its limit in any step up to the frame (T,) bool."""
+    stopped: np.ndarray
+    """Whether a joint's stop carried load in any step since the frame before (T,) bool; the sensor of that joint then
+    does not read it."""
 
 
 def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None = None, *,
@@ -103,7 +106,7 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
     peak = np.array(gen3.PEAK_TORQUE)
     capsules = _Capsules(arm)
     rows: list[tuple[np.ndarray, ...]] = []
-    saturated = False
+    saturated = stopped = False
     for n in range(read_at[-1] + 1):
         time = max(0.0, (n - settle) * step)
         mj.mj_step1(model, data)
@@ -115,15 +118,18 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
             capsules.apply(data, poses, *contact(times[0] + time, poses))
         before = data.qpos.copy(), data.qvel.copy()
         mj.mj_step2(model, data)
+        stopped |= bool((data.efc_force[data.efc_type == mj.mjtConstraint.mjCNSTR_LIMIT_JOINT] != 0.0).any())
         if n == read_at[len(rows)]:
             friction = data.qfrc_damper + _coulomb(data)
             sensor = data.qfrc_actuator - model.dof_armature * data.qacc + (1.0 - arm.joints.sensed_share) * friction
-            rows.append((*before, data.qacc.copy(), data.qfrc_actuator.copy(), sensor, np.array(saturated)))
-    angles, rates, accelerations, motor, sensor, full = (np.array(column) for column in zip(*rows, strict=True))
+            rows.append((*before, data.qacc.copy(), data.qfrc_actuator.copy(), sensor, np.array(saturated),
+                         np.array(stopped)))
+            stopped = False
+    angles, rates, accelerations, motor, sensor, full, stop = (np.array(column) for column in zip(*rows, strict=True))
     if not all(np.isfinite(a).all() for a in (angles, rates, sensor)):
         raise ArmError("the simulated arm did not stay finite; its gains are too high for its time step, or the "
                        "contact forces are.")
-    return Motion(times.copy(), angles, rates, accelerations, motor, arm.gravity_torque(angles) - sensor, full)
+    return Motion(times.copy(), angles, rates, accelerations, motor, arm.gravity_torque(angles) - sensor, full, stop)
 
 
 def series(times: np.ndarray, force: np.ndarray, moment: np.ndarray) -> Contact:

@@ -1,4 +1,4 @@
-"""Inverse kinematics: damped least squares on MuJoCo's Jacobian, within the joint limits.
+"""Inverse kinematics: damped least squares on MuJoCo's Jacobian, within the joint limits and a margin.
 
 Levenberg's damping (Wampler 1986; Nakamura and Hanafusa 1986) keeps the search stable near singular postures. A joint
 at its limit that would move further is left out of the step. With seven joints for six equations the step is the one of
@@ -33,7 +33,7 @@ class Solution:
     angle: float
     """Angle of the tool from the target [rad]."""
     at_limit: bool
-    """Whether a joint is at its limit."""
+    """Whether a joint is as near to its limit as a path may lead it."""
 
     @property
     def found(self) -> bool:
@@ -47,7 +47,7 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
     Returns:
         The best point of the search, whether or not it is a solution; see `Solution.found`.
     """
-    q = np.clip(start, arm.lower, arm.upper)
+    q = np.clip(start, arm.least, arm.most)
     error, jacobian = _error(arm, target, q)
     damping = 1e-4
     for _ in range(iterations):
@@ -55,7 +55,7 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
             break
         step, free = _step(arm, q, error, jacobian, damping)
         trial = q + step
-        if not ((trial > arm.lower + NEAR) & (trial < arm.upper - NEAR)).all():
+        if not ((trial > arm.least + NEAR) & (trial < arm.most - NEAR)).all():
             trial = _up_to_limits(arm, q, step, free)
         new_error, new_jacobian = _error(arm, target, trial)
         if new_error @ new_error < error @ error:
@@ -64,14 +64,14 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
             break  # a local minimum: the target cannot be reached from here
         else:
             damping *= 8.0
-    at_limit = bool(((q <= arm.lower) | (q >= arm.upper)).any())
+    at_limit = bool(((q <= arm.least) | (q >= arm.most)).any())
     return Solution(q, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])) / LEVER, at_limit)
 
 
 def _step(arm: Arm, q: np.ndarray, error: np.ndarray, jacobian: np.ndarray,
           damping: float) -> tuple[np.ndarray, np.ndarray]:
     """The damped step (7,) [rad], with no joint further than `STEP`, and which joints take part (7,)."""
-    low, high = q <= arm.lower, q >= arm.upper
+    low, high = q <= arm.least, q >= arm.most
     free, j = np.ones(q.shape, bool), jacobian
     for _ in range(len(q)):
         step = j.T @ np.linalg.solve(j @ j.T + damping * _EYE, error)
@@ -86,14 +86,14 @@ def _step(arm: Arm, q: np.ndarray, error: np.ndarray, jacobian: np.ndarray,
 
 def _up_to_limits(arm: Arm, q: np.ndarray, step: np.ndarray, free: np.ndarray) -> np.ndarray:
     """``q`` after the step, shortened to the first joint limit on the way."""
-    room = np.where(step > 0.0, arm.upper - q, arm.lower - q)
+    room = np.where(step > 0.0, arm.most - q, arm.least - q)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(free & (step != 0.0), room / step, np.inf)
     short = min(1.0, float(share.min()))
     trial = q + short * step
     if short < 1.0:
         met = share <= short  # these joints are set exactly to their limits
-        trial = np.where(met & (step > 0.0), arm.upper, np.where(met & (step < 0.0), arm.lower, trial))
+        trial = np.where(met & (step > 0.0), arm.most, np.where(met & (step < 0.0), arm.least, trial))
     return trial
 
 

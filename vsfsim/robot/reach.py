@@ -24,7 +24,7 @@ class Reason(Enum):
 
     TOO_FAR = "out of the arm's reach"
     POSE = "no joint angles give this pose"
-    LIMITS = "a joint is at its limit"
+    LIMITS = "a joint is within 3 degrees of its limit"
     SELF_COLLISION = "the arm would touch itself"
     TABLE = "the arm would touch the table"
     SINGULAR = "the arm would pass a singular posture"
@@ -139,7 +139,7 @@ def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
         return out[-1] if out else q0
     ahead = 3.0 * (out[-1] - out[-2]) + out[-3]
     # beyond a joint limit, or after a corner of the path, the last posture is the better guess
-    if np.abs(ahead - out[-1]).max() > JUMP / 2 or (ahead < arm.lower).any() or (ahead > arm.upper).any():
+    if np.abs(ahead - out[-1]).max() > JUMP / 2 or (ahead < arm.least).any() or (ahead > arm.most).any():
         return out[-1]
     return ahead
 

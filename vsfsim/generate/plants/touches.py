@@ -15,6 +15,7 @@ from vsfsim.generate.plants.prepare import Seconds, Subject, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import audit, verdict
 from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.physics.solve.frames import Reason
 from vsfsim.robot.arm import Arm, Postures
 from vsfsim.robot.chain import chain_of
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
@@ -123,12 +124,13 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
     q = a.angles(np.where(np.isfinite(frames.where[:n, b]), frames.where[:n, b], a.plan[:n]))
     postures = arm.postures(q)
     force, moment = frames.force[:n, b], frames.moment[:n, b]
-    time_ = times(n)
+    time_, reason = times(n), frames.reason[:n, b].astype(np.int64)
     if spec.mode == "dynamic" and n > 1:
         time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
         motion = simulate(arm, q, time_, series(time_, force, moment),
                           drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
-        q, torque = motion.q, motion.torque
+        q, torque = motion.q, np.where((motion.saturated | motion.stopped)[:, None], np.nan, motion.torque)
+        reason[np.isnan(torque).any(axis=1) & frames.converged[:n, b]] = Reason.ARM
     else:
         torque = body_torque(arm, postures, force, moment=moment)
     link_force, link_moment = _by_link(arm, postures, force, moment)
@@ -142,7 +144,7 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
                  link_moment=link_moment, draws=a.draws,
                  ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
                  **(_plan(arm, a, frames.where[:n, b]) if scene.required_touches.plan else {}),
-                 **verdict(found, frames.force_balance[:n, b], frames.reason[:n, b].astype(np.int64)))
+                 **verdict(found, frames.force_balance[:n, b], reason))
 
 
 def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, np.ndarray]:

@@ -12,11 +12,11 @@ body's edges; where that leads up, it is left out again. Directions are in singl
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import torch
 
+from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
 
 _ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
@@ -43,7 +43,7 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         start: first guess of the changes (k, 3 s) [N]; None is zero.
         staged: whether this must arrive: it begins anew from the contact without friction where it fails, and is not
             given up for iterations without a gain.
-        deadline: `time.perf_counter` after which no iteration but the first begins [s].
+        deadline: `clock.now` after which no iteration but the first begins [s].
 
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
@@ -53,7 +53,7 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
     best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
     again = (error > tolerance).nonzero()[:, 0]
-    if staged and len(again) and time.perf_counter() < deadline:
+    if staged and len(again) and clock.now() < deadline:
         # begin from the contact without friction
         some, limit = columns[again], contact.limit[columns[again]]
         contact.limit[some] = 0.0
@@ -83,7 +83,7 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
     running = torch.ones_like(best_error, dtype=torch.bool)
     idle = torch.zeros_like(wrong_side)
     for step_number in range(iterations):
-        if step_number and time.perf_counter() > deadline:
+        if step_number and clock.now() > deadline:
             break
         contact.evaluate(columns, trial)
         energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + contact.energy(columns)
@@ -176,7 +176,7 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         most = torch.where(curved & ~better, _AGAIN * error, most)
         idle = torch.where(better, 0, idle + 1)
         running = ((error >= tolerance) & (idle < patience))[:, None]
-        if step == iterations or not bool(running.any()) or (step and time.perf_counter() > deadline):
+        if step == iterations or not bool(running.any()) or (step and clock.now() > deadline):
             break
         if held is not None:
             contact.held[columns] = held

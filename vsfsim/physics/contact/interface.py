@@ -30,7 +30,7 @@ class Contact(Protocol):
     free: torch.Tensor
     """1 where a degree of freedom may move (B, 3 s) [-]."""
     deadline: float
-    """`time.perf_counter` after which `condensed` begins no further iteration [s]."""
+    """`clock.now` after which `condensed` begins no further iteration [s]."""
     response: Any
     """Displacements of the whole body at rest under forces: ``solve(right)`` and ``patch(touches, force)``."""
     compliance: Any

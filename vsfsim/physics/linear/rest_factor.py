@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import time
 from collections import OrderedDict
 from typing import Any, Protocol
 
@@ -17,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
+from vsfsim.physics import clock
 from vsfsim.physics.linear.elimination import Order, blocks_of
 from vsfsim.physics.linear.large_factor import LargeFactor
 from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
@@ -62,18 +62,18 @@ class RestFactor:
 
     @functools.cached_property
     def _solver(self) -> Any:
-        began = time.perf_counter()
+        began = clock.now()
         k = self._held
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
         if self._points is not None and self.size >= _LARGE:
             large = LargeFactor(self.order(self._points), np.asarray(blocks_of(k).data, np.float64))
-            self.seconds = time.perf_counter() - began
+            self.seconds = clock.now() - began
             return large
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
         solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
                                           k.data.astype(np.float64), cholespy.MatrixType.COO)
-        self.seconds = time.perf_counter() - began
+        self.seconds = clock.now() - began
         return solver
 
     def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
@@ -140,12 +140,12 @@ class RestFactor:
 
     def make(self, nodes: np.ndarray, *, whole: bool, deadline: float = float("inf")) -> bool:
         """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
-        them; all rows if ``whole``. Returns whether all are there: after the ``deadline`` (of `time.perf_counter`) no
+        them; all rows if ``whole``. Returns whether all are there: after the ``deadline`` (of `clock.now`) no
         more are begun."""
         known = self._whole if whole else self._columns
         missing = [int(i) for i in nodes if int(i) not in known]
         for start in range(0, len(missing), _CHUNK // 3):
-            if time.perf_counter() > deadline:
+            if clock.now() > deadline:
                 return False
             part = missing[start:start + _CHUNK // 3]
             right = np.zeros((self.size, 3 * len(part)))
@@ -245,7 +245,7 @@ class Response(Protocol):
         `compliance` has changed."""
 
     def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
-        """Make what patches of these ``nodes`` (B of (s,)) will need, until the ``deadline`` of `time.perf_counter`;
+        """Make what patches of these ``nodes`` (B of (s,)) will need, until the ``deadline`` of `clock.now`;
         whether all of it is there. What is made by then is kept."""
 
     def compliance(self) -> torch.Tensor:
@@ -328,9 +328,9 @@ class _Sparse:
         return 0.5 * (self._compliance + self._compliance.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
-        began = time.perf_counter()
+        began = clock.now()
         out = torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
-        self.took = time.perf_counter() - began
+        self.took = clock.now() - began
         return out
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:

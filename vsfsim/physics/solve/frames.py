@@ -23,11 +23,13 @@ class Reason(IntEnum):
     CRUSHED = 9
     PATH = 10
     SNAPPED = 11
+    ARM = 12
 
     @property
     def text(self) -> str:
         """In words, for people and datasets."""
-        return ("", "the iteration limit was reached, halved steps included", "the time limit of the frame was reached",
+        return ("", "the iteration limit was reached, halved steps included",
+                "the limit of the frame's processor time was reached",
                 "no step lowers the potential any more, and the forces do not balance",
                 "the state was not finite; the one before was kept",
                 "the contact patch kept growing", "the surface slipped through a body",
@@ -35,7 +37,8 @@ class Reason(IntEnum):
                 "a body lies inside another where no contact point feels it",
                 "an element is compressed below a tenth of its volume (det F < 0.1)",
                 "the frame itself is in equilibrium, but a step on the way to it was not",
-                "the object snapped to another equilibrium, and which one depends on its motion")[self]
+                "the object snapped to another equilibrium, and which one depends on its motion",
+                "a joint of the arm was at its stop or a motor at its limit: its sensors do not read the contact")[self]
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class SolverOptions:
     halvings: int = 5
     """How often a failed step is halved."""
     seconds: float = 120.0
-    """Wall-clock limit of one frame of the batch [s]."""
+    """Processor time that a frame may take for each touch [s], see `clock.now`; a batch has the sum."""
 
     @property
     def indentation(self) -> dict[str, bool]:

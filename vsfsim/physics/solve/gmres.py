@@ -6,10 +6,9 @@ contact between two deformable surfaces, whose tangent is not symmetric.
 
 from __future__ import annotations
 
-import time
-
 import torch
 
+from vsfsim.physics import clock
 from vsfsim.physics.solve.pcg import Operator, column_dots
 
 
@@ -29,7 +28,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     running = torch.ones(k, dtype=torch.bool, device=right.device)
     y = None
     for j in range(iterations):
-        if j and time.perf_counter() > deadline:
+        if j and clock.now() > deadline:
             break
         steps += running
         searched.append(precondition(basis[j].to(right.dtype), None))

@@ -3,7 +3,6 @@ frame."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -61,7 +60,7 @@ class LinearTier:
                 body that has come further than the wall is thick, and forces are found that push them apart. With
                 friction, which would remember them, the last alone is taken.
             start: first guess of the contact forces (B, 3 s) [N].
-            deadline: `time.perf_counter` after which no iteration begins [s].
+            deadline: `clock.now` after which no iteration begins [s].
 
         Returns:
             The contact forces on the patches (B, 3 s) [N] and the state of all touches.
@@ -71,7 +70,7 @@ class LinearTier:
         contact.begin_step(before, balance.u)
         halvings = 0 if contact.has_friction else _HALVINGS
         for pose in () if contact.has_friction else way[:-1]:
-            if time.perf_counter() > deadline:
+            if clock.now() > deadline:
                 break
             start, *_ = self._arrive(before, pose, start, deadline, halvings)
             before = pose
@@ -109,7 +108,7 @@ class LinearTier:
             with clock.measure("contact"):
                 force, error = self._solve(start, deadline)
             arrived = bool((error <= self.accept).all())
-            if not arrived and halvings and time.perf_counter() <= deadline:
+            if not arrived and halvings and clock.now() <= deadline:
                 middle = path.between(before, pose, 0.5)
                 force, *_ = self._arrive(before, middle, self._on_grown(*self._last), deadline, halvings - 1)
                 return self._arrive(middle, pose, force, deadline, halvings - 1)
@@ -117,7 +116,7 @@ class LinearTier:
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
-            self.checked = growths > 0 and time.perf_counter() <= deadline
+            self.checked = growths > 0 and clock.now() <= deadline
             if not self.checked or not contact.extend_patch(every, pose, balance.u):
                 break
             start = self._on_grown(old, force)
@@ -143,7 +142,7 @@ class LinearTier:
                 off = ((contact.nodal(every) - force).norm(dim=1)
                        + contact.friction_residual(every)) / force.norm(dim=1).clamp(min=balance.floor)
                 error, start = torch.maximum(error, off), force
-                if bool((error <= RENEWED).all()) or time.perf_counter() > deadline:
+                if bool((error <= RENEWED).all()) or clock.now() > deadline:
                     break
         return force, error
 

@@ -11,10 +11,11 @@ steps.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import torch
+
+from vsfsim.physics import clock
 
 Operator = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 _LEAST = 1e-6  # negative curvature that is told [-]
@@ -40,7 +41,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         iterations: limit.
         plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the
             preconditioner's norm.
-        deadline: `time.perf_counter` after which no iteration begins and the preconditioner is not used again [s]; x is
+        deadline: `clock.now` after which no iteration begins and the preconditioner is not used again [s]; x is
             then what was reached, a direction of descent all the same.
         shift: of each column (k,) [-], none by default. It costs no product with M: M p follows from the residuals.
         mode: takes the direction of negative curvature of each column that meets one (3 n, k): descent, as long as the
@@ -62,7 +63,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     negative = torch.zeros_like(rz)
     steps = torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
     for step in range(iterations):
-        if step and time.perf_counter() > deadline:
+        if step and clock.now() > deadline:
             break
         ap = multiply(p, which)
         if shift is not None:
@@ -87,7 +88,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             left = int(goes_on.sum())
             if left == 0 or step == iterations - 1:
                 break
-        if time.perf_counter() > deadline:
+        if clock.now() > deadline:
             break
         z = precondition(r, which)
         fresh = column_dots(r, z)

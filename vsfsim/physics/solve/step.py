@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Protocol
 
 import torch
@@ -44,7 +43,7 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
     direction, the direction stays as it is. After the deadline of the frame nothing is corrected.
     """
     contact = balance.contact
-    if time.perf_counter() > contact.deadline:
+    if clock.now() > contact.deadline:
         return direction
     at = contact.dof[columns].clamp(min=0).T
     mask = contact.mask[columns]

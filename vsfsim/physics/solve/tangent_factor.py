@@ -11,7 +11,6 @@ in the next frames.
 from __future__ import annotations
 
 import functools
-import time
 from typing import Any
 
 import numpy as np
@@ -117,13 +116,13 @@ class TangentFactors:
 
     def renew(self, columns: torch.Tensor, u: torch.Tensor, deadline: float) -> torch.Tensor:
         """Make factors at the displacements u (3 n, B) [m] for those of the touches ``columns`` (k,) that need one and
-        whose factor would be ready before the ``deadline`` of `time.perf_counter`. Returns for which (k,) bool: the
+        whose factor would be ready before the ``deadline`` of `clock.now`. Returns for which (k,) bool: the
         tangents that `Elasticity` holds of these are projected ones now."""
         made = torch.zeros(len(columns), dtype=torch.bool, device=columns.device)
         if not self._serves or not self._contact.symmetric:
             return made
         for k, b in enumerate(columns.tolist()):
-            whole, late = self._is_due(b, deadline), time.perf_counter() >= deadline
+            whole, late = self._is_due(b, deadline), clock.now() >= deadline
             if not whole and self._near_spent[b] > self._near and not self._no_local[b] and not late:
                 if self._local[b] is None:
                     self._spent[b] = 0  # before a factor of the whole the local one has its turn
@@ -151,7 +150,7 @@ class TangentFactors:
         if self._lost[touch] or spent <= (_FIRST if self._own[touch] is None else _AGAIN):
             return False
         return bool((self._no_local[touch] or spent > self._order.work / _WORK)
-                    and time.perf_counter() + self._duration() <= deadline)
+                    and clock.now() + self._duration() <= deadline)
 
     @functools.cached_property
     def _rest(self) -> RestFactor:
@@ -162,7 +161,7 @@ class TangentFactors:
         return self._seconds or 1.5 * self._rest.seconds
 
     def _make(self, column: torch.Tensor, u: torch.Tensor) -> Multifrontal | None:
-        began = time.perf_counter()
+        began = clock.now()
         order = self._order
         if order.bytes > _BYTES:
             return None
@@ -170,7 +169,7 @@ class TangentFactors:
             out = Multifrontal(order, self._matrix(column, u)[0])
         except MeshError:  # rounding
             return None
-        self._seconds = time.perf_counter() - began
+        self._seconds = clock.now() - began
         return out
 
     def _make_local(self, column: torch.Tensor, u: torch.Tensor) -> LocalFactor | None:

@@ -20,6 +20,7 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import ProbeShape
+from vsfsim.physics import clock
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.intrusion import LOST
@@ -120,8 +121,7 @@ class Solver:
         self.surface_force: list[np.ndarray] = []
         self._equilibria: list[Known] = []
         for t in range(frames):
-            began = time.perf_counter()
-            deadline = began + self.options.seconds
+            began, deadline = time.perf_counter(), clock.now() + self.options.seconds * batch
             if self.linear:
                 out = self._linear_frame(previous, poses[t], deadline)
             else:
@@ -136,7 +136,7 @@ class Solver:
                     measure = self._balance.evaluate(every)["measure"] if self._balance.reason.any() else None
                     self.contact.end_step(every)
                     previous = self._resume(previous, pose, begin, friction, measure)
-                    late = time.perf_counter() > deadline
+                    late = clock.now() > deadline
                     if late:  # the next frame goes on from here
                         self.contact.move(poses[t], every)
                         self._balance.reason[:] = Reason.TIME
@@ -223,7 +223,7 @@ class Solver:
         while True:
             self._start(balance.every, before, pose)
             self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
-            if not is_single(balance) or not balance.reason.any() or time.perf_counter() > deadline:
+            if not is_single(balance) or not balance.reason.any() or clock.now() > deadline:
                 return begin, friction
             to_double(balance, self.options)
             begin = begin.to(balance.real)
@@ -286,7 +286,7 @@ class Solver:
         hopeless = balance.exhausted(asked) | self._branch.repeats(columns, pose)
         again = (balance.reason[asked] != Reason.NONE) & ~hopeless
         failed = columns[torch.as_tensor(again, device=self.device)]
-        if not len(failed) or halvings == 0 or is_single(balance) or time.perf_counter() > deadline:
+        if not len(failed) or halvings == 0 or is_single(balance) or clock.now() > deadline:
             return
         host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
@@ -298,7 +298,7 @@ class Solver:
         contact.restore_friction(failed, friction)
         self._branch.bar(failed, before, middle)
         self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
-        if time.perf_counter() > deadline:
+        if clock.now() > deadline:
             contact.move(pose, failed)
             balance.reason[host] = Reason.TIME
             return
@@ -331,7 +331,7 @@ class Solver:
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
-            if time.perf_counter() > deadline:  # no time to look where the bodies are
+            if clock.now() > deadline:  # no time to look where the bodies are
                 balance.reason[host] = Reason.TIME
                 return
             grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
@@ -385,7 +385,7 @@ class Solver:
         self._remember(pose, force)
         balance.reset_counts()
         balance.newton += 1
-        late = time.perf_counter() > deadline
+        late = clock.now() > deadline
         lost = (state["measure"] > self._linear_tier.accept).cpu().numpy()
         balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
         if not self._linear_tier.checked:

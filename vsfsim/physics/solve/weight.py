@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 
 import numpy as np
 import torch
 
+from vsfsim.physics import clock
 from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.newton import Equilibrium
 
@@ -25,7 +25,7 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
     model, contact, options = balance.model, balance.contact, balance.options
     if not model.load.any():
         return
-    deadline = time.perf_counter() + options.seconds
+    deadline = clock.now() + options.seconds * len(balance.every)
     first, whole = balance.every[:1], balance.load
     contact.begin_step(pose, balance.u)
     contact.move(pose, balance.every)
@@ -34,7 +34,7 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
     linear = model.predictor(balance.device).solve((model.load * model.free)[:, None])
     slope = torch.as_tensor(linear, dtype=balance.real, device=balance.device)
     done, part, u = 0.0, 1.0, torch.zeros_like(slope)
-    while done < 1.0 and part >= _LEAST and time.perf_counter() < deadline:
+    while done < 1.0 and part >= _LEAST and clock.now() < deadline:
         share = min(part, 1.0 - done)
         balance.load = (done + share) * whole
         balance.u[:, :1] = u + share * slope

@@ -14,11 +14,11 @@ the curved surfaces.
 
 from __future__ import annotations
 
-import time
 from typing import Protocol
 
 import torch
 
+from vsfsim.physics import clock
 from vsfsim.physics.contact import complementarity
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.pair.links import Links, times
@@ -52,7 +52,7 @@ def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pus
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     close = None
     for step in range(min(iterations, _MOST_ITERATIONS)):
-        if step and time.perf_counter() > contact.deadline:
+        if step and clock.now() > contact.deadline:
             break
         contact.evaluate(columns, u)
         miss = compliance.respond(columns, contact.nodal(columns) - pushed - q)
