@@ -1,4 +1,5 @@
 import json
+import os
 
 import pytest
 
@@ -23,6 +24,10 @@ unit = "hPa"
 comparable = false
 values = { 0 = [1.0, 0.1], all = 0.5 }
 """
+
+
+# Methods of these tests report into files, which a container does not show; `test_sandbox.py` has the containers.
+os.environ.setdefault("VSFSIM_SANDBOX", "process")
 
 
 @pytest.fixture(scope="session")

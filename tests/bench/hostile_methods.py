@@ -248,3 +248,93 @@ class Forges(Hostile):
             except OSError:
                 continue
         time.sleep(1000.0)
+
+
+class LeavesSession(Hostile):
+    """Leaves processes behind that have left its session and its parent, as a daemon does."""
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        if self.report:
+            code = ("import os, time\nos.setsid()\nif os.fork(): os._exit(0)\n"
+                    f"open({self.report!r}, 'a').write(str(os.getpid()) + '\\n')\ntime.sleep(600)")
+            subprocess.run([sys.executable, "-c", code])
+            until = time.monotonic() + 10.0
+            while not os.path.exists(self.report) and time.monotonic() < until:
+                time.sleep(0.01)
+
+
+class TalksOnSocket(Hostile):
+    """Asks a daemon on an abstract socket what the trial before said, and starts one if there is none."""
+
+    def adapt(self, view, support):
+        import socket
+
+        super().adapt(view, support)
+        with socket.socket(socket.AF_UNIX) as line:
+            try:
+                line.connect(f"\0vsfsim-notes-{self.report}")
+                self.value = 0.0
+                return
+            except OSError:
+                pass
+        if os.fork() == 0:
+            os.setsid()
+            with socket.socket(socket.AF_UNIX) as line:
+                line.bind(f"\0vsfsim-notes-{self.report}")
+                line.listen()
+                time.sleep(60.0)
+            os._exit(0)
+        time.sleep(0.2)
+
+
+class Peeks(Hostile):
+    """Looks for a dataset in the folders of all other processes, and tries to attach to them. ``path`` is the scorer's
+    dataset; its answer is 1.5 if it finds nothing."""
+
+    def __init__(self, *, looks_for="toy", value=1.5):
+        super().__init__(value=value)
+        self.name = looks_for
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        libc = ctypes.CDLL(None, use_errno=True)
+        for pid in [name for name in os.listdir("/proc") if name.isdigit() and int(name) != os.getpid()]:
+            with contextlib.suppress(OSError):
+                if self.name in os.listdir(f"/proc/{pid}/cwd"):
+                    self.value = 7.0
+            command = Path(f"/proc/{pid}/cmdline").read_bytes() if os.path.exists(f"/proc/{pid}/cmdline") else b""
+            if b"pytest" in command and libc.ptrace(0x4206, int(pid), 0, 0) == 0:  # PTRACE_SEIZE does not stop it
+                self.value = 9.0
+
+
+class SleepsInCheck(Hostile):
+    def adapt(self, view, support):
+        time.sleep(1000.0)
+
+
+class PrintsMuch(Hostile):
+    def predict(self, touches):
+        for _ in range(1100):
+            print("x" * 1_000_000)
+        return super().predict(touches)
+
+
+class LeavesAndSleeps(LeavesSession):
+    def predict(self, touches):
+        time.sleep(1000.0)
+
+
+class NeedsFile(Hostile):
+    def __init__(self, *, path=""):
+        super().__init__()
+        self.path = path
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        open(self.path).close()
+
+
+class NeedsPart(NeedsFile):
+    def __init__(self, *, folder="", file=""):
+        super().__init__(path=f"{folder}/toy/{file}")

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -79,12 +79,14 @@ class _Mock:
         return [reading.action for reading in self.readings[5:]]
 
 
-def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool = False) -> tuple[Finding, ...]:
+def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool = False,
+          before: Callable[[str], None] = lambda call: None) -> tuple[Finding, ...]:
     """Test every clause of the contract on mock objects.
 
     Args:
         name: an installed method, or module:attribute. parameters: of its constructor.
         brief: only the clauses that four adaptations of one instance can test; `vsfsim evaluate` tests these first.
+        before: called with the name of each function of the method before it is called.
 
     Returns:
         One finding a clause; the method conforms if none of them failed.
@@ -97,10 +99,12 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
     mock = _mock()
 
     def learned() -> Method:
-        method = build_method(factory, values)
+        before("its constructor")
+        method = cast(Method, _Told(build_method(factory, values), before))
         method.meta_fit(mock.specimens)
         return method
 
+    before("its constructor")
     build_method(factory, values)
     if brief:
         return _brief(learned, values, mock)
@@ -187,6 +191,21 @@ def table(name: str, findings: Sequence[Finding]) -> dict[str, Any]:
     """The findings for JSON."""
     return {"method": name, "conforms": all(f.outcome != "failed" for f in findings),
             "clauses": [dataclasses.asdict(f) for f in findings]}
+
+
+class _Told:
+    """A method that says which of its functions is called next."""
+
+    def __init__(self, method: Method, before: Callable[[str], None]):
+        self._method, self._before = method, before
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # while a copy is made, which has nothing yet
+            raise AttributeError(name)
+        found = getattr(self._method, name)
+        if callable(found):
+            self._before(name)
+        return found
 
 
 class _NotOffered(Exception):

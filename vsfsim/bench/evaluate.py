@@ -26,11 +26,9 @@ from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
 
-DEFAULT = Isolation()
-
 
 def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
-             seeds: int | None = None, progress: Progress | None = None, isolation: Isolation = DEFAULT,
+             seeds: int | None = None, progress: Progress | None = None, isolation: Isolation | None = None,
              part: str | Path | None = None, log: str | Path | None = None, check: bool = True,
              preset: str = "", training: Training = PLAIN) -> Result:
     """Score a method.
@@ -42,7 +40,8 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         parameters: of the method's constructor, over its defaults.
         seeds: draws of the support set, or None for the task's own number; with cross-validation, of one training.
         progress: called with (trials done, of how many, what is going on).
-        isolation: how the method is kept from what it may not see, and for how long it may run.
+        isolation: how the method is kept from what it may not see, and for how long it may run; None for the strongest
+        sandbox that works here.
         part: folder in which finished seeds are kept. A second call with the same operands begins where the first one
             was stopped. It is removed when all is done; None keeps nothing.
         log: file to which everything goes that the method prints; None for a temporary one.
@@ -58,6 +57,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         Interrupted: the user has stopped it.
     """
     check_name(name)
+    isolation = isolation or Isolation()
     data = {} if training.table() else fingerprint.beside_record(task, dataset)
     with tempfile.TemporaryDirectory() as folder:
         run = Collector(name, dict(parameters or {}), task, dataset,

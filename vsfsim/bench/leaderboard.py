@@ -20,7 +20,7 @@ from vsfsim.bench.trials.rows import Score
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown as escaped
 from vsfsim.core.plain_text import plain
-from vsfsim.core.shelf import folder
+from vsfsim.core.shelf import folder, methods
 from vsfsim.core.text_table import text_table
 
 SAME_READINGS = 1e-3
@@ -237,7 +237,7 @@ def _title(board: Board) -> str:
 def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
     task = board.task
     labels = task.protocol.labels
-    head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "vsfsim"]
+    head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "sandbox", "vsfsim"]
     rows, names = [], labels_of([row.result for row in board.rows])
     for row, label in zip(board.rows, names):
         by_shot = row.scores.get(task.primary, {})
@@ -248,8 +248,16 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
                      *(_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
                        for shot in labels), _number(stiffness), f"{adapt:.2f} s",
-                     shown(made_by)])
+                     shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
+
+
+def claimed(result: Result) -> bool:
+    """Whether a result has the name of a method that ships, and is of another one or of a file of predictions."""
+    entry = methods().get(result.method)
+    if entry is None or entry.dist is None or entry.dist.name != "vsfsim":
+        return False
+    return result.entry != entry.value or result.package.get("name", "vsfsim") not in ("vsfsim", "")
 
 
 def labels_of(results: list[Result]) -> list[str]:
@@ -260,7 +268,7 @@ def labels_of(results: list[Result]) -> list[str]:
                  if (other.method, other.preset) == (result.method, result.preset)]
         differ = [f"{key}={value}" for key, value in result.parameters.items()
                   if any(twin.get(key) != value for twin in twins)]
-        words = [*([result.preset] if result.preset else []), *differ]
+        words = [*(["claimed"] if claimed(result) else []), *([result.preset] if result.preset else []), *differ]
         out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
     return out
 

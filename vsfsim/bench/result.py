@@ -80,7 +80,7 @@ class Result:
     """``name`` and ``version`` of the installed package that the method is from, "" for a file that is not
     installed."""
     isolation: str = ""
-    """The sandbox in which the method ran, a name of `vsfsim.bench.isolation.limits.SANDBOXES`; "" where the scorer
+    """The sandbox in which the method ran, a name of `vsfsim.bench.isolation.container.SANDBOXES`; "" where the scorer
     did not run it."""
     data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Fingerprints of the dataset (`vsfsim.bench.admission.fingerprint.Record.table`) where its bits are not those of

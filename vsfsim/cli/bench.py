@@ -133,9 +133,10 @@ def evaluate(task: TaskName,
                                                                 "default: no limit.")] = None,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
                                                                "[GiB]; default: no limit.")] = None,
-             sandbox: Annotated[str, typer.Option(help="process: the method runs in a process of its own; bubblewrap: "
-                                                       "in a container, too, which hides your files and the network.")
-                                ] = "process", json: JsonFile = None) -> None:
+             sandbox: Annotated[str, typer.Option(help="bubblewrap or namespaces: in a container, which hides your "
+                                                       "files and the network; process: in a process of its own; "
+                                                       "default: $VSFSIM_SANDBOX, or the strongest that works here.")
+                                ] = "", json: JsonFile = None) -> None:
     """Score methods on a task.
 
     Prints a table; every number goes into a JSON file. Finished parts are kept, and the same command goes on after an

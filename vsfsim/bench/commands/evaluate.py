@@ -23,7 +23,7 @@ from vsfsim.data.dataset import Dataset
 
 def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
-             timeout: float | None = None, memory: float | None = None, sandbox: str = "process",
+             timeout: float | None = None, memory: float | None = None, sandbox: str = "",
              out: str | Path | None = None, preset: str = "", processes: int = 1,
              progress: Callable[[int, int, str], None] | None = None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
@@ -38,7 +38,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         workers: trials that run at the same time.
         timeout: seconds that one call of the method may take, None for no limit.
         memory: memory that a process of the method may allocate [GiB], None for no limit.
-        sandbox: "process", or "bubblewrap", which hides files and network, too.
+        sandbox: "bubblewrap" or "namespaces", which hide files and network, or "process"; "" for the strongest one that
+        works here.
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
             are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.

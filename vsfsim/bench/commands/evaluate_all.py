@@ -75,7 +75,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
         else:
             yield Made(choice, path, result, "made")
     if to_do:
-        isolation = Isolation(options.get("sandbox", "process"), options.get("timeout"), options.get("memory"),
+        isolation = Isolation(options.get("sandbox", ""), options.get("timeout"), options.get("memory"),
                               options.get("workers", 1))
         jobs = [Evaluation(path, c.method, task, data,
                            partial(finish, c.method, task, data, path, parameters=c.parameters, seeds=seeds,

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.isolation import limits
+from vsfsim.bench.isolation.keeper import adopt_orphans, end_descendants, hide_memory
 from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.isolation.wire import Channel, Closed
 from vsfsim.bench.method import Method, build_method, checked_prediction, find_method, parameters_of
@@ -114,7 +115,8 @@ class _Server:
     def do_check(self, _: Any) -> Any:
         from vsfsim.bench.check import check  # half of what a process would import that is not asked to check
 
-        findings = check(self.name, parameters=self.parameters, brief=True)
+        findings = check(self.name, parameters=self.parameters, brief=True,
+                         before=lambda call: self.channels[0].send_reply({"calls": call}))
         return {"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]}, (), b""
 
     def do_build(self, seed: int | None) -> Any:
@@ -195,6 +197,8 @@ def _serve(server: _Server, channel: Channel) -> None:
     """Run the trials of one channel, each in a fork of this process. Does not return."""
     try:
         limits.end_with_parent()
+        adopt_orphans()
+        hide_memory()
         for other in server.channels:
             if other is not channel:
                 other.close()
@@ -203,16 +207,13 @@ def _serve(server: _Server, channel: Channel) -> None:
             trial = os.fork()
             if trial == 0:
                 limits.end_with_parent()
-                with contextlib.suppress(OSError):
-                    os.setpgid(0, 0)
                 _one_thread()
                 server.is_fork = True
                 with contextlib.suppress(Closed):
                     server.run(channel)
                 os._exit(0)
             _, status = os.waitpid(trial, 0)
-            with contextlib.suppress(OSError):
-                os.killpg(trial, signal.SIGKILL)  # processes that the trial left behind
+            end_descendants()  # what the trial left behind
             # The answer to "end", or to another question if the trial ended before it was told to.
             channel.send_reply({"over": _status(os.waitstatus_to_exitcode(status)), "peak_mib": peak_memory_mib(True)})
     except Closed:

@@ -10,21 +10,26 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from vsfsim.bench.isolation import container
 from vsfsim.core.errors import MethodError
 
 GIB = 1 << 30
 LARGEST_FILE = 8 * GIB
 """A method may write no larger file [bytes]."""
-
-SANDBOXES = ("process", "bubblewrap")
+VARIABLE = "VSFSIM_SANDBOX"
+"""Environment variable that names the sandbox where none is asked for."""
+LARGEST_LOG = 64 << 20
+"""A method may print no more in one evaluation [bytes]."""
 
 
 @dataclass(frozen=True)
 class Isolation:
     """How a method is kept from what it may not see."""
 
-    sandbox: str = "process"
-    """"process", or "bubblewrap": a process in a container that shows it no file of the user's and no network."""
+    sandbox: str = ""
+    """One of `container.SANDBOXES`: "bubblewrap" and "namespaces" are containers that show it no file of the user's and
+    no network, "process" is a process of its own; "" becomes what `VARIABLE` says, or the strongest one that
+    works here."""
     timeout: float | None = None
     """Seconds that one call of the method may take, None for no limit."""
     memory: float | None = None
@@ -33,8 +38,11 @@ class Isolation:
     """Trials that run at the same time."""
 
     def __post_init__(self) -> None:
-        if self.sandbox not in SANDBOXES:
-            raise MethodError(f"--sandbox is '{self.sandbox}'. Allowed: {', '.join(SANDBOXES)}.")
+        if self.sandbox == "":
+            object.__setattr__(self, "sandbox", os.environ.get(VARIABLE) or container.strongest())
+        if self.sandbox not in container.SANDBOXES:
+            raise MethodError(f"--sandbox is '{self.sandbox}'. Allowed: {', '.join(container.SANDBOXES)}.")
+        container.require(self.sandbox)
         for name, value in (("--timeout", self.timeout), ("--memory", self.memory)):
             if value is not None and not 0.0 < value < 1e9:
                 raise MethodError(f"{name} is {value}; it must be greater than 0.")

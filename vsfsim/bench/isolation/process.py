@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -20,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.isolation import container
-from vsfsim.bench.isolation.limits import Isolation, environment
+from vsfsim.bench.isolation import container, keeper, namespaces
+from vsfsim.bench.isolation.limits import LARGEST_LOG, Isolation, environment
 from vsfsim.bench.isolation.wire import Channel, Closed, Garbled, Reply
 from vsfsim.bench.method import Specimen
 from vsfsim.core.errors import MethodError
@@ -69,6 +68,8 @@ class MethodProcess:
                  hidden: Sequence[Path] = ()):
         self.name, self.parameters, self.isolation, self.log, self.hidden = name, parameters, isolation, log, hidden
         self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
+        for name in ("work", "root"):
+            (self._folder / name).mkdir()
         self._state: bytes | None = None  # what the method learned, where it cannot be forked
         self._copy: MethodProcess | None = None  # which received that state and can be forked
         self._seed: int | None = None
@@ -101,7 +102,11 @@ class MethodProcess:
             self._copy.close()
         self._kill()
         if self._process is not None:
-            self._process.wait()
+            try:
+                self._process.wait(timeout=30.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
         for channel in self._channels:
             with contextlib.suppress(OSError):
                 channel.close()
@@ -112,9 +117,7 @@ class MethodProcess:
 
     def check(self) -> list[tuple[str, str]]:
         """The clauses of the contract that the method breaks on mock objects, each with what was observed."""
-        timeout = self.isolation.timeout  # it makes about ten calls
-        reply = self._ask(self._channels[0], "check", None, "the check of its contract",
-                          limit=None if timeout is None else 10.0 * timeout)
+        reply = self._ask(self._channels[0], "check", None, "the check of its contract")
         return [(plain(clause), plain(detail)) for clause, detail in reply.head.get("failed", [])]
 
     def require(self) -> None:
@@ -218,14 +221,25 @@ class MethodProcess:
             theirs += [ask[0], answer[1]]
         search = list(dict.fromkeys(os.path.abspath(path) for path in sys.path))
         given = {"channels": pairs, "search": search, "memory": self.isolation.memory}
-        words = [sys.executable, "-c", _START, json.dumps(given)]
-        if self.isolation.sandbox == "bubblewrap":
-            words = container.command(words, search=[*search, os.getcwd()], hidden=self.hidden, folder=self._folder)
+        words, enter = [sys.executable, "-c", _START, json.dumps(given)], None
+        if self.isolation.sandbox == "process":
+            keeper.hide_memory()  # of the scorer, which a process of the same user could else attach to
+        else:
+            where = container.places(self.name, self.parameters, search=search, hidden=self.hidden,
+                                     folder=self._folder / "work")
+            if self.isolation.sandbox == "bubblewrap":
+                words = container.bubblewrap(words, where)
+            else:
+                enter = container.entry(where, self._folder / "root")
+        kept = {"words": words, "enter": enter, "namespaces": namespaces.__file__, "handles": theirs,
+                "log": str(Path(self.log).absolute()), "most": LARGEST_LOG, "parent": os.getpid(),
+                "inside": self.isolation.sandbox != "process"}
         try:
             with open(self.log, "ab") as log:
-                self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                                 cwd=self._folder, env=environment(os.environ), pass_fds=theirs,
-                                                 start_new_session=True)
+                self._process = subprocess.Popen([sys.executable, "-I", "-S", keeper.__file__, json.dumps(kept)],
+                                                 stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                                                 cwd=self._folder / "work", env=environment(os.environ),
+                                                 pass_fds=theirs, start_new_session=True)
         except OSError as error:
             raise MethodError(f"the process of {self.name} cannot be started: {error}.") from error
         finally:
@@ -251,16 +265,18 @@ class MethodProcess:
             MethodError: the method raised, refused, took too long, or its process ended; ``what`` says in which part.
         """
         limit = self.isolation.timeout if limit == -1.0 else limit
-        timer = None
-        if limit is not None:
-            timer = threading.Timer(limit, self._stop, (f"{what} took longer than the {limit:g} s of --timeout",))
-            timer.daemon = True
-            timer.start()
+        timer, part = self._timer(limit, what), what
         try:
             channel.send_request(operation, payload)
             reply = channel.receive_reply(most=most)
+            while "calls" in reply.head and operation == "check":  # each call of the check has the whole limit
+                if timer is not None:
+                    timer.cancel()
+                part = f"{plain(reply.head['calls'], longest=60)} in {what}"
+                timer = self._timer(limit, part)
+                reply = channel.receive_reply(most=most)
         except Closed:
-            raise MethodError(self._ended(what)) from None
+            raise MethodError(self._ended(part)) from None
         except Garbled as error:
             raise MethodError(f"the method's process gave no answer in {what}: {error}.") from error
         finally:
@@ -282,9 +298,25 @@ class MethodProcess:
             said = f"the method's process ended in {what} ({text})"
         else:
             said = f"the method raised {plain(reply.head.get('type', 'an error'))} in {what}: {text}"
-        failure = MethodError(f"{said.rstrip('.')}.{self._memory_note(reply.head)} --debug shows where.")
+        failure = MethodError(f"{said.rstrip('.')}.{self._memory_note(reply.head)}{self._box_note(reply.head)} --debug "
+                              f"shows where.")
         failure.add_note(self.tail())
         raise failure
+
+    def _timer(self, limit: float | None, what: str) -> threading.Timer | None:
+        if limit is None:
+            return None
+        timer = threading.Timer(limit, self._stop, (f"{what} took longer than the {limit:g} s of --timeout",))
+        timer.daemon = True
+        timer.start()
+        return timer
+
+    def _box_note(self, head: Mapping[str, Any]) -> str:
+        if self.isolation.sandbox == "process" or head.get("type") not in ("FileNotFoundError", "OSError",
+                                                                           "PermissionError"):
+            return ""
+        return (f" It runs in a container (--sandbox {self.isolation.sandbox}), which shows the installed packages and "
+                f"what its parameters name, and can be written in its working folder only.")
 
     def _memory_note(self, head: Mapping[str, Any]) -> str:
         short = self.isolation.memory is not None and head.get("type") in ("MemoryError", None)
@@ -293,6 +325,10 @@ class MethodProcess:
     def _ended(self, what: str) -> str:
         if self._timed_out:
             return f"{self._timed_out}. Give more time, or make it faster."
+        with contextlib.suppress(OSError):
+            if self.log.stat().st_size >= LARGEST_LOG:
+                return (f"the method has printed more than {LARGEST_LOG >> 20} MiB, the last of it in {what}. Print "
+                        f"less.")
         code = None
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -309,7 +345,7 @@ class MethodProcess:
     def _kill(self) -> None:
         if self._process is not None and self._process.poll() is None:
             with contextlib.suppress(OSError):
-                os.killpg(self._process.pid, signal.SIGKILL)
+                self._process.terminate()  # it ends all that runs below it
 
     def tail(self, lines: int = 30) -> str:
         """The last lines of what the method printed."""
