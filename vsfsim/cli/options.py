@@ -12,6 +12,9 @@ import typer
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 from vsfsim.core.plain_text import file_stem
 
+LONGEST_NAME = 200
+"""Bytes of a name of a result: what is kept beside it has a longer one, and file systems allow 255."""
+
 
 def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
     """Raises:
@@ -127,6 +130,10 @@ def result_path(out: Path | None, task: str, method: str) -> Path:
         VsfsimError: it is a folder, lies below a file, or cannot be written.
     """
     path = out or Path("results") / task / f"{file_stem(method)}.json"
+    long = max(path.parts, key=lambda part: len(part.encode(errors="surrogateescape")))
+    if len(long.encode(errors="surrogateescape")) > LONGEST_NAME:
+        raise VsfsimError(f"--out is '{long[:40]}...', a name of {len(long)} letters; a file name has at most "
+                          f"{LONGEST_NAME} bytes here. Choose a shorter one.")
     there = next(folder for folder in path.parents if folder.exists())  # The folders below it are made with the file.
     if path.is_dir() or not there.is_dir():
         raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import unicodedata
 
@@ -31,5 +32,9 @@ def markdown(text: object) -> str:
 
 def file_stem(text: object) -> str:
     """``text`` as a file name without an ending: letters, digits, ``. _ + -``, never a path, never hidden, never
-    empty."""
-    return _SEPARATORS.sub(".", str(text)).strip(".")[:100] or "unnamed"
+    empty. Where letters of another alphabet, or those after the hundredth, are lost, the first digits of its sha256
+    keep names apart."""
+    stem = _SEPARATORS.sub(".", str(text)).strip(".")
+    lost = len(stem) > 100 or any(letter.isalnum() and not letter.isascii() for letter in str(text))
+    digest = f"-{hashlib.sha256(str(text).encode(errors='surrogatepass')).hexdigest()[:8]}" if lost else ""
+    return (stem[:100] or "unnamed") + digest
