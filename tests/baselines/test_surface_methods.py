@@ -142,8 +142,8 @@ def test_surface_gp_finds_the_process_that_made_the_forces():
 
 
 def test_cnp_learns_what_it_sees_and_what_it_feels(task, train):
-    """The dark half of the mock is stiff, and objects differ by a factor of four. Over four seeds the mean error is 0.72 to
-    0.79 of zero's before the first touch, and 0.42 to 0.51 of that after eight."""
+    """The dark half of the mock is stiff, and objects differ by a factor of four. Over four seeds the mean error is
+    0.72 to 0.79 of zero's before the first touch, and 0.42 to 0.51 of that after eight."""
     method = NeuralProcess(steps=400, networks=1)
     method.meta_fit(train)
     errors = {0: [], 8: [], "zero": []}
