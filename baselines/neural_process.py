@@ -1,4 +1,4 @@
-"""`cnp`: a conditional neural process (Garnelo et al., Conditional Neural Processes, ICML 2018) over touches of a surface.
+"""`cnp`: a conditional neural process over touches of a surface (Garnelo et al., Conditional Neural Processes, 2018).
 
 A touch is described by what vision tells of its place (`features`, position, axis) and by two coefficients of its force
 over depth (`surface_touches`). One network encodes each touch of the support; their mean, and their mean weighted by
@@ -50,7 +50,8 @@ class NeuralProcess:
             raise MethodError(f"cnp: features are '{features}'. {did_you_mean(features, NAMES)}")
         if min(hidden, steps, networks) < 1 or rate <= 0.0 or reach <= 0.0 or min(decay, spread) < 0.0:
             raise MethodError(f"cnp: hidden {hidden}, steps {steps} and networks {networks} must be at least 1, rate "
-                              f"{rate:g} and reach {reach:g} positive, decay {decay:g} and spread {spread:g} not negative.")
+                              f"{rate:g} and reach {reach:g} positive, decay {decay:g} and spread {spread:g} not "
+                              f"negative.")
         self.features, self.weights, self.hidden, self.steps, self.rate = features, weights, hidden, steps, rate
         self.decay, self.networks, self.reach, self.spread = decay, networks, reach, spread
         self.seed, self.device = seed, device
@@ -60,7 +61,7 @@ class NeuralProcess:
         """Train the networks.
 
         Raises:
-            MethodError: no training object has two touches with a force, or the training does not end at finite weights.
+            MethodError: no training object has two touches with a force, or the weights end at no finite number.
         """
         import torch
 
@@ -113,7 +114,8 @@ class NeuralProcess:
         contacts = [self._view.contact(action) for action in touches]
         asked = _standard(self._state, self._describe(self._view, np.stack([c.place for c in contacts]),
                                                       np.stack([a.axis for a in touches])))
-        support = torch.as_tensor(self._x)[None], torch.as_tensor(self._y)[None], torch.ones(1, 1, len(self._x)).double()
+        given = torch.ones(1, 1, len(self._x), dtype=torch.float64)
+        support = torch.as_tensor(self._x)[None], torch.as_tensor(self._y)[None], given
         with torch.no_grad():
             found = sum(_answer(self._weights_of(k), *support, torch.as_tensor(asked)[None])[0]
                         for k in range(self.networks)).numpy() / self.networks

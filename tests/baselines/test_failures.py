@@ -18,8 +18,8 @@ METHODS = {
     "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
     "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
     "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
-    "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {}, "near-springs": {}, "surface-gp": {},
-    "cnp": {"steps": 20, "networks": 1}}
+    "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {},
+    "near-springs": {}, "surface-gp": {}, "cnp": {"steps": 20, "networks": 1}}
 ARM = Chain(((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)), ((0.0, 0.0, 0.2),) * 8,
             ((1.0, 0.0, 0.0, 0.0),) * 8, (-1, *range(7)),
             tuple(ChainCapsule(k, (0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 0.03) for k in range(8)))

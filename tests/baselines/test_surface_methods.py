@@ -1,5 +1,5 @@
-"""The methods on the visible surface: near-springs is the README's example, surface-gp is a Gaussian process, cnp learns
-from what it sees."""
+"""The methods on the visible surface: near-springs is the README's example, surface-gp is a Gaussian process, cnp
+learns from what it sees."""
 
 import numpy as np
 import pytest
