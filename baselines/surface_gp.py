@@ -1,6 +1,6 @@
-"""`surface-gp`: a Gaussian process over the surface, whose value is how force grows with depth (the process of Rasmussen
-and Williams, Gaussian Processes for Machine Learning, 2006, with the coregionalised outputs of Alvarez et al., Kernels
-for Vector-Valued Functions, 2012).
+"""`surface-gp`: a Gaussian process over the surface, whose value is how force grows with depth (the process of
+Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, with the coregionalised outputs of Alvarez et
+al., Kernels for Vector-Valued Functions, 2012).
 
 The force of a touch at x with axis a and depth d is F = w . phi(d) + noise of deviation s, phi as in `surface_touches`.
 The two coefficients w have the mean M z(x, a) and the covariance
