@@ -194,8 +194,8 @@ def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, li
     make, renew, probe, followed = Solver._make_contact, Equilibrium.renew_friction, Cylinder(0.008, 0.02), []
     poses = line([[0.0, 0.0, SIZE[2] + 0.01], [0.0, 0.0, SIZE[2] + 0.009]], probe)
 
-    def with_tresca_alone(self, poses):
-        contact, previous = make(self, poses)
+    def with_tresca_alone(self, *given):
+        contact, previous = make(self, *given)
         contact.follows_below = 0.0
         return contact, previous
 

@@ -96,8 +96,8 @@ def test_a_frame_with_too_weak_a_contact_is_marked(bubble, device):
                                options=dataclasses.replace(tiers.options("fem"), halvings=0))
         make = solver._make_contact
 
-        def made(poses, make=make, weaker=weaker):
-            contact, before = make(poses)
+        def made(*given, make=make, weaker=weaker):
+            contact, before = make(*given)
             for side in contact.surfaces.sides:
                 side.stiffness.mul_(weaker)
             return contact, before

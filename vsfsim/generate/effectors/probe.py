@@ -107,7 +107,10 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
                         options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
-        frames = solver.run(poses, progress=None if progress is None else lambda _, k=width: progress(k))
+        start = poses[0].copy()
+        for pose, a in zip(start, part, strict=True):
+            pose[:3, 3] = a.contact - (spec.approach if a.approach is None else a.approach) * a.axis
+        frames = solver.run(poses, start=start, progress=None if progress is None else lambda _, k=width: progress(k))
         for k, a in enumerate(part):
             own = poses[:, k] if spring is None else mount_of(a, spring, poses[:, k], frames.force[:, k], planned[:, k])
             out.append(dataclasses.replace(_record(a, own, frames, k), **(_plan(planned[:, k]) if spec.plan else {})))

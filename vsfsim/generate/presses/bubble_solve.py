@@ -208,7 +208,7 @@ def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndar
     options = request.limited(tiers.options(chosen))
     solver = CoupledSolver(body, model, friction=friction, device=request.device, precision=request.precision,
                            options=options)
-    frames = solver.run(mount[:, None], keep=True, progress=None if request.progress is None
+    frames = solver.run(mount[:, None], start=first[None], keep=True, progress=None if request.progress is None
                         else lambda t: request.progress(t, len(mount), "frames"))
     turn, at = mount[:, :3, :3], mount[:, None, :3, 3]
     position = np.einsum("tji,tnj->tni", turn, np.stack([x[..., 0] for x in solver.sensor_position]) - at)

@@ -183,7 +183,8 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
                     options=options, linear=linear)
     placed = body_poses(scene, poses)
-    frames = solver.run(placed[:, None], keep=request.keep, progress=None if request.progress is None
+    frames = solver.run(placed[:, None], start=body_poses(scene, first[None]), keep=request.keep,
+                        progress=None if request.progress is None
                         else lambda done: request.progress(done, len(poses), "frames"))
     body_force = frames.body_force[:, 0]
     # Obstacles do not belong to the probe.

@@ -14,7 +14,7 @@ Rows = dict[str, np.ndarray]
 
 # wrong although the forces may balance; at the time limit the last state was not compared with the bodies
 _FINAL = (Reason.TIME, Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED, Reason.INTRUSION, Reason.CRUSHED,
-          Reason.SNAPPED)
+          Reason.PATH, Reason.SNAPPED)
 
 
 def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linear: bool, accept: float) -> Rows:

@@ -145,11 +145,13 @@ class CoupledSolver(Solver):
         self._predicted: tuple[torch.Tensor, Any, np.ndarray] | None = None
         self._stride = _STRIDE * scale(sensor)
 
-    def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
+    def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, keep: bool = False,
+            progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the sensor through all frames.
 
         Args:
             poses: sensor to world (T, B, 4, 4).
+            start: where its path begins (B, 4, 4), see `Solver.run`.
             keep, progress: see `Solver.run`; with ``keep``, ``self.sensor_position`` holds T entries (m, 3, B) of the
                 sensor's nodes in the world [m], and ``self.sensor_force`` the contact force on each (m, 3, B) [N].
 
@@ -161,26 +163,36 @@ class CoupledSolver(Solver):
         self.volume: list[np.ndarray] = []
         self.sensor_position: list[np.ndarray] = []
         self.sensor_force: list[np.ndarray] = []
-        return super().run(poses, keep=keep, progress=progress)
+        return super().run(poses, start=start, keep=keep, progress=progress)
 
-    def _make_contact(self, poses: np.ndarray) -> tuple[PairContact, np.ndarray]:
-        way = _along_the_way(poses[:, :, 0], scale(self.sensor))
+    def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[PairContact, np.ndarray]:
+        start = poses[0] if start is None else start.reshape(poses.shape[1:])
+        way = _along_the_way(np.concatenate([start[None], poses])[:, :, 0], scale(self.sensor))
         contact = PairContact(self.object, self.sensor, float(self.friction[0]), way, device=self.device,
                               stride=self._stride)
-        return contact, self._outside(contact, poses[0])
+        first = self._outside(contact, start)
+        for pose in path.pieces(first, poses[0], self._stride, self.bodies):
+            if self._meets(contact, pose).any():
+                break
+            first = pose
+        return contact, first
+
+    def _meets(self, contact: PairContact, pose: np.ndarray) -> np.ndarray:
+        """Whether the bodies at rest touch at ``pose`` (B, 1, 4, 4), or one is within the other (B,) bool."""
+        every = torch.arange(contact.batch, device=self.device)
+        u = torch.zeros((len(self.model.free), contact.batch), dtype=torch.float64, device=self.device)
+        contact.begin_step(pose, u)
+        contact.move(pose, every)
+        contact.evaluate(every, contact.gather(u))
+        inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy()
+        return inside | self._within_sensor(pose) | self._within_object(pose)
 
     def _outside(self, contact: PairContact, pose: np.ndarray) -> np.ndarray:
         """First poses (B, 1, 4, 4) to come in from: drawn back along the sensor's axis until nothing touches."""
         out = pose.copy()
-        every = torch.arange(contact.batch, device=self.device)
-        u = torch.zeros((len(self.model.free), contact.batch), dtype=torch.float64, device=self.device)
         step = _BACK * self.bodies.reach(0)
         for _ in range(_TRIES):
-            contact.begin_step(out, u)
-            contact.move(out, every)
-            contact.evaluate(every, contact.gather(u))
-            inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy()
-            inside |= self._within_sensor(out) | self._within_object(out)
+            inside = self._meets(contact, out)
             if not inside.any():
                 break
             out[inside, :, :3, 3] -= step * out[inside, :, :3, 2]

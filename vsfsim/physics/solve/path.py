@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 
 _PART = 0.5  # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body
-_MOST = 100  # pieces of one frame
+_MOST = 400  # pieces of one frame
+_ADVANCES, _SHORT = 50, 0.01  # most steps to the first pose that may touch; the shortest, of the whole way
+_RAYS = 200  # faces whose thickness is measured
 _DEEP = 0.2  # depth over the same radius above which a first pose is approached from outside
 _SAMPLES = 4000  # random points for the inner radius
 
@@ -46,6 +49,86 @@ def _inner_ball(bodies: RigidBodies, k: int) -> tuple[float, np.ndarray]:
     return float(inside.max()), places[inside.argmax()]
 
 
+def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, poses: np.ndarray,
+          start: np.ndarray | None) -> tuple[RigidContact, np.ndarray, float]:
+    """The contact of a run, the poses (B, K, 4, 4) that its steps begin at, and the longest of them [m].
+
+    Args:
+        make: makes the contact for ``poses`` (T', B, K, 4, 4).
+        bodies: the rigid bodies (K).
+        model: the object.
+        poses: of all frames (T, B, K, 4, 4).
+        start: where the path begins, see `touches.Solver.run`.
+    """
+    contact, longest = None, stride(bodies, mean_thickness(model))
+    if start is None:
+        contact = make(poses=poses)
+        first = outside(bodies, model, poses[0], contact.first_gap)
+    else:
+        first = clear(start.reshape(poses.shape[1:]), poses[0], bodies, model)
+    if contact is None or not np.array_equal(first, poses[0]):  # what they reach on their way in
+        contact = make(poses=np.stack([*pieces(first, poses[0], longest, bodies), *poses]))
+    return contact, first, stride(bodies, min(mean_thickness(model), thinnest(model, [
+        patch.faces for patch in contact.patches])))
+
+
+def clear(start: np.ndarray, end: np.ndarray, bodies: RigidBodies, model: Model) -> np.ndarray:
+    """Poses (B, K, 4, 4) on the way from ``start`` to ``end``, as far along it as the bodies certainly meet nothing of
+    the object at rest: the way there needs no steps. An object with weight hangs elsewhere, and is come to from the
+    start.
+
+    The way goes on by the least gap, which no point of a body can cross (Mirtich 1996, Impulse-based Dynamic Simulation
+    of Rigid Body Systems, section 2.3, conservative advancement). Gaps are those of nodes, less how far a point of a
+    face may be from its nodes.
+    """
+    if model.load.any():
+        return start
+    mesh, out = model.mesh, start.copy()
+    surface, corners = mesh.points[mesh.surface_nodes()], mesh.points[mesh.faces[:, :3]]
+    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    between_nodes = edge / (3.0 if mesh.faces.shape[1] == 6 else 1.5)
+    length = _lengths(start, end, bodies)
+    for b in range(len(start)):
+        moving = np.flatnonzero(length[b])
+        part = 0.0
+        for _ in range(_ADVANCES):
+            at = out[b] = between(start[b], end[b], part)
+            gaps = [float(bodies.distance(k, (surface - at[k, :3, 3]) @ at[k, :3, :3]).min()) for k in moving]
+            step = min([gap / length[b, k] for gap, k in zip(gaps, moving, strict=True)], default=1.0)
+            step -= max([between_nodes / length[b, k] for k in moving], default=0.0)
+            if part >= 1.0 or step <= _SHORT:
+                break
+            part = min(1.0, part + step)
+    return out
+
+
+def thinnest(model: Model, faces: Sequence[np.ndarray]) -> float:
+    """Least thickness [m] of the solid under boundary faces that are in the bodies' way, lists (f,) of each touch: from
+    the middle of a face straight in to the other side, of `_RAYS` of them; infinite for a membrane, and without any.
+    The thinnest twentieth, at edges, does not count."""
+    mesh, ways = model.mesh, np.unique(np.concatenate(list(faces)))
+    if mesh.faces.shape[1] == 3 or not len(ways):
+        return float("inf")
+    ways = ways[np.linspace(0, len(ways) - 1, min(len(ways), _RAYS)).astype(int)]
+    corners = mesh.points[mesh.faces[:, :3]]
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    inward = -np.cross(edge1, edge2)
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    out = []
+    for face in ways:  # Moeller and Trumbore 1997
+        p = np.cross(inward[face], edge2)
+        det = np.einsum("fc,fc->f", edge1, p)
+        det[np.abs(det) < 1e-30] = np.inf
+        s = corners[face].mean(axis=0) - corners[:, 0]
+        u, q = np.einsum("fc,fc->f", s, p) / det, np.cross(s, edge1)
+        v, far = q @ inward[face] / det, np.einsum("fc,fc->f", edge2, q) / det
+        met = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (far > 1e-6 * np.abs(far).max())
+        met[face] = False
+        if met.any():
+            out.append(float(far[met].min()))
+    return float(np.percentile(out, 5.0)) if out else float("inf")
+
+
 def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
     """Poses (..., 4, 4) at ``part`` of the way from a to b: straight, and about one axis."""
     out = np.array(b, dtype=float)
@@ -60,14 +143,24 @@ def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
 def pieces(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> Iterator[np.ndarray]:
     """Poses (B, K, 4, 4) on the way from a to b, ending with b, none further than ``longest`` [m] from the one
     before."""
-    way = np.linalg.norm(b[..., :3, 3] - a[..., :3, 3], axis=-1)
-    cosine = 0.5 * (np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3]) - 1.0)
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0)) * (cosine < 1.0 - 1e-12)
-    reach = np.array([min(bodies.reach(k), 1.0) for k in range(len(bodies))])
-    count = int(np.clip(np.ceil(((way + angle * reach) / longest).max() - 1e-9), 1, _MOST))
+    count = int(np.clip(np.ceil(_lengths(a, b, bodies).max() / longest - 1e-9), 1, _MOST))
     for i in range(1, count):
         yield between(a, b, i / count)
     yield b
+
+
+def _lengths(a: np.ndarray, b: np.ndarray, bodies: RigidBodies) -> np.ndarray:
+    """How far any point of each body moves at most from a to b (B, K) [m]."""
+    way = np.linalg.norm(b[..., :3, 3] - a[..., :3, 3], axis=-1)
+    cosine = 0.5 * (np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3]) - 1.0)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0)) * (cosine < 1.0 - 1e-12)
+    return way + angle * np.array([min(bodies.reach(k), 1.0) for k in range(len(bodies))])
+
+
+def too_far(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> np.ndarray:
+    """Whether `pieces` are longer than ``longest`` [m] because there would be too many (B,) bool: what a thin part does
+    on such a way is not known."""
+    return (_lengths(a, b, bodies) > (_MOST + 1e-6) * longest).any(axis=1)
 
 
 def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarray:

@@ -71,8 +71,7 @@ class Solver:
     def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str,
                options: SolverOptions | None, linear: bool) -> None:
         self.model, self.bodies, self.friction = model, bodies, friction
-        self.options = options or SolverOptions()
-        self.device, self.precision, self.linear = device, precision, linear
+        self.device, self.precision, self.linear, self.options = device, precision, linear, options or SolverOptions()
         single = precision == "float32" and not linear
         self.elasticity = Elasticity(model, device=device, real=wp.float32 if single else wp.float64)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
@@ -83,12 +82,13 @@ class Solver:
         """Whether the last run began in single precision and ended in double."""
         return self.elasticity.real is wp.float32 and not is_single(self._balance)
 
-    def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
+    def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, keep: bool = False,
+            progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the bodies through all frames.
 
         Args:
-            poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch. The first may be
-                deep in the object: the bodies then come in from outside.
+            poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch.
+            start: where the path begins, likewise (B, ...); None for the first pose, come to by the shortest way.
             keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
                 contact force on every surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as
                 `QuadraticMesh.surface_nodes`; NaN on the patch in frames that did not converge.
@@ -100,12 +100,13 @@ class Solver:
         if poses.ndim == 4:
             poses = poses[:, :, None]
         with torch_threads(1), torch.no_grad():  # one, so that the bits do not depend on the machine's load
-            return self._run(poses, keep, progress)
+            return self._run(poses, start, keep, progress)
 
-    def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
+    def _run(self, poses: np.ndarray, start: np.ndarray | None, keep: bool,
+             progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
-        self.contact, previous = self._make_contact(poses)
+        self.contact, previous = self._make_contact(poses, start)
         options, accept = limits(self.options, single=self.elasticity.real is wp.float32)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, options, floor=self._floor,
                                     accept=accept)
@@ -127,6 +128,7 @@ class Solver:
             else:
                 self._balance.reset_counts()
                 way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
+                leap = path.too_far(previous, poses[t], self._stride, self.bodies)
                 self.contact.deadline, late = deadline, False
                 for pose in way:
                     begin, friction = self._step(previous, pose, deadline)
@@ -143,6 +145,7 @@ class Solver:
                         break
                 # the anchors move after the report: the forces balance with the old ones
                 state = self._balance.evaluate(every)
+                self._balance.reason[leap & (self._balance.reason == Reason.NONE)] = Reason.PATH
                 out = self._report(state)
                 if not late:
                     self.contact.end_step(every)
@@ -161,14 +164,11 @@ class Solver:
         data["seconds"] = data["seconds"][:, 0]
         return Frames(**data)
 
-    def _make_contact(self, poses: np.ndarray) -> tuple[Contact, np.ndarray]:
+    def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
                                  exact=self.linear, **self.options.indentation)
-        contact, self._stride = make(poses=poses), path.stride(self.bodies, path.mean_thickness(self.model))
-        first = path.outside(self.bodies, self.model, poses[0], contact.first_gap)
-        if not np.array_equal(first, poses[0]):  # what they reach on their way in
-            contact = make(poses=np.stack([*path.pieces(first, poses[0], self._stride, self.bodies), *poses]))
+        contact, first, self._stride = path.begin(make, self.bodies, self.model, poses, start)
         return contact, first
 
     def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any,

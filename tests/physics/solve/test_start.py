@@ -1,0 +1,93 @@
+"""A press comes from where it is stated to start, however few its frames: thin objects are met from that side."""
+
+import numpy as np
+import pytest
+
+from vsfsim.core.shape import Capsule, Cylinder, Sphere
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.solve import path
+from vsfsim.physics.solve.frames import Reason
+from vsfsim.physics.solve.touches import Solver
+
+POST = (0.01, 0.01, 0.06)
+
+
+def way(start, stop, frames, turn=None):
+    """``frames`` poses (T, 1, 4, 4) from ``start`` (3,) to ``stop`` (3,) [m], and the pose (1, 4, 4) at the start."""
+    poses = np.tile(np.eye(4), (frames + 1, 1, 1, 1))
+    poses[:, 0, :3, 3] = np.linspace(start, stop, frames + 1)
+    if turn is not None:
+        poses[:, 0, :3, :3] = turn
+    return poses[1:], poses[0]
+
+
+def press(model, probe, start, stop, frames, turn=None):
+    poses, first = way(start, stop, frames, turn)
+    return Solver(model, probe).run(poses, start=first)
+
+
+def test_a_post_is_pushed_away_by_a_ball_that_comes_from_the_side(block):
+    """In one frame a ball of 4 mm from x = -12 mm to +3 mm was brought in from the other side, and pulled."""
+    model = block(POST, 0.01, young_modulus=1e5, poisson_ratio=0.3)
+    one, many = (press(model, Sphere(0.004), (-0.012, 0.0, 0.05), (0.003, 0.0, 0.05), n) for n in (1, 8))
+    assert one.converged.all() and many.converged.all()
+    assert many.force[-1, 0, 0] < -0.01
+    assert one.force[-1, 0] == pytest.approx(many.force[-1, 0], rel=0.02, abs=0.02 * np.abs(many.force[-1]).max())
+
+
+def test_a_capsule_does_not_pass_through_a_cantilever_in_one_frame(block):
+    """12 mm down onto a plate of 4 mm it ended below, and read 0 N."""
+    model = block((0.08, 0.02, 0.004), 0.01, young_modulus=1e6, fixed=(-0.041, -1, -1, -0.039, 1, 1))
+    turn = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # its axis across the plate
+    one, many = (press(model, Capsule(0.004, 0.03), (0.02, 0.0, 0.012), (0.02, 0.0, 0.0), n, turn) for n in (1, 6))
+    assert one.converged.all() and many.converged.all()
+    assert many.force[-1, 0, 2] > 0.01
+    assert one.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 2], rel=0.02)
+
+
+def test_a_way_with_nothing_in_it_is_one_step_and_another_stops_before_the_object(block):
+    model, bodies = block(POST, 0.01), RigidBodies([Sphere(0.004)])
+    poses, first = way((-0.2, 0.0, 0.05), (0.2, 0.0, 0.05), 1)
+    before = path.clear(first[:, None], poses[0][:, None], bodies, model)[0, 0, :3, 3]
+    assert -0.03 < before[0] < -0.009, "the ball touches at -9 mm"
+    past, first = way((-0.2, 0.03, 0.05), (0.2, 0.03, 0.05), 1)
+    assert np.array_equal(path.clear(first[:, None], past[0][:, None], bodies, model), past[0][:, None])
+
+
+def test_the_thinnest_part_in_the_way_counts(block):
+    """Of a plate the thickness under its faces, not twice the volume over the surface."""
+    model = block((0.08, 0.02, 0.004), 0.01)
+    assert path.thinnest(model, [np.arange(len(model.mesh.faces))]) == pytest.approx(0.004, rel=1e-6)
+    assert path.thinnest(model, [np.zeros(0, int)]) == np.inf
+
+
+def test_a_way_that_cannot_be_cut_finely_enough_is_marked(block, monkeypatch):
+    model = block(POST, 0.01, young_modulus=1e5)
+    monkeypatch.setattr(path, "_MOST", 1)
+    frames = press(model, Sphere(0.004), (-0.012, 0.0, 0.05), (0.003, 0.0, 0.05), 1)
+    assert not frames.converged.any() and np.isnan(frames.force).all()
+    assert frames.reason[0, 0] != Reason.NONE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_the_force_at_the_end_does_not_depend_on_the_number_of_frames(block, seed):
+    """Random thin plates and posts on random lateral paths, frictionless: one or two frames give what nine give."""
+    rng = np.random.default_rng(seed)
+    thick, tall = rng.uniform(0.003, 0.01), rng.uniform(0.03, 0.06)
+    model = block((thick, rng.uniform(0.01, 0.04), tall), 0.01, young_modulus=1e5,
+                  poisson_ratio=rng.uniform(0.2, 0.45))
+    radius, height = rng.uniform(0.003, 0.008), rng.uniform(0.6, 0.9) * tall
+    probe = (Sphere(radius), Capsule(radius, 0.02), Cylinder(radius, 2 * radius))[seed % 3]
+    side = rng.choice([-1.0, 1.0])
+    aside = 0.5 * thick + 2.5 * radius
+    start = np.array([-side * aside, rng.uniform(-0.002, 0.002), height])
+    stop = np.array([side * rng.uniform(-0.3, 0.5) * thick, start[1] + rng.uniform(-0.002, 0.002), height])
+    many = press(model, probe, start, stop, 9)
+    for frames in (1, 2):
+        few = press(model, probe, start, stop, frames)
+        if few.converged[-1, 0] and many.converged[-1, 0]:
+            size = np.linalg.norm(many.force[-1, 0])
+            assert size > 0.0 and np.linalg.norm(few.force[-1, 0] - many.force[-1, 0]) <= 0.02 * size
+        else:
+            assert few.reason[-1, 0] != Reason.NONE or many.reason[-1, 0] != Reason.NONE
