@@ -18,8 +18,9 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import parse_scene
-from vsfsim.data.dataset import Dataset, manifest_bytes
+from vsfsim.data.dataset import Dataset
 from vsfsim.data.hdf5 import read_view
+from vsfsim.data.manifest import manifest_bytes
 
 READER, FOLDER, EXAMPLES = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
 LIMIT = 1 << 30

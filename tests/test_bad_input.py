@@ -259,7 +259,8 @@ def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp
                          env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert_refused(out, "box-0001-v0.h5 cannot be written: No space left on device")
     kept = tmp_path / "kept"
-    assert sorted(p.name for p in kept.iterdir()) == ["box-0000-v0.h5", "dataset.part.json"], "whole files only"
+    assert sorted(p.name for p in kept.iterdir()) == ["box-0000-v0.h5", "dataset.part.json", "manifest"], \
+        "whole files only"
     first = (kept / "box-0000-v0.h5").read_bytes()
     assert vsfsim("generate", "box.toml", "--out", "kept", "--workers", "1", cwd=tmp_path).returncode == 0
     assert (kept / "box-0000-v0.h5").read_bytes() == first

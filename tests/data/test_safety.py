@@ -13,9 +13,10 @@ import pytest
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import file_stem, markdown, plain
-from vsfsim.data.dataset import Dataset, manifest_bytes
+from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import read_view
+from vsfsim.data.manifest import manifest_bytes
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 

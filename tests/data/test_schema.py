@@ -12,8 +12,8 @@ from field_docs import docs_of
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.data import records
-from vsfsim.data.dataset import make_manifest
 from vsfsim.data.hdf5 import write_view
+from vsfsim.data.manifest import make_manifest
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.schema import FIELDS, MANIFEST_KEYS, TEXT, fields_of, schema_markdown
 

@@ -16,8 +16,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from vsfsim.cli import bench, data, info, measure, simulate, stability, study
-from vsfsim.core.errors import Interrupted, VsfsimError, did_you_mean
+from vsfsim.cli import bench, data, generate, info, measure, simulate, stability, study
+from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
 app = typer.Typer(name="vsfsim", no_args_is_help=True, rich_markup_mode=None,
@@ -42,9 +42,9 @@ A method of your own:
 What this machine has, and what is missing:
   vsfsim info
 """, epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge, "
-                         "130 interrupted.")
+                         "4 object views that failed twice were left out, 130 interrupted, 143 ended by SIGTERM.")
 
-for group in (simulate, data, bench, study, info, stability):
+for group in (simulate, generate, data, bench, study, info, stability):
     app.add_typer(group.app)  # without a name: its commands are the app's own
 app.add_typer(measure.app, name="measure")
 app.add_typer(measure.app, name=measure.OLD_NAME, hidden=True)
@@ -76,7 +76,7 @@ def main() -> None:
         command()
     except Interrupted as stop:
         print(f"\n{stop}", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(143 if isinstance(stop.__cause__, Terminated) else 130)
     except (VsfsimError, ModuleNotFoundError) as error:
         found = error if isinstance(error, VsfsimError) else missing(error)
         if found is None:

@@ -1,29 +1,23 @@
-"""Commands that simulate: scenes, press, generate, inspect."""
+"""Commands that simulate: scenes, press, inspect."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from vsfsim.cli.console import Progress, note, report
+from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import (
     ArchiveFile,
     Device,
     JsonFile,
-    Objects,
     Precision,
     SceneName,
     Seed,
     Tier,
-    Touches,
-    Views,
-    Workers,
     picture_option,
 )
-from vsfsim.core.errors import Interrupted
 
 app = typer.Typer()
 
@@ -85,49 +79,6 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     report("\n".join(words), made.table(), json)
     if not made.converged:
         raise typer.Exit(3)
-
-
-@app.command()
-def generate(scene: SceneName,
-             out: Annotated[Path | None, typer.Option(help="Folder of the dataset; default: where a task looks for it, "
-                                                           "datasets/SCENE-v1 say, else datasets/SCENE "
-                                                           "($VSFSIM_DATASETS in place of datasets).")] = None,
-             objects: Objects = None, views: Views = None, touches: Touches = None, seed: Seed = 0, tier: Tier = None,
-             device: Device = "cpu", precision: Precision = "float64",
-             renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
-             arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
-                                                          "scene's.")] = None,
-             workers: Workers = None, json: JsonFile = None) -> None:
-    """Make a dataset from a scene, or finish one.
-
-    Run the same command again after an interruption: it makes only what is missing, to the same bits.
-    """
-    from vsfsim.core.scene import load_scene
-    from vsfsim.core.shelf import find_scene
-
-    loaded = load_scene(find_scene(scene))
-    from vsfsim.generate.command import generate as run  # takes seconds; a mistake in the scene is reported before
-
-    began = time.perf_counter()
-    from vsfsim.generate.command import folder_of
-
-    folder = folder_of(loaded, out, seed=seed, objects=objects, views=views, touches=touches, tier=tier, arm=arm)
-    try:
-        with Progress("generate") as progress:
-            dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier,
-                          device=device, precision=precision, renderer=renderer, workers=workers, arm=arm,
-                          progress=progress, note=note)
-    except KeyboardInterrupt:
-        kept = len(list(folder.glob("*.h5")))
-        raise Interrupted(f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again "
-                          f"to make the others." if kept else "interrupted; nothing was finished, so nothing is "
-                          "kept.") from None
-    numbers = {"dataset": str(dataset.path), "sha256": dataset.sha256, "views": len(dataset),
-               "splits": {split: len(dataset.names(split)) for split in dataset.splits},
-               "touches": sum(e.touches for e in dataset.entries), "frames": sum(e.frames for e in dataset.entries),
-               "unconverged": sum(e.unconverged for e in dataset.entries), "seconds": time.perf_counter() - began}
-    report(f"{dataset.path}: {len(dataset)} object views, {numbers['touches']} touches, {numbers['frames']} frames "
-           f"({numbers['unconverged']} not converged, marked), {numbers['seconds']:.0f} s", numbers, json)
 
 
 @app.command()

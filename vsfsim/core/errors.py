@@ -43,6 +43,10 @@ class Interrupted(VsfsimError):
     """The user has stopped a command; the message says what is kept and how to go on. Exit code 130."""
 
 
+class Terminated(KeyboardInterrupt):
+    """A scheduler has ended a command by SIGTERM: what is under way is dropped as by Ctrl-C. Exit code 143."""
+
+
 class NoStiffnessError(VsfError):
     """The forces of all touches are zero or pull, so that no stiffness can be estimated from them."""
 

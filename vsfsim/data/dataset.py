@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import operator
-from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -16,49 +13,25 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.interactive.html_table import html_table
-from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import file_sha256
+from vsfsim.data.fetched import fetch, fetch_manifest
 from vsfsim.data.hdf5 import read_picture, read_shown, read_view
+from vsfsim.data.manifest import (
+    MANIFEST,
+    PART_MANIFEST,
+    Entry,
+    content_sha256,
+    entries_of,
+    left_out_of,
+    read_manifest,
+)
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
-from vsfsim.data.safety import check_file, check_name, whole_number
-from vsfsim.data.schema import SCHEMA_VERSION
+from vsfsim.data.safety import check_file
+from vsfsim.data.store import is_url
 
 if TYPE_CHECKING:
     from vsfsim.data.torch_view import TorchView
-
-FORMAT = "vsfsim-dataset"
-MANIFEST = "dataset.json"
-PART_MANIFEST = "dataset.part.json"
-LOCK = "dataset.lock"
-LARGEST_MANIFEST = 64 << 20
-"""A dataset.json with more bytes is not read."""
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One object file as dataset.json lists it."""
-
-    name: str
-    """Of the object view."""
-    file: str
-    """File name."""
-    split: str
-    """"train", "test", ..."""
-    object_index: int
-    """From 0."""
-    view_index: int
-    """Of the view of that object, from 0."""
-    touches: int
-    """Number of touches."""
-    frames: int
-    """Of all touches."""
-    unconverged: int
-    """Frames that are marked as not converged."""
-    bytes: int
-    """Size of the file."""
-    sha256: str
-    """Of the file."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,15 +52,22 @@ class Dataset:
     """Its object files, in order."""
     is_blind: bool = False
     """Whether views come without their truth."""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    """Object views that could not be made, with the reason."""
+    origin: str = ""
+    """Address of the object store that files are fetched from when they are read; "" where `path` has them all."""
 
     @classmethod
     def open(cls, path: str | Path, *, blind: bool = False) -> Dataset:
-        """Open the dataset in folder ``path``. Only dataset.json is read now.
+        """Open the dataset in folder ``path``, or at an address of an object store. Only dataset.json is read now.
+
+        Files of an object store are fetched one by one when they are read, into `fetched_folder`.
 
         Raises:
             DatasetError: no dataset there, an unfinished or a damaged one, or one of another schema version.
         """
-        path = Path(path)
+        origin = str(path) if is_url(path) else ""
+        path = fetch_manifest(origin) if origin else Path(path)
         manifest = path / MANIFEST
         if not manifest.is_file():
             if (path / PART_MANIFEST).is_file():
@@ -99,7 +79,7 @@ class Dataset:
                                f"generate --out` made.")
         table = read_manifest(manifest)
         return cls(path, Recipe.read(table["recipe"], str(manifest)), table["made_by"],
-                   _entries(table["files"], manifest), blind)
+                   entries_of(table["files"], manifest), blind, left_out_of(table, manifest), origin)
 
     @property
     def sha256(self) -> str:
@@ -175,6 +155,8 @@ class Dataset:
         for entry in self.entries:
             if entry.name == name:
                 path = self.path / entry.file
+                if self.origin and not path.is_file():
+                    fetch(self.origin, entry.file, path)
                 check_file(path, self.path)
                 # HDF5 would read a flipped byte without a word, and a score would rest on it.
                 if path.is_file() and file_sha256(path) != entry.sha256:
@@ -270,99 +252,3 @@ def load(folder: str | Path, *, blind: bool = False) -> Dataset:
         DatasetError: no dataset there, an unfinished or a damaged one, or one of another schema version.
     """
     return Dataset.open(folder, blind=blind)
-
-
-def content_sha256(entries: tuple[Entry, ...]) -> str:
-    """See `Dataset.sha256`."""
-    lines = "".join(f"{entry.name} {entry.split} {entry.sha256}\n" for entry in entries)
-    return hashlib.sha256(lines.encode()).hexdigest()
-
-
-def file_name(name: str) -> str:
-    """File of the object view ``name``."""
-    return f"{name}.h5"
-
-
-def manifest_bytes(table: Mapping[str, Any]) -> bytes:
-    """dataset.json as bytes; its first key ``digest`` is the sha256 of all the others, so that no byte can change
-    unseen."""
-    body = {key: value for key, value in table.items() if key != "digest"}
-    digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
-    return (json.dumps({"digest": digest, **body}, indent=1) + "\n").encode()
-
-
-def make_manifest(recipe: Recipe, made_by: Mapping[str, str | None], entries: tuple[Entry, ...]) -> bytes:
-    """dataset.json of a finished dataset; no times and no paths, so that a second run gives the same bytes."""
-    return manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": dict(made_by),
-                           "sha256": content_sha256(entries), "recipe": recipe.table(),
-                           "files": [dataclasses.asdict(entry) for entry in entries]})
-
-
-def read_manifest(path: Path) -> dict[str, Any]:
-    """Read a dataset.json and check that it is whole.
-
-    Raises:
-        DatasetError: not readable, changed since it was written, or of another schema version.
-    """
-    try:
-        if path.stat().st_size > LARGEST_MANIFEST:
-            raise ValueError(f"it has more than {LARGEST_MANIFEST} bytes")
-        content = path.read_bytes()
-        table = json.loads(content)
-        format_ = table["format"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DatasetError(f"{path} cannot be read as a dataset's manifest: {plain(repr(error))}. It is damaged; "
-                           f"delete the folder and generate the dataset again, or restore the file.") from error
-    if format_ != FORMAT:
-        raise DatasetError(f"{path} is not the manifest of a vsfsim dataset (format "
-                           f"{plain(repr(format_), longest=60)}).")
-    if table.get("schema_version") != SCHEMA_VERSION:
-        raise DatasetError(f"{path} has schema version {plain(table.get('schema_version'), longest=60)}; this vsfsim "
-                           f"reads {SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it "
-                           f"again.")
-    try:
-        whole = manifest_bytes(table) == content
-    except (ValueError, RecursionError):
-        whole = False
-    if not whole:
-        raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or "
-                           f"delete the folder and run the same `vsfsim generate` again.")
-    for key in ("made_by", "recipe", "files"):
-        if key not in table and not (path.name == PART_MANIFEST and key == "files"):
-            raise DatasetError(f"{path} has no '{key}'; it is damaged.")
-    if not isinstance(table["made_by"], dict):
-        raise DatasetError(f"{path}: made_by is {plain(table['made_by'], longest=60)}; it must be a table.")
-    return table
-
-
-def _entries(rows: Any, path: Path) -> tuple[Entry, ...]:
-    """The entries of ``files``, none of them twice, and no object in two splits."""
-    if not isinstance(rows, list) or not rows:
-        raise DatasetError(f"{path}: files is {plain(rows, longest=60)}; it must be a list of at least one entry.")
-    entries = tuple(_entry(row, path) for row in rows)
-    for what, keys in (("name", [e.name for e in entries]), ("file", [e.file for e in entries]),
-                       ("object and view", [(e.object_index, e.view_index) for e in entries]),
-                       ("content", [e.sha256 for e in entries])):
-        twice = [key for key, count in Counter(keys).items() if count > 1]
-        if twice:
-            raise DatasetError(f"{path}: the {what} {twice[0]} is there twice; a dataset holds everything once. Delete "
-                               f"the folder and generate it again.")
-    splits: dict[int, str] = {}
-    for entry in entries:
-        if splits.setdefault(entry.object_index, entry.split) != entry.split:
-            raise DatasetError(f"{path}: object {entry.object_index} is in the splits {splits[entry.object_index]} and "
-                               f"{entry.split}; an object belongs to one.")
-    return entries
-
-
-def _entry(row: Any, path: Path) -> Entry:
-    names = {f.name for f in dataclasses.fields(Entry)}
-    if not isinstance(row, Mapping) or set(row) != names:
-        raise DatasetError(f"{path}: an entry of files is {plain(row, longest=200)}; it must have "
-                           f"{', '.join(sorted(names))}.")
-    where = f"{path} files"
-    for key in ("object_index", "view_index", "touches", "frames", "unconverged", "bytes"):
-        whole_number(row[key], f"{where}.{key}")
-    for key in ("name", "file", "split", "sha256"):
-        check_name(row[key], f"{where}.{key}")
-    return Entry(**row)

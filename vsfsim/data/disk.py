@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import socket
+import zlib
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError, VsfsimError
@@ -14,14 +16,14 @@ from vsfsim.core.system.file_lock import sync_folder
 def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = DatasetError) -> None:
     """Write ``content`` to ``path`` so that a reader, or a crash, sees the old file or the new one, never a part.
 
-    The bytes go to ``<name>.<pid>.part`` beside it, are synced, and renamed; then the folder is synced, because
-    a rename is only as durable as the folder that holds it. The process id keeps a worker orphaned by a killed
-    run from writing into the part of the run that took over.
+    The bytes go to ``<name>.<number>.part`` beside it, are synced, and renamed; then the folder is synced, because
+    a rename is only as durable as the folder that holds it. The number is that of `own_number`, so that neither a
+    worker orphaned by a killed run nor another machine writes into this part.
 
     Raises:
         VsfsimError: of class ``error``; the disk is full or refuses to be written. The part is removed.
     """
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part = path.with_name(f"{path.name}.{own_number()}.part")
     try:
         with open(part, "wb") as file:
             file.write(content)
@@ -35,6 +37,11 @@ def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = Datas
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def own_number() -> str:
+    """Digits that no other process has which may write to the same folder: of process and machine."""
+    return f"{os.getpid()}{zlib.crc32(socket.gethostname().encode()):010d}"
 
 
 def file_sha256(path: Path) -> str:

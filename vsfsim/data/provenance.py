@@ -1,9 +1,10 @@
-"""Which code made a file: version and commit."""
+"""Which code made a file, and on what kind of machine."""
 
 from __future__ import annotations
 
 import functools
 import os
+import platform
 import re
 import subprocess
 from pathlib import Path
@@ -44,3 +45,34 @@ def commit() -> str | None:
 def made_by() -> dict[str, str | None]:
     """``{"vsfsim": version, "commit": commit or None}``."""
     return {"vsfsim": vsfsim.__version__, "commit": commit()}
+
+
+@functools.cache
+def processor() -> str:
+    """The kind of this machine's CPU: its name, and what decides how it rounds, which is the widest instruction set
+    and what the environment forbids of it."""
+    fields: dict[str, str] = {}
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            key, _, value = line.partition(":")
+            fields.setdefault(key.strip(), value.strip())
+    except OSError:
+        return platform.processor() or platform.machine()
+    flags = fields.get("flags", "").split()
+    widest = next((name for name in ("avx512f", "avx2", "avx", "sse4_2") if name in flags), platform.machine())
+    asked = [f"{name}={os.environ[name]}" for name in _ROUNDING if name in os.environ]
+    number = f"{fields.get('cpu family', '?')}-{fields.get('model', '?')}"
+    return ", ".join([fields.get("model name", platform.machine()), f"family {number}", widest, *asked])
+
+
+_ROUNDING = ("ATEN_CPU_CAPABILITY", "MKL_CBWR", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
+"""Variables by which libraries choose other instructions than the widest."""
+
+
+def machine_kind(accelerator: str = "") -> str:
+    """The kind of machine that a file was made on.
+
+    Args:
+        accelerator: name of the GPU that took part, "" for none.
+    """
+    return "; ".join(filter(None, [accelerator, processor()]))

@@ -182,7 +182,8 @@ MANIFEST_KEYS: Mapping[str, str] = {
     "sha256": "identity of the content: over name, split and sha256 of every object file, in order",
     "recipe": "what the files were made from: scene and its text, seed, counts, splits, device, tier, "
               "precision, renderer",
-    "files": "one entry a file: name, split, indices, counts, bytes, sha256",
+    "left_out": "only where object views could not be made: their names, each with the reason",
+    "files": "one entry a file: name, split, indices, counts, bytes, sha256, and the kind of CPU or GPU that made it",
 }
 """Keys of dataset.json and their meaning."""
 

@@ -12,9 +12,10 @@ import h5py
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.dataset import MANIFEST, Dataset, Entry
+from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import check_attributes, read_array, read_view
+from vsfsim.data.manifest import CARD, MANIFEST, Entry
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.safety import check_tree
 from vsfsim.data.schema import TEXT, Field, check_array, fields_of, first_bad
@@ -111,7 +112,7 @@ def verify(path: str | Path) -> Report:
     problems: list[Problem] = []
     counts = {"files": 0, "touches": 0, "frames": 0, "unconverged": 0, "untouched": 0}
     worst = 0.0
-    listed = {entry.file for entry in dataset.entries} | {MANIFEST}
+    listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
     for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
         problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
     for entry in dataset.entries:

@@ -1,47 +1,57 @@
-"""Making a dataset so that it can be killed at any moment and taken up again."""
+"""Making a dataset so that it can be killed at any moment and taken up again, by one machine or by many."""
 
 from __future__ import annotations
 
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.file_lock import Held, release, sync_folder, take
-from vsfsim.data.dataset import (
+from vsfsim.data import lines
+from vsfsim.data.card import card
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import file_sha256
+from vsfsim.data.manifest import (
+    CARD,
     FORMAT,
     LOCK,
     MANIFEST,
     PART_MANIFEST,
-    Dataset,
     Entry,
     file_name,
     make_manifest,
     manifest_bytes,
+    parse_manifest,
     read_manifest,
 )
-from vsfsim.data.disk import file_sha256, write_atomic
-from vsfsim.data.hdf5 import encode_view, read_view
-from vsfsim.data.provenance import made_by
+from vsfsim.data.provenance import machine_kind, made_by
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_name
 from vsfsim.data.schema import SCHEMA_VERSION
+from vsfsim.data.store import FolderStore, is_url, open_store
 
-_OUR_PART = re.compile(r"\.(h5|json)\.\d+\.part$")
+_OUR_PART = re.compile(r"\.(h5|json|md)(\.\d+\.(part|new))+$")
 """Files that `write_atomic` left when it was killed; nothing else is ever removed from a folder."""
+_SHARD_LOCK = re.compile(r"shard-\d+-of-\d+\.lock$")
 
 
 class DatasetWriter:
-    """Writes, or goes on writing, one dataset folder.
+    """Writes, or goes on writing, one dataset.
 
-    The order on disk is: dataset.part.json (recipe and names), the object files, dataset.json, and only then is
-    dataset.part.json removed. So a folder without dataset.json is unfinished, and says of what.
+    The order on disk is: dataset.part.json (recipe and names), the object files, each followed by its line of the
+    manifest (`vsfsim.data.lines`), dataset.json, and only then are dataset.part.json and the manifest removed. So what
+    has no dataset.json is unfinished, and says of what; and a file without its line is made again.
 
     Args:
-        path: the folder; made if it does not exist. An existing one must be empty or hold the same recipe.
+        path: the folder, made if it does not exist, or the address of an object store. One that exists must be empty or
+            hold the same recipe.
         recipe: what is made.
         names: of all object views, in order.
+        shard: (i, n) to make the i-th of n shards, from 0, beside others; None to own the dataset.
+        mixed: whether machines of several kinds may make it.
 
     Attributes:
         notes: what was found and done at the start, one sentence each; for the user to see.
@@ -50,19 +60,24 @@ class DatasetWriter:
         DatasetError: the folder holds something else, another process writes it, or the disk refuses.
     """
 
-    def __init__(self, path: str | Path, recipe: Recipe, names: list[str]):
-        self.path, self.recipe, self.names = Path(path), recipe, list(names)
+    def __init__(self, path: str | Path, recipe: Recipe, names: list[str], *, shard: tuple[int, int] | None = None,
+                 mixed: bool = False):
+        self.recipe, self.names, self.shard, self.mixed = recipe, list(names), shard, mixed
+        self.store = open_store(path)
+        self.path: Path | None = None if is_url(path) else Path(path)
         self.notes: list[str] = []
         self._fresh = False  # dataset.part.json was made by this writer
         if len(set(self.names)) != len(self.names) or not self.names:
             raise DatasetError(f"names of object views must be unique and at least one, not {self.names!r}.")
         for name in self.names:
             check_name(name, "a name")
-        self._made_folder = not self.path.exists()
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DatasetError(f"folder {self.path} cannot be made: {error.strerror}. Choose another --out.") from error
+        self._made_folder = self.path is not None and not self.path.exists()
+        if self.path is not None:
+            try:
+                self.path.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise DatasetError(f"folder {self.path} cannot be made: {error.strerror}. Choose another "
+                                   f"--out.") from error
         # Refused before the lock is made, so that a folder of something else is left without a trace of us.
         self._refuse_other()
         self._lock: int | None = self._take_lock()
@@ -72,27 +87,26 @@ class DatasetWriter:
             self.__exit__(BaseException)
             raise
 
-    def file_of(self, name: str) -> Path:
-        """Where the object view ``name`` goes; hand it to `vsfsim.data.hdf5.write_view` in a worker process."""
-        return self.path / file_name(name)
-
     def missing(self) -> list[str]:
-        """Names still to be made, in order. A file that does not open, or is not what it should be, counts as missing
-        and is removed."""
+        """Names still to be made, in order: those without a line, and those whose file is not what its line says, which
+        is removed. The owner of a folder reads every byte; of a shard or an object store the sizes are compared."""
         if self._finished is not None:
             return []
-        out = []
-        for name in self.names:
-            path = self.file_of(name)
-            if path.exists() and not self._is_whole(path, name):
-                path.unlink()
-                self.notes.append(f"{path.name} was damaged and is made again.")
-            if not path.exists():
-                out.append(name)
-        return out
+        done, sizes = lines.finished_names(self.store), self.store.sizes()
+        own = self.shard is None and self.path is not None
+        for name in [name for name in self.names if name in done] if own else ():
+            if not self._is_whole(name, sizes):
+                lines.forget(self.store, name)
+                self.notes.append(f"{file_name(name)} was damaged and is made again.")
+                done.discard(name)
+        return [name for name in self.names if name not in done or file_name(name) not in sizes]
 
-    def add(self, object_view: ObjectView) -> None:
+    def add(self, object_view: ObjectView, made_on: str = "") -> None:
         """Store one object view.
+
+        Args:
+            object_view: with its truth.
+            made_on: kind of machine, "" for this CPU.
 
         Raises:
             DatasetError: a name that was not announced, a field that does not fit, or the disk refuses.
@@ -100,32 +114,58 @@ class DatasetWriter:
         if object_view.name not in self.names:
             raise DatasetError(f"object view '{object_view.name}' is not one of the names of this dataset: "
                                f"{', '.join(self.names)}.")
-        write_atomic(self.file_of(object_view.name), encode_view(object_view))
+        lines.put_view(self.store, object_view, self.recipe, made_on or machine_kind())
 
-    def finish(self) -> Dataset:
-        """Write dataset.json and let go of the folder.
+    def finish(self, *, leave_out: bool = False) -> Dataset:
+        """Write README.md and dataset.json and let go of the folder.
+
+        Args:
+            leave_out: whether object views that failed twice may be left out.
 
         Raises:
-            DatasetError: object views are missing, or the disk refuses.
+            DatasetError: object views are missing or damaged, machines of several kinds made them and `mixed` is False,
+                or the disk refuses.
         """
         if self._finished is None:
-            entries = []
-            for name in self.names:
-                path = self.file_of(name)
-                if not path.is_file():
-                    raise DatasetError(f"{self.path}: object view '{name}' is missing; the dataset cannot be finished.")
-                entries.append(describe(path))
-            write_atomic(self.path / MANIFEST, make_manifest(self.recipe, self._made_by, tuple(entries)))
-            (self.path / PART_MANIFEST).unlink(missing_ok=True)
-            sync_folder(self.path)
+            left_out = lines.poisoned(self.store) if leave_out else {}
+            entries = self._entries([name for name in self.names if name not in left_out])
+            self.store.put(CARD, card(self.recipe, self._made_by, entries, left_out).encode())
+            self.store.put(MANIFEST, make_manifest(self.recipe, self._made_by, entries, left_out))
+            self.store.remove(PART_MANIFEST)
+            lines.clear(self.store)
+            if self.path is not None:
+                sync_folder(self.path)
         self.close()
-        return Dataset.open(self.path)
+        return Dataset.open(self.store.where)
+
+    def _entries(self, names: list[str]) -> tuple[Entry, ...]:
+        sizes = self.store.sizes()
+        found = {name: lines.read_line(self.store, name) for name in names}
+        gone = [name for name, line in found.items() if line is None or sizes.get(line.file) != line.bytes]
+        if gone or not names:
+            raise DatasetError(f"{self.store.where}: object view{'s' * (len(gone) > 1)} "
+                               f"{', '.join(repr(name) for name in gone[:5])}{', ...' * (len(gone) > 5)} "
+                               f"{'are' if len(gone) > 1 else 'is'} missing; the dataset cannot be finished. Run "
+                               f"`vsfsim generate` again, which makes what is missing.")
+        entries = tuple(line for line in found.values() if line is not None)
+        for entry in entries if self.path is not None else ():
+            if file_sha256(self.path / entry.file) != entry.sha256:  # type: ignore[operator]
+                lines.forget(self.store, entry.name)
+                raise DatasetError(f"{entry.file} was changed after it was written; it was removed. Run `vsfsim "
+                                   f"generate` again, which makes what is missing.")
+        kinds = sorted({entry.made_on for entry in entries})
+        if len(kinds) > 1 and not self.mixed:
+            raise DatasetError(f"{self.store.where}: files were made on machines of {len(kinds)} kinds "
+                               f"({'; '.join(repr(kind) for kind in kinds)}), which round otherwise. Finish it with "
+                               f"--mixed, and dataset.json says which file was made on which.")
+        return entries
 
     def close(self) -> None:
         """Let go of the folder, finished or not. Safe to call twice."""
         if self._lock is not None:
+            assert self.path is not None
             _HELD.discard(self._lock)
-            release(self._lock, self.path / LOCK)
+            release(self._lock, self.path / self._lock_name)
             self._lock = None
 
     def __enter__(self) -> DatasetWriter:
@@ -133,79 +173,119 @@ class DatasetWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         # What cannot be made at all (a mesh without volume) leaves no trace; one finished file is worth resuming.
-        if kind is not None and self._fresh and not any(self.path.glob("*.h5")):
-            (self.path / PART_MANIFEST).unlink(missing_ok=True)
+        if kind is not None and self._fresh and self.shard is None and not lines.finished_names(self.store):
+            lines.clear(self.store)
+            self.store.remove(PART_MANIFEST)
         self.close()
-        if kind is not None and self._made_folder and self.path.is_dir() and not any(self.path.iterdir()):
+        if kind is not None and self._made_folder and self.path and self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()
 
     # ------------------------------------------------------------------ the start
 
     def _refuse_other(self) -> None:
         """Refuse a folder that holds something else than a start, or the whole, of this very dataset."""
-        if (self.path / MANIFEST).exists():
-            there, code = Dataset.open(self.path).recipe, None
-        elif (self.path / PART_MANIFEST).exists():
-            table = read_manifest(self.path / PART_MANIFEST)
-            there, code = Recipe.read(table["recipe"], str(self.path / PART_MANIFEST)), table["made_by"]
+        files = self.store.sizes()
+        code: Any = None
+        where = Path(self.store.where)
+        if MANIFEST in files:
+            there = self._open_finished().recipe
+        elif PART_MANIFEST in files:
+            table = self._begun()
+            there, code = Recipe.read(table["recipe"], str(where / PART_MANIFEST)), table["made_by"]
         else:
-            strangers = sorted(p.name for p in self.path.iterdir() if p.name != LOCK and not _OUR_PART.search(p.name))
+            names = files if self.path is None else [p.name for p in self.path.iterdir()]
+            strangers = sorted(name for name in names if name not in (LOCK, lines.FOLDER)
+                               and not _OUR_PART.search(name) and not _SHARD_LOCK.fullmatch(name))
             if strangers:
-                raise DatasetError(f"folder {self.path} is not empty and holds no dataset "
+                raise DatasetError(f"folder {where} is not empty and holds no dataset "
                                    f"({', '.join(strangers[:5])}{', ...' if len(strangers) > 5 else ''}). Choose "
                                    f"another --out.")
             return
         differences = there.differences(self.recipe)
         if differences:
-            raise DatasetError(f"folder {self.path} holds another dataset: {'; '.join(differences)}. Choose another "
+            raise DatasetError(f"folder {where} holds another dataset: {'; '.join(differences)}. Choose another "
                                f"--out, or delete that folder first.")
         if code is not None and dict(code) != made_by():
-            raise DatasetError(f"folder {self.path} was begun by other code: {_code(code)} there, {_code(made_by())} "
+            raise DatasetError(f"folder {where} was begun by other code: {_code(code)} there, {_code(made_by())} "
                                f"here. Files of two versions are not mixed: "
                                f"check out that version to finish it, or delete the folder and start again.")
+
+    def _begun(self) -> dict[str, Any]:
+        spot = Path(self.store.where) / PART_MANIFEST
+        return read_manifest(spot) if self.path else parse_manifest(self.store.get(PART_MANIFEST) or b"", spot)
+
+    def _open_finished(self) -> Dataset:
+        return Dataset.open(self.store.where)
 
     def _begin(self) -> dict[str, str | None]:
         self._refuse_other()  # again, now that no other process can write
         self._finished: Dataset | None = None
-        for part in self.path.iterdir():
-            if _OUR_PART.search(part.name):
-                part.unlink(missing_ok=True)
-        if (self.path / MANIFEST).exists():
-            finished = Dataset.open(self.path)
-            bad = [e for e in finished.entries if not (self.path / e.file).is_file()
-                   or file_sha256(self.path / e.file) != e.sha256]
-            if not bad and list(finished.names()) == self.names:
+        files = self.store.sizes()
+        if self.path is not None and self.shard is None:
+            for part in [*self.path.iterdir(), *(self.path / lines.FOLDER).glob("*")]:
+                if _OUR_PART.search(part.name):
+                    part.unlink(missing_ok=True)
+        if MANIFEST in files:
+            finished = self._open_finished()
+            if not self._damaged(finished, files):
                 self._finished = finished
-                (self.path / PART_MANIFEST).unlink(missing_ok=True)  # killed just before it was removed
-                self.notes.append(f"{self.path} is finished already; nothing to do.")
+                if self.shard is None:
+                    self.store.remove(PART_MANIFEST)  # killed just before it was removed
+                    lines.clear(self.store)
+                self.notes.append(f"{self.store.where} is finished already; nothing to do.")
                 return dict(finished.made_by)
-            if dict(finished.made_by) != made_by():
-                raise DatasetError(f"{self.path}: {', '.join(e.file for e in bad)} missing or damaged, and the rest "
-                                   f"was made by other code ({_code(finished.made_by)} there, "
-                                   f"{_code(made_by())} here). Check out that version to repair it, or delete the "
-                                   f"folder and start again.")
-            for entry in bad:
-                (self.path / entry.file).unlink(missing_ok=True)
-                self.notes.append(f"{entry.file} was missing or damaged and is made again.")
-        if not (self.path / PART_MANIFEST).exists():
-            self._fresh = True
-            write_atomic(self.path / PART_MANIFEST, manifest_bytes({
+        if PART_MANIFEST not in files:
+            self._fresh = self.store.put_new(PART_MANIFEST, manifest_bytes({
                 "format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": made_by(),
                 "recipe": self.recipe.table(), "names": self.names}))
-        (self.path / MANIFEST).unlink(missing_ok=True)
+            if not self._fresh:
+                self._refuse_other()  # another shard was faster
+        self.store.remove(MANIFEST)
+        if self.shard is not None:
+            lines.check_shards(self.store, self.shard[1])
         return made_by()
 
-    def _is_whole(self, path: Path, name: str) -> bool:
-        try:
-            return read_view(path).name == name
-        except DatasetError:
+    def _damaged(self, finished: Dataset, files: dict[str, int]) -> bool:
+        """Whether files of a finished dataset are missing or damaged; the others get their lines again."""
+        if self.path is None:
+            bad = [e for e in finished.entries if files.get(e.file) != e.bytes]
+        else:
+            bad = [e for e in finished.entries if not (self.path / e.file).is_file()
+                   or file_sha256(self.path / e.file) != e.sha256]
+        if not bad and set(finished.names()) | set(finished.left_out) == set(self.names):
             return False
+        if dict(finished.made_by) != made_by():
+            raise DatasetError(f"{self.store.where}: {', '.join(e.file for e in bad)} missing or damaged, and the rest "
+                               f"was made by other code ({_code(finished.made_by)} there, "
+                               f"{_code(made_by())} here). Check out that version to repair it, or delete the "
+                               f"folder and start again.")
+        for entry in finished.entries:
+            if entry in bad:
+                lines.forget(self.store, entry.name)
+                self.notes.append(f"{entry.file} was missing or damaged and is made again.")
+            else:
+                lines.put_line(self.store, entry, self.recipe)
+        return True
 
-    def _take_lock(self) -> int:
-        """A lock on dataset.lock: the system lets go of it when we die, so a stale lock cannot outlive its
-        process."""
+    def _is_whole(self, name: str, sizes: dict[str, int]) -> bool:
+        line = lines.read_line(self.store, name)
+        return (line is not None and self.path is not None and sizes.get(line.file) == line.bytes
+                and file_sha256(self.path / line.file) == line.sha256)
+
+    @property
+    def _lock_name(self) -> str:
+        return LOCK if self.shard is None else f"shard-{self.shard[0]}-of-{self.shard[1]}.lock"
+
+    def _take_lock(self) -> int | None:
+        """A lock on a file of the folder: the system lets go of it when we die, so a stale lock cannot outlive its
+        process. Shards have one each; the owner refuses to begin beside them."""
+        if not isinstance(self.store, FolderStore) or self.path is None:
+            return None
+        path = self.path / self._lock_name
         try:
-            handle, before = take(self.path / LOCK, unlocked=False)
+            for other in self._others():
+                release(take(other, unlocked=True)[0], other)
+            handle, before = take(path, unlocked=self.shard is not None)
         except Held as held:
             raise DatasetError(f"folder {self.path} is being written by process {held}. Wait for it, stop it, or "
                                f"choose another --out.") from None
@@ -217,14 +297,12 @@ class DatasetWriter:
         _HELD.add(handle)
         return handle
 
-
-def describe(path: Path) -> Entry:
-    """The line of dataset.json for one object file."""
-    view = read_view(path, blind=True)
-    frames = sum(len(touch.time) for touch in view.touches)
-    unconverged = sum(int((~touch.converged).sum()) for touch in view.touches)
-    return Entry(view.name, path.name, view.split, view.object_index, view.view_index, len(view.touches), frames,
-                 unconverged, path.stat().st_size, file_sha256(path))
+    def _others(self) -> list[Path]:
+        """Locks that nobody may hold while this writer writes."""
+        assert self.path is not None
+        if self.shard is not None:
+            return [self.path / LOCK] if (self.path / LOCK).exists() else []
+        return [p for p in self.path.iterdir() if _SHARD_LOCK.fullmatch(p.name)]
 
 
 def _code(made: object) -> str:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.arm_spec import ARM_MODELS
-from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.shelf import dataset_folder, find_scene
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.store import is_url
 from vsfsim.generate import run
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.physics.runtime import check_device, check_precision
@@ -21,10 +22,12 @@ RENDERERS = ("warp", "pyrender")
 def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, objects: int | None = None,
              views: int | None = None, touches: int | None = None, seed: int = 0, tier: str | None = None,
              device: str = "cpu", precision: str = "float64", renderer: str = "warp", arm: str | None = None,
-             workers: int | None = None, cache: Path | None = None,
+             workers: int | None = None, cache: Path | None = None, share: run.Share | None = None,
              progress: Callable[[int, int, str], None] | None = None,
              note: Callable[[str], None] | None = None) -> Dataset:
     """Make a dataset, or finish one that was interrupted, to the same bits; `vsfsim.generate` is this function.
+
+    With ``share`` it may be made by a cluster; a shard alone is made by `make`.
 
     Args:
         scene: name of a shipped scene, path of a .toml file, or a loaded scene; it has ``[touches]``.
@@ -39,11 +42,31 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         arm: model of the arm, of a scene with ``[arm]``; None for the scene's own.
         workers: processes, None for one a CPU core, or one on a GPU.
         cache: folder of meshes that were made before, None for the user's own cache.
+        share: what is made and where (`vsfsim.generate.run.Share`), None for all of it on this machine.
         progress: called with (frames done, frames in all, what).
         note: called with sentences for the user.
 
     Raises:
         VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
+    """
+    made = make(scene, out, objects=objects, views=views, touches=touches, seed=seed, tier=tier, device=device,
+                precision=precision, renderer=renderer, arm=arm, workers=workers, cache=cache, share=share,
+                progress=progress, note=note)
+    if made.dataset is None:
+        raise DatasetError(f"{out}: a shard was made; the dataset is finished by `vsfsim generate --finish`.")
+    return made.dataset
+
+
+def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: int = 0, objects: int | None = None,
+         views: int | None = None, touches: int | None = None, tier: str | None = None, device: str = "cpu",
+         precision: str = "float64", renderer: str = "warp", arm: str | None = None, workers: int | None = None,
+         cache: Path | None = None, share: run.Share | None = None,
+         progress: Callable[[int, int, str], None] | None = None,
+         note: Callable[[str], None] | None = None) -> run.Made:
+    """As `generate`, for a shard too.
+
+    Raises:
+        VsfsimError: as `generate`.
     """
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
     check_device(device)
@@ -53,12 +76,15 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         if value is not None and value not in allowed:
             raise VsfsimError(f"{option} is '{value}'. {did_you_mean(value, allowed)}")
     folder = folder_of(loaded, out, seed=seed, objects=objects, views=views, touches=touches, tier=tier, arm=arm)
+    if share is not None and share.ray:
+        folder = folder if is_url(folder) else Path(folder).resolve()  # tasks have working folders of their own
     options = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier, "device": device,
                "precision": precision, "renderer": renderer, "arm": arm}
-    return run.generate(loaded, folder, workers=workers, cache=cache, progress=progress, note=note, **options)
+    return run.make(loaded, folder, share=share or run.Share(), workers=workers, cache=cache, progress=progress,
+                    note=note, **options)
 
 
-def folder_of(scene: SceneFile, out: str | Path | None, **options: Any) -> Path:
+def folder_of(scene: SceneFile, out: str | Path | None, **options: Any) -> Path | str:
     """Where a dataset goes: ``out``, or where a task looks for it.
 
     Args:
@@ -70,7 +96,7 @@ def folder_of(scene: SceneFile, out: str | Path | None, **options: Any) -> Path:
         SceneError: as `make_recipe`.
     """
     if out is not None:
-        return Path(out)
+        return str(out) if is_url(out) else Path(out)
     recipe = make_recipe(scene, **options)
     return dataset_folder(scene.name, text=scene.text, seed=recipe.seed, objects=recipe.objects, views=recipe.views,
                           touches=recipe.touches, tier=recipe.tier)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.core.scene import Scene, parse_scene
+from vsfsim.data.manifest import file_name
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.streams import Stream, stream
 
@@ -29,10 +30,19 @@ class Job:
     """Number of the object, from 0."""
     view_index: int
     """Number of the view of that object, from 0."""
-    file: Path
-    """The file that the view is written to."""
+    store: str
+    """Folder or address of the dataset."""
     cache: Path | None
     """Folder of meshes that were made before, or None for the user's own cache."""
+    mixed: bool = False
+    """Whether machines of several kinds may make the dataset."""
+    poison: bool = False
+    """Whether a failure is written down and the other views are made, instead of ending the run."""
+
+    @property
+    def file(self) -> Path:
+        """The file of the view in a folder."""
+        return Path(self.store) / file_name(self.name)
 
     def scene(self) -> Scene:
         """The scene of this object, with the recipe's own number of touches."""
@@ -48,8 +58,9 @@ class Job:
         return stream(self.recipe.seed, kind, self.object_index, *key)
 
 
-def jobs_of(recipe: Recipe, path: Path, folder: Path, cache: Path | None) -> list[Job]:
-    """One job for every object view, in order; their files lie in ``folder``."""
+def jobs_of(recipe: Recipe, path: Path, store: Path | str, cache: Path | None, *, mixed: bool = False,
+            poison: bool = False) -> list[Job]:
+    """One job for every object view, in order; their files lie in ``store``."""
     split_of = [name for name, n in recipe.splits.items() for _ in range(n)]
     names = [(o, v, f"{recipe.scene}-{o:04d}-v{v}") for o in range(recipe.objects) for v in range(recipe.views)]
-    return [Job(recipe, path, name, split_of[o], o, v, folder / f"{name}.h5", cache) for o, v, name in names]
+    return [Job(recipe, path, name, split_of[o], o, v, str(store), cache, mixed, poison) for o, v, name in names]

@@ -15,8 +15,10 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.hdf5 import write_view
+from vsfsim.data.lines import MOST_FAILURES, Failure, check_kind, failure, finished_names, put_failure, put_view
+from vsfsim.data.provenance import machine_kind
 from vsfsim.data.records import ObjectView
+from vsfsim.data.store import open_store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
@@ -89,6 +91,9 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
     """Make and write views, each in one process from the start to the end; yields (frames newly done, name) as they
     come.
 
+    If a process dies and the jobs are of a run with ``poison``, those that were under way are made again one by one, so
+    that only the one that kills its process is blamed.
+
     Args:
         jobs: what to make.
         device: Warp device.
@@ -97,7 +102,28 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
     Raises:
         VsfsimError: of the first view that fails; the others are then cancelled.
     """
-    count = workers or (None if device == "cpu" else 1)
+    count, left = workers or (None if device == "cpu" else 1), list(jobs)
+    while left:
+        try:
+            yield from _make_in_pool(left, device, count)
+            return
+        except BrokenProcessPool as error:
+            if not jobs[0].poison:
+                raise DatasetError("a worker process ended before its object view was finished, as one does that "
+                                   "is killed or out of memory. Run the same command again, which makes only what "
+                                   "is missing; with fewer --workers it needs less memory.") from error
+        store = open_store(jobs[0].store)
+        done = finished_names(store)
+        left = [job for job in left if job.name not in done]
+        begun = [job for job in left if failure(store, job.name).count]
+        for job in begun:
+            while job.name not in finished_names(store) and failure(store, job.name).count < MOST_FAILURES:
+                with contextlib.suppress(BrokenProcessPool):
+                    yield from _make_in_pool([job], device, 1)
+        left = [job for job in left if job not in begun]
+
+
+def _make_in_pool(jobs: Sequence[Job], device: str, count: int | None) -> Iterator[tuple[int, str]]:
     queue = _processes(device).Queue()
     with process_pool(len(jobs), count, device=device, begin=_begin, given=(queue,)) as pool:
         futures = [submit(pool, _make, job, device) for job in jobs]
@@ -106,16 +132,59 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
             yield item
         for future in as_completed(futures):
             if not future.cancelled():
-                try:
-                    future.result()
-                except BrokenProcessPool as error:
-                    raise DatasetError("a worker process ended before its object view was finished, as one does that "
-                                       "is killed or out of memory. Run the same command again, which makes only what "
-                                       "is missing; with fewer --workers it needs less memory.") from error
+                future.result()
 
 
-def write(job: Job, view: ObjectView) -> None:
-    """Store a view as its job's file.
+def make_one(job: Job, device: str, report: Callable[[int], None] | None = None) -> None:
+    """Make one view here and write it: what every engine does, in whatever process.
+
+    With ``job.poison`` an attempt is written down before it begins, so that one that kills its process is known too; a
+    view that has failed `MOST_FAILURES` times is left.
+
+    Args:
+        job: what to make. device: Warp device. report: called with the number of frames newly done.
+
+    Raises:
+        VsfsimError: the view cannot be made, and the job is not of a run with ``poison``; or the machine is of another
+            kind than the one that began.
+    """
+    store = open_store(job.store)
+    check_kind(store, kind_of(device), mixed=job.mixed)
+    while True:
+        before = failure(store, job.name) if job.poison else Failure(0, "")
+        if before.count >= MOST_FAILURES:
+            return
+        try:
+            if job.poison:
+                put_failure(store, job.name, Failure(before.count + 1, "its process died"))
+            write(job, effector_of(job.scene()).make_view(job, device=device, progress=report), device)
+            if job.poison:
+                put_failure(store, job.name, Failure(0, ""))
+            return
+        except Exception as error:
+            if isinstance(error, RuntimeError) and "out of memory" in str(error).lower():
+                error = DatasetError(f"{job.name}: the memory of {device} does not suffice for its touches. Give fewer "
+                                     f"--touches, a coarser --tier, fewer --workers on this device, or --device cpu.")
+            if not job.poison:
+                raise error from None
+            put_failure(store, job.name, Failure(before.count + 1, f"{type(error).__name__}: {error}"))
+        except BaseException:  # stopped by the user or the scheduler, which is no fault of the view
+            if job.poison:
+                put_failure(store, job.name, before)
+            raise
+
+
+def kind_of(device: str) -> str:
+    """The kind of machine that makes views on a Warp device."""
+    if device == "cpu":
+        return machine_kind()
+    import warp
+
+    return machine_kind(warp.get_device(device).name)
+
+
+def write(job: Job, view: ObjectView, device: str) -> None:
+    """Store a view as its job's file, and its line.
 
     Raises:
         DatasetError: the effector left out a channel that it declares, or a field does not fit the schema.
@@ -127,7 +196,7 @@ def write(job: Job, view: ObjectView) -> None:
                 raise DatasetError(f"{job.name} touches/{index:03d}: the effector '{scene.effector}' declares the "
                                    f"channel '{name}' and did not record it.")
     check_files(job.recipe, job.path)
-    write_view(job.file, view)
+    put_view(open_store(job.store), view, job.recipe, kind_of(device))
 
 
 # ---------------------------------------------------------------------------------------------- in a worker
@@ -154,8 +223,7 @@ def _begin(queue: Any) -> None:
 
 
 def _make(job: Job, device: str) -> None:
-    effector = effector_of(job.scene())
-    write(job, effector.make_view(job, device=device, progress=lambda frames: _report((frames, job.name))))
+    make_one(job, device, lambda frames: _report((frames, job.name)))
 
 
 def _close(futures: list[Future[None]], queue: Any) -> None:

@@ -19,7 +19,8 @@ from vsfsim.bench.task import Protocol, Task
 from vsfsim.bench.trials.folds import Fold, folds_of
 from vsfsim.bench.trials.reader import Reader
 from vsfsim.core.errors import TaskError, did_you_mean
-from vsfsim.data.dataset import Dataset, Entry
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.manifest import Entry
 
 RULES = {"others": "the objects of the other folds, as the task says",
          "same-class": "all other objects of the test object's class",

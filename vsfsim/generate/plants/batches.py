@@ -204,4 +204,4 @@ def finish_one(subject: Subject, frames: RodFrames, device: str) -> tuple[Object
 
 
 def _write(job: Job, subject: Subject, frames: RodFrames, device: str) -> None:
-    write(job, finish(subject, frames, device=device))
+    write(job, finish(subject, frames, device=device), device)

@@ -1,0 +1,224 @@
+"""Many machines make one dataset: shards, a store of objects, views that fail, machines of two kinds."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from test_generate import SCENE, command
+
+from vsfsim.core.engines import kubernetes, slurm
+from vsfsim.core.engines.shard import shard_of
+from vsfsim.core.errors import DatasetError, VsfsimError
+from vsfsim.core.scene import load_scene
+from vsfsim.data import lines
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.store import open_store
+from vsfsim.data.verify import verify
+from vsfsim.data.writer import DatasetWriter
+from vsfsim.generate import workers
+from vsfsim.generate.effector import find_effector
+from vsfsim.generate.run import Share, generate, make
+
+RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2, splits={"test": 2},
+                device="cpu", tier="vsf", precision="float64", renderer="warp")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "tiny.toml"
+    path.write_text(SCENE.replace("count = 2", "count = 1"))
+    return load_scene(path)
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Views are made in this process, one after the other."""
+
+    def make_all(self, jobs, *, device, workers=None):
+        from vsfsim.generate.workers import make_one
+
+        for job in jobs:
+            make_one(job, device)
+            yield 1, job.name
+
+    monkeypatch.setattr(type(find_effector("probe")), "make_all", make_all)
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory):
+    return generate(scene, tmp_path_factory.mktemp("one") / "d", workers=1, objects=4)
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
+
+
+def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp_path, here):
+    out = tmp_path / "d"
+    for k in (2, 0, 3, 1):
+        found = make(scene, out, share=Share(shard=(k, 4)), objects=4)
+        assert len(found.names) == 1 and found.dataset is None
+    with pytest.raises(DatasetError, match="unfinished"):
+        Dataset.open(out)
+    assert found.unfinished == 0
+    line = json.loads((out / "manifest" / "tiny-0000-v0.json").read_text())
+    content = (out / "tiny-0000-v0.h5").read_bytes()
+    assert line["sha256"] == hashlib.sha256(content).hexdigest() and line["bytes"] == len(content)
+    assert line["seed"] == 0 and line["made_on"]
+    assert make(scene, out, share=Share(finish=True), objects=4).dataset.sha256 == made.sha256
+    assert contents(out) == contents(made.path) and verify(out).ok
+    assert "4 object views" in (out / "README.md").read_text()
+
+
+def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp_path, here):
+    out = tmp_path / "d"
+    make(scene, out, share=Share(shard=(0, 2)), objects=2)
+    (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
+    with pytest.raises(DatasetError, match=r"'tiny-0001-v0' is missing; .*`vsfsim generate` again"):
+        make(scene, out, share=Share(finish=True), objects=2)
+    assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
+
+
+def test_another_number_of_shards_and_another_recipe_are_refused(scene, tmp_path, here):
+    make(scene, tmp_path, share=Share(shard=(0, 2)), objects=2)
+    with pytest.raises(DatasetError, match="is being made in 2 shards, and --shard asks for 3"):
+        make(scene, tmp_path, share=Share(shard=(1, 3)), objects=2)
+    with pytest.raises(DatasetError, match="holds another dataset: seed 0 there, 1 asked for"):
+        make(scene, tmp_path, share=Share(shard=(1, 2)), objects=2, seed=1)
+
+
+def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
+    names = ["a", "b"]
+    with DatasetWriter(tmp_path / "d", RECIPE, names, shard=(0, 2)):
+        with DatasetWriter(tmp_path / "d", RECIPE, names, shard=(1, 2)):
+            pass
+        for shard in (None, (0, 2)):
+            with pytest.raises(DatasetError, match=f"being written by process {os.getpid()}"):
+                DatasetWriter(tmp_path / "d", RECIPE, names, shard=shard)
+
+
+def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path, here, monkeypatch):
+    make(scene, tmp_path, share=Share(shard=(0, 2)), objects=4)
+    monkeypatch.setattr(workers, "machine_kind", lambda *_: "another CPU")
+    with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--mixed"):
+        make(scene, tmp_path, share=Share(shard=(1, 2)), objects=4)
+    make(scene, tmp_path, share=Share(shard=(1, 2), mixed=True), objects=4)
+    with pytest.raises(DatasetError, match="machines of 2 kinds"):
+        make(scene, tmp_path, share=Share(finish=True), objects=4)
+    found = make(scene, tmp_path, share=Share(finish=True, mixed=True), objects=4).dataset
+    assert {e.made_on for e in found.entries} == {made.entries[0].made_on, "another CPU"}
+    assert found.sha256 == made.sha256 and verify(tmp_path).ok
+
+
+def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made, tmp_path, here, monkeypatch):
+    probe = find_effector("probe")
+    calls, real = [], type(probe).make_view
+
+    def make_view(self, job, **options):
+        calls.append(job.name)
+        if job.name == "tiny-0001-v0":
+            raise RuntimeError("no luck")
+        return real(self, job, **options)
+
+    monkeypatch.setattr(type(probe), "make_view", make_view)
+    found = make(scene, tmp_path / "d", share=Share(poison=True), objects=4)
+    assert calls.count("tiny-0001-v0") == 2 and len(found.dataset) == 3 and verify(tmp_path / "d").ok
+    assert found.left_out == {"tiny-0001-v0": "RuntimeError: no luck"}
+    assert "no luck" in (tmp_path / "d" / "README.md").read_text()
+    again = make(scene, tmp_path / "d", share=Share(poison=True), objects=4)
+    assert again.left_out == found.left_out and len(calls) == 5, "what is finished is left"
+
+
+def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, monkeypatch):
+    pytest.importorskip("fsspec")
+    monkeypatch.setenv("VSFSIM_FETCHED", str(tmp_path))
+    url = f"memory://{tmp_path.name}/d"
+    for k in range(2):
+        make(scene, url, share=Share(shard=(k, 2)), objects=4)
+    with pytest.raises(DatasetError, match="unfinished"):
+        Dataset.open(url)
+    found = make(scene, url, share=Share(finish=True), objects=4).dataset
+    assert found.sha256 == made.sha256 and found.origin == url
+    assert found[1].touches[0].force.tobytes() == made[1].touches[0].force.tobytes()
+    assert sorted(open_store(url).sizes()) == sorted(contents(made.path))
+    assert open_store(url).get("dataset.json") == (made.path / "dataset.json").read_bytes()
+
+
+def test_an_address_without_its_package_names_the_extra():
+    with pytest.raises(VsfsimError, match=r"vsfsim\[cloud\]"):
+        open_store("gs://bucket/d")
+
+
+def test_ten_thousand_jobs_are_listed_in_a_second(tmp_path):
+    names = [f"mock-{k:05d}-v0" for k in range(10_000)]
+    with DatasetWriter(tmp_path / "d", RECIPE, names, shard=(0, 100)) as writer:
+        for name in names[:-1]:
+            (tmp_path / "d" / "manifest" / f"{name}.json").write_bytes(b"{}")
+            (tmp_path / "d" / f"{name}.h5").write_bytes(b"x")
+        began = time.process_time()
+        assert writer.missing() == names[-1:]
+        assert time.process_time() - began < 1.0
+
+
+@pytest.mark.parametrize(("given", "env", "found"), [
+    ("1/4", {}, (1, 4)),
+    ("auto", {"SLURM_ARRAY_TASK_ID": "7", "SLURM_ARRAY_TASK_MIN": "5", "SLURM_ARRAY_TASK_COUNT": "4"}, (2, 4)),
+    ("auto/3", {"JOB_COMPLETION_INDEX": "2"}, (2, 3)),
+])
+def test_shards_are_read(given, env, found):
+    assert shard_of(given, env) == found
+
+
+@pytest.mark.parametrize(("given", "env"), [
+    ("5/4", {}), ("4/4", {}), ("-1/4", {}), ("1", {}), ("a/b", {}), ("", {}), ("0/0", {}), ("auto", {}),
+    ("auto", {"JOB_COMPLETION_INDEX": "2"}), ("auto/4", {"SLURM_ARRAY_TASK_ID": "x"}),
+])
+def test_shards_that_are_none_are_refused(given, env):
+    with pytest.raises(VsfsimError, match=r"--shard|SLURM"):
+        shard_of(given, env)
+
+
+def test_the_files_for_schedulers_hold_the_command():
+    words = ["vsfsim", "generate", "x", "--out", "a b"]
+    batch = slurm.script(words, 4, finish=[*words, "--finish"])
+    assert "--array=0-3" in batch and "srun vsfsim generate x --out 'a b' --shard auto" in batch
+    with pytest.raises(VsfsimError, match="at most 1000"):
+        slurm.script(words, 1001, finish=[])
+    yaml = pytest.importorskip("yaml")
+    job = yaml.safe_load(kubernetes.manifest(words, 3, finish=[*words, "--finish"], gpus=1))
+    assert job["spec"]["completions"] == 3 and job["spec"]["completionMode"] == "Indexed"
+    (container,) = job["spec"]["template"]["spec"]["containers"]
+    assert container["command"][:7] == [*words, "--shard", "auto/3"]
+    assert container["resources"]["limits"]["nvidia.com/gpu"] == "1"
+
+
+@pytest.mark.slow
+def test_sigterm_drops_the_touch_and_the_same_command_goes_on(scene, made, tmp_path):
+    out = tmp_path / "d"
+    words = command("generate", scene.path, "--out", out, "--workers", 2, "--objects", 4)
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not list(out.glob("*.h5")):
+        time.sleep(0.005)
+    process.send_signal(signal.SIGTERM)
+    began = time.perf_counter()
+    _, said = process.communicate(timeout=30.0)
+    assert process.returncode == 143 and "Run the same command again" in said and time.perf_counter() - began < 30.0
+    assert not list(out.glob("*.part")) and (out / "dataset.part.json").exists()
+    assert subprocess.run(words, capture_output=True).returncode == 0
+    assert contents(out) == contents(made.path)
+
+
+@pytest.mark.slow
+def test_slurm_by_processes_of_this_machine(scene, made, tmp_path):
+    pytest.importorskip("submitit")
+    out = tmp_path / "d"
+    words = [str(w) for w in command("generate", scene.path, "--out", out, "--objects", 4, "--workers", 1)]
+    assert slurm.submit(words, 2, tmp_path / "logs", cluster="local") == []
+    assert make(scene, out, share=Share(finish=True), objects=4).dataset.sha256 == made.sha256
+    assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()

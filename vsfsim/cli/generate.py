@@ -1,0 +1,171 @@
+"""`vsfsim generate`: a dataset on this machine, as a shard beside other machines, or on a cluster."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from vsfsim.cli.console import Progress, note, report
+from vsfsim.cli.options import (
+    Device,
+    JsonFile,
+    Objects,
+    Precision,
+    SceneName,
+    Seed,
+    Tier,
+    Touches,
+    Views,
+    Workers,
+    check_choice,
+)
+from vsfsim.core.errors import Interrupted, Terminated, VsfsimError
+
+app = typer.Typer()
+
+ENGINES = ("ray", "slurm", "k8s")
+_ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
+"""Options with a value that the command of one shard does not repeat; nor does it --print."""
+
+
+@app.command()
+def generate(scene: SceneName,
+             out: Annotated[str | None, typer.Option(help="Folder of the dataset, or the address of an object store "
+                                                          "(s3://...); default: where a task looks for it, "
+                                                          "datasets/SCENE-v1 say, else datasets/SCENE "
+                                                          "($VSFSIM_DATASETS in place of datasets).")] = None,
+             objects: Objects = None, views: Views = None, touches: Touches = None, seed: Seed = 0, tier: Tier = None,
+             device: Device = "cpu", precision: Precision = "float64",
+             renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
+             arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
+                                                          "scene's.")] = None,
+             workers: Workers = None,
+             shard: Annotated[str | None, typer.Option(metavar="I/N", help="Make the I-th of N shares, from 0, beside "
+                                                                           "other machines; auto: of a Slurm array, "
+                                                                           "auto/N: of a Kubernetes Indexed Job.")
+                              ] = None,
+             finish: Annotated[bool, typer.Option("--finish", help="Check what shards have made, and write "
+                                                                   "dataset.json.")] = False,
+             mixed: Annotated[bool, typer.Option("--mixed", help="Allow machines of several kinds, which round "
+                                                                 "otherwise.")] = False,
+             poison: Annotated[bool, typer.Option("--poison", help="Leave out a view that fails twice and make the "
+                                                                   "others; exit code 4.")] = False,
+             on: Annotated[str | None, typer.Option(help="Engine of a cluster: ray, slurm or k8s.")] = None,
+             address: Annotated[str, typer.Option(help="Of the Ray cluster, HOST:PORT.")] = "auto",
+             gpus_per_task: Annotated[float, typer.Option(min=0.0, help="GPUs of each task of a cluster.")] = 0.0,
+             shards: Annotated[int | None, typer.Option(min=1, help="Tasks of a Slurm array or pods of a Kubernetes "
+                                                                    "job; default: 100, at most one a view.")] = None,
+             printed: Annotated[bool, typer.Option("--print", help="Print the file for Slurm or Kubernetes and make "
+                                                                   "nothing.")] = False,
+             json: JsonFile = None) -> None:
+    """Make a dataset from a scene, or finish one.
+
+    Run the same command again after an interruption: it makes only what is missing, to the same bits.
+    """
+    from vsfsim.core.engines.shard import shard_of
+    from vsfsim.core.scene import load_scene
+    from vsfsim.core.shelf import find_scene
+
+    if on is not None:
+        check_choice("--on", on, ENGINES)
+    part = shard_of(shard) if shard is not None else None
+    for wrong, words in ((part and finish, "--shard and --finish"), (part and on, "--shard and --on"),
+                         (printed and on in (None, "ray"), "--print without --on slurm or --on k8s"),
+                         (on == "k8s" and not printed, "--on k8s without --print")):
+        if wrong:
+            raise VsfsimError(f"{words} do not go together. Each machine of a cluster makes a --shard; --on makes the "
+                              f"shards there; --finish ends the work.")
+    loaded = load_scene(find_scene(scene))
+    from vsfsim.generate.command import folder_of  # takes seconds; a mistake in the scene is reported before
+
+    began = time.perf_counter()
+    counts = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier, "arm": arm}
+    folder = folder_of(loaded, out, **counts)
+    if on in ("slurm", "k8s"):
+        from vsfsim.generate.recipe import make_recipe
+
+        recipe = make_recipe(loaded, device=device, precision=precision, renderer=renderer, **counts)
+        if not _by_shards(on, shards or min(100, recipe.objects * recipe.views), folder, printed, int(gpus_per_task)):
+            return
+        finish = True
+    from vsfsim.generate.command import make
+    from vsfsim.generate.run import Share
+
+    share = Share(part, finish, mixed, poison, address if on == "ray" else "", gpus_per_task)
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        with Progress("generate") as progress:
+            made = make(loaded, folder, device=device, precision=precision, renderer=renderer, workers=workers,
+                        share=share, progress=progress, note=note, **counts)
+    except KeyboardInterrupt as stop:
+        raise Interrupted(_kept(folder)) from stop
+    seconds = time.perf_counter() - began
+    dataset = made.dataset
+    if dataset is None:
+        report(f"{folder}: shard {part[0]}/{part[1]} made {len(made.names)} object views, {seconds:.0f} s; "  # type: ignore[index]
+               f"{made.unfinished} of the dataset are missing"
+               + ("" if made.unfinished else "; finish it with the same command and --finish instead of --shard"),
+               {"dataset": str(folder), "shard": list(part or ()), "views": len(made.names),
+                "missing": made.unfinished, "left_out": list(made.left_out), "seconds": seconds}, json)
+    else:
+        numbers = {"dataset": dataset.origin or str(dataset.path), "sha256": dataset.sha256, "views": len(dataset),
+                   "splits": {split: len(dataset.names(split)) for split in dataset.splits},
+                   "touches": sum(e.touches for e in dataset.entries), "left_out": list(made.left_out),
+                   "frames": sum(e.frames for e in dataset.entries),
+                   "unconverged": sum(e.unconverged for e in dataset.entries), "seconds": seconds}
+        report(f"{numbers['dataset']}: {len(dataset)} object views, {numbers['touches']} touches, {numbers['frames']} "
+               f"frames ({numbers['unconverged']} not converged, marked), {seconds:.0f} s", numbers, json)
+    for name, reason in made.left_out.items():
+        note(f"{name} failed twice and is left out: {reason}")
+    if made.left_out:
+        raise typer.Exit(4)
+
+
+def _by_shards(engine: str, shards: int, folder: Path | str, printed: bool, gpus: int) -> bool:
+    """Print the file of a scheduler, or make all shards by Slurm; returns whether they were made."""
+    from vsfsim.core.engines import kubernetes, slurm
+
+    words = shard_words(sys.argv[1:])
+    finish = [*words, "--finish"]
+    if printed:
+        print(kubernetes.manifest(words, shards, finish=finish, gpus=gpus) if engine == "k8s" else
+              slurm.script(words, shards, finish=finish, gpus=gpus), end="")
+        return False
+    logs = Path("slurm-logs") if "://" in str(folder) else Path(folder).with_name(f"{Path(folder).name}-slurm")
+    failed = slurm.submit(words, shards, logs, gpus=gpus)
+    if failed:
+        raise VsfsimError(f"{len(failed)} of {shards} shards failed; their logs are in {logs}. {'; '.join(failed[:3])} "
+                          f"Run the same command again, which makes what is missing.")
+    return True
+
+
+def shard_words(given: Sequence[str]) -> list[str]:
+    """The command of one shard, from the words of the command that asks for an engine."""
+    out, skip = ["vsfsim"], False
+    for word in given:
+        if skip:
+            skip = False
+        elif word in _ENGINE_WORDS:
+            skip = True
+        elif word != "--print" and not word.startswith(tuple(f"{name}=" for name in _ENGINE_WORDS)):
+            out.append(word)
+    return out
+
+
+def _kept(folder: Path | str) -> str:
+    from vsfsim.data.lines import finished_names
+    from vsfsim.data.store import open_store
+
+    kept = len(finished_names(open_store(folder)))
+    return (f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again to make the "
+            f"others." if kept else "interrupted; nothing was finished, so nothing is kept.")
+
+
+def _terminated(*_: Any) -> NoReturn:
+    raise Terminated

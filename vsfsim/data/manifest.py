@@ -1,0 +1,184 @@
+"""dataset.json: one entry a file, and a digest by which no byte of it changes unseen."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.core.plain_text import plain
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.safety import check_name, whole_number
+from vsfsim.data.schema import SCHEMA_VERSION
+
+FORMAT = "vsfsim-dataset"
+MANIFEST = "dataset.json"
+PART_MANIFEST = "dataset.part.json"
+LOCK = "dataset.lock"
+CARD = "README.md"
+"""What the folder is, for people; no part of the content."""
+LARGEST_MANIFEST = 64 << 20
+"""A dataset.json with more bytes is not read."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One object file as dataset.json lists it."""
+
+    name: str
+    """Of the object view."""
+    file: str
+    """File name."""
+    split: str
+    """"train", "test", ..."""
+    object_index: int
+    """From 0."""
+    view_index: int
+    """Of the view of that object, from 0."""
+    touches: int
+    """Number of touches."""
+    frames: int
+    """Of all touches."""
+    unconverged: int
+    """Frames that are marked as not converged."""
+    bytes: int
+    """Size of the file."""
+    sha256: str
+    """Of the file."""
+    made_on: str = ""
+    """The kind of CPU, or of GPU and CPU, that made it; "" in a dataset of a version that did not say."""
+
+    def table(self) -> dict[str, Any]:
+        """As JSON values."""
+        out = dataclasses.asdict(self)
+        return out if self.made_on else {key: value for key, value in out.items() if key != "made_on"}
+
+
+def content_sha256(entries: tuple[Entry, ...]) -> str:
+    """See `Dataset.sha256`."""
+    lines = "".join(f"{entry.name} {entry.split} {entry.sha256}\n" for entry in entries)
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def file_name(name: str) -> str:
+    """File of the object view ``name``."""
+    return f"{name}.h5"
+
+
+def manifest_bytes(table: Mapping[str, Any]) -> bytes:
+    """dataset.json as bytes; its first key ``digest`` is the sha256 of all the others, so that no byte can change
+    unseen."""
+    body = {key: value for key, value in table.items() if key != "digest"}
+    digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+    return (json.dumps({"digest": digest, **body}, indent=1) + "\n").encode()
+
+
+def make_manifest(recipe: Recipe, made_by: Mapping[str, str | None], entries: tuple[Entry, ...],
+                  left_out: Mapping[str, str] | None = None) -> bytes:
+    """dataset.json of a finished dataset; no times and no paths, so that a second run gives the same bytes.
+
+    Args:
+        recipe: what it was made from. made_by: version and commit. entries: its files. left_out: names of object views
+        that could not be made, with the reason.
+    """
+    return manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": dict(made_by),
+                           "sha256": content_sha256(entries), "recipe": recipe.table(),
+                           **({"left_out": dict(left_out)} if left_out else {}),
+                           "files": [entry.table() for entry in entries]})
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Read a dataset.json and check that it is whole.
+
+    Raises:
+        DatasetError: not readable, changed since it was written, or of another schema version.
+    """
+    try:
+        if path.stat().st_size > LARGEST_MANIFEST:
+            raise ValueError(f"it has more than {LARGEST_MANIFEST} bytes")
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path} cannot be read as a dataset's manifest: {plain(repr(error))}.") from error
+    return parse_manifest(content, path)
+
+
+def parse_manifest(content: bytes, path: Path) -> dict[str, Any]:
+    """Check that the content of a dataset.json is whole; see `read_manifest`.
+
+    Args:
+        content: of the file. path: for messages; one named `PART_MANIFEST` has no files yet.
+    """
+    try:
+        table = json.loads(content)
+        format_ = table["format"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DatasetError(f"{path} cannot be read as a dataset's manifest: {plain(repr(error))}. It is damaged; "
+                           f"delete the folder and generate the dataset again, or restore the file.") from error
+    if format_ != FORMAT:
+        raise DatasetError(f"{path} is not the manifest of a vsfsim dataset (format "
+                           f"{plain(repr(format_), longest=60)}).")
+    if table.get("schema_version") != SCHEMA_VERSION:
+        raise DatasetError(f"{path} has schema version {plain(table.get('schema_version'), longest=60)}; this vsfsim "
+                           f"reads {SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it "
+                           f"again.")
+    try:
+        whole = manifest_bytes(table) == content
+    except (ValueError, RecursionError):
+        whole = False
+    if not whole:
+        raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or "
+                           f"delete the folder and run the same `vsfsim generate` again.")
+    for key in ("made_by", "recipe", "files"):
+        if key not in table and not (path.name == PART_MANIFEST and key == "files"):
+            raise DatasetError(f"{path} has no '{key}'; it is damaged.")
+    if not isinstance(table["made_by"], dict):
+        raise DatasetError(f"{path}: made_by is {plain(table['made_by'], longest=60)}; it must be a table.")
+    return table
+
+
+def entries_of(rows: Any, path: Path) -> tuple[Entry, ...]:
+    """The entries of ``files``, none of them twice, and no object in two splits."""
+    if not isinstance(rows, list) or not rows:
+        raise DatasetError(f"{path}: files is {plain(rows, longest=60)}; it must be a list of at least one entry.")
+    entries = tuple(_entry(row, path) for row in rows)
+    for what, keys in (("name", [e.name for e in entries]), ("file", [e.file for e in entries]),
+                       ("object and view", [(e.object_index, e.view_index) for e in entries]),
+                       ("content", [e.sha256 for e in entries])):
+        twice = [key for key, count in Counter(keys).items() if count > 1]
+        if twice:
+            raise DatasetError(f"{path}: the {what} {twice[0]} is there twice; a dataset holds everything once. Delete "
+                               f"the folder and generate it again.")
+    splits: dict[int, str] = {}
+    for entry in entries:
+        if splits.setdefault(entry.object_index, entry.split) != entry.split:
+            raise DatasetError(f"{path}: object {entry.object_index} is in the splits {splits[entry.object_index]} and "
+                               f"{entry.split}; an object belongs to one.")
+    return entries
+
+
+def left_out_of(table: Mapping[str, Any], path: Path) -> dict[str, str]:
+    found = table.get("left_out", {})
+    if not isinstance(found, dict) or not all(isinstance(reason, str) for reason in found.values()):
+        raise DatasetError(f"{path}: left_out is {plain(found, longest=60)}; it must be a table of reasons.")
+    return found
+
+
+def _entry(row: Any, path: Path) -> Entry:
+    names = {f.name for f in dataclasses.fields(Entry)}
+    if not isinstance(row, Mapping) or set(row) | {"made_on"} != names:
+        raise DatasetError(f"{path}: an entry of files is {plain(row, longest=200)}; it must have "
+                           f"{', '.join(sorted(names))}.")
+    where = f"{path} files"
+    for key in ("object_index", "view_index", "touches", "frames", "unconverged", "bytes"):
+        whole_number(row[key], f"{where}.{key}")
+    for key in ("name", "file", "split", "sha256"):
+        check_name(row[key], f"{where}.{key}")
+    if not isinstance(row.get("made_on", ""), str):
+        raise DatasetError(f"{where}.made_on is {plain(row['made_on'], longest=60)}; it must be a text.")
+    return Entry(**row)
