@@ -97,7 +97,7 @@ def test_docs_page_lists_every_key_of_the_manifest():
     recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1},
                     device="cpu", tier="vsf",
                     precision="float64", renderer="warp")
-    assert set(json.loads(make_manifest(recipe, {}, ()))) == set(MANIFEST_KEYS)
+    assert set(json.loads(make_manifest(recipe, {}, (), {"a": "why"}))) == set(MANIFEST_KEYS)
 
 
 def test_docs_page_tables_have_whole_rows():
