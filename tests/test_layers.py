@@ -72,7 +72,8 @@ HEAVY = {
 HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 """The same for one file, which nothing imports at its top: a class that inherits from one of the package's."""
 
-HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec"}, "cli": {"rich"},
+HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
+                "cli": {"rich"},
                 "robot": {"mujoco_menagerie"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`; Menagerie's arm is an option, not a
 dependency."""

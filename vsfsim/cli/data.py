@@ -1,4 +1,4 @@
-"""Commands on datasets: verify."""
+"""Commands on datasets: verify, export."""
 
 from __future__ import annotations
 
@@ -15,13 +15,40 @@ app = typer.Typer()
 
 @app.command()
 def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a dataset.")],
+           against: Annotated[Path | None, typer.Option(metavar="FOLDER", help="The same dataset, made elsewhere: "
+                                                                              "count touches that are bit-equal, equal "
+                                                                              "to 1e-3, and other.")] = None,
            json: JsonFile = None) -> None:
     """Check every byte, field and frame of a dataset.
 
     Hashes, schema, finite numbers, force balance. Exit code 2 if anything is wrong, with what to do about it.
     """
+    if against is not None:
+        from vsfsim.data.same import compare
+
+        alike = compare(folder, against)
+        report(alike.text(), alike.table(), json)
+        raise typer.Exit(0 if alike.other == 0 else 2)
     from vsfsim.data.verify import verify as run
 
     found = run(folder)
     report(found.text(), found.table(), json)
     raise typer.Exit(0 if found.ok else 2)
+
+
+@app.command()
+def export(folder: Annotated[str, typer.Argument(metavar="DATASET", help="Folder of a dataset, or its address.")],
+           to: Annotated[str, typer.Option("--to", help="lerobot, croissant, webdataset or openvsf.")],
+           out: Annotated[Path | None, typer.Option("--out", help="New folder; default: DATASET-FORMAT.")] = None,
+           json: JsonFile = None) -> None:
+    """Write a dataset in a format that others load, with its truth beside it.
+
+    The new folder appears when it is whole; stopped before, there is none.
+    """
+    from vsfsim.data.formats.export import export as run
+
+    made = run(folder, to, out or Path(f"{Path(folder).name}-{to}"))
+    files = [path for path in made.rglob("*") if path.is_file()]
+    size = sum(path.stat().st_size for path in files)
+    report(f"{made}: {to}, {len(files)} files, {size / 1e6:.1f} MB",
+           {"out": str(made), "format": to, "files": len(files), "bytes": size}, json)

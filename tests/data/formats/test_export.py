@@ -1,0 +1,172 @@
+"""Datasets in the formats of others, read back by their own readers where these are installed."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.core.errors import DatasetError, VsfsimError
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.formats.export import export
+from vsfsim.data.formats.lerobot import frame_rows
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.same import compare
+from vsfsim.data.writer import DatasetWriter
+
+RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=2,
+                splits={"train": 2, "test": 1}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    views = [mock_view(k, split="train" if k < 2 else "test", touches=2) for k in range(3)]
+    path = tmp_path_factory.mktemp("data") / "d"
+    with DatasetWriter(path, RECIPE, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        return writer.finish()
+
+
+def test_lerobot_holds_every_frame_to_the_bit(made, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    out = export(made.path, "lerobot", tmp_path / "l")
+    info = json.loads((out / "meta/info.json").read_text())
+    assert info["codebase_version"] == "v3.0" and info["total_episodes"] == 6
+    assert info["splits"] == {"train": "0:4", "test": "4:6"}
+    rows = [parquet.read_table(path) for path in sorted((out / "data").rglob("*.parquet"))]
+    assert sum(len(table) for table in rows) == info["total_frames"] == sum(e.frames for e in made.entries)
+    for table, view in zip(rows, made, strict=True):
+        for key in ("observation.force", "observation.state", "observation.time", "action"):
+            want = np.concatenate([frame_rows(touch)[key] for touch in view.touches])
+            found = np.array(table[key].to_pylist(), np.float32)
+            assert found.tobytes() == want.tobytes(), key
+    truth = parquet.read_table(out / "sidecar/truth" / f"{made.entries[1].name}.parquet").to_pylist()[0]
+    want = made[1].truth
+    assert np.array(truth["young_modulus"]).tobytes() == want.young_modulus.tobytes()
+    assert truth["points_shape"] == list(want.points.shape)
+    assert np.array(truth["points"]).reshape(truth["points_shape"]).tobytes() == want.points.tobytes()
+
+
+READ = """
+import sys
+import numpy as np
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+d = LeRobotDataset("local/mock", root=sys.argv[1])
+rows = [d[k] for k in range(len(d))]
+np.savez(sys.argv[2], **{k: np.stack([r[k].numpy() for r in rows]) for k in rows[0] if hasattr(rows[0][k], "numpy")})
+"""
+
+
+def test_lerobot_itself_reads_the_same_bits(made, tmp_path):
+    """With the Python of an environment that has lerobot, which wants versions of its own."""
+    python = os.environ.get("VSFSIM_LEROBOT_PYTHON")
+    if python is None:
+        pytest.skip("VSFSIM_LEROBOT_PYTHON names no Python that has lerobot")
+    out = export(made.path, "lerobot", tmp_path / "l")
+    subprocess.run([python, "-c", READ, str(out), str(tmp_path / "read.npz")], check=True,
+                   env={**os.environ, "HF_HUB_OFFLINE": "1"})
+    read = np.load(tmp_path / "read.npz")
+    touches = [touch for view in made for touch in view.touches]
+    for key in frame_rows(touches[0]):
+        want = np.concatenate([frame_rows(touch)[key] for touch in touches])
+        assert read[key].tobytes() == want.tobytes(), key
+    picture = (read["observation.images.rgb"][0].transpose(1, 2, 0) * 255).round().astype(np.uint8)
+    assert np.array_equal(picture, made[0].view.rgb)
+
+
+def test_croissant_is_valid_and_lists_every_touch(made, tmp_path):
+    pytest.importorskip("pyarrow")
+    out = export(made.path, "croissant", tmp_path / "c")
+    table = json.loads((out / "croissant.json").read_text())
+    assert {e.sha256 for e in made.entries} < {item["sha256"] for item in table["distribution"]}
+    assert sum(key.startswith("rai:") for key in table) >= 7
+    croissant = pytest.importorskip("mlcroissant")
+    dataset = croissant.Dataset(jsonld=str(out / "croissant.json"))
+    assert not dataset.metadata.ctx.issues.errors
+    records = list(dataset.records("touches"))
+    assert len(records) == 6
+    best = max(np.linalg.norm(t.force[t.converged], axis=1).max() for v in made for t in v.touches)
+    assert max(r["touches/largest_force"] for r in records) == best
+
+
+def test_webdataset_holds_every_array(made, tmp_path):
+    pytest.importorskip("PIL")
+    out = export(made.path, "webdataset", tmp_path / "w")
+    assert sorted(p.name for p in out.glob("*.tar")) == ["test-000000.tar", "train-000000.tar"]
+    with tarfile.open(out / "train-000000.tar") as tar:
+        names = tar.getnames()
+        arrays = np.load(io.BytesIO(tar.extractfile(names[1]).read()))
+        assert names[1].endswith("-v0-000.npz") and arrays["force"].tobytes() == made[0].touches[0].force.tobytes()
+        assert len(names) == 12
+    wds = pytest.importorskip("webdataset")
+    samples = list(wds.WebDataset(str(out / "train-000000.tar"), shardshuffle=False))
+    assert len(samples) == 4 and {"json", "npz", "png"} <= set(samples[0])
+
+
+def test_openvsf_wants_an_arm_and_bad_words_are_told(made, tmp_path):
+    with pytest.raises(DatasetError, match="was not touched by an arm"):
+        export(made.path, "openvsf", tmp_path / "o")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(VsfsimError, match=r"--to is 'lerobt'. Did you mean 'lerobot'"):
+        export(made.path, "lerobt", tmp_path / "o")
+    (tmp_path / "o").mkdir()
+    with pytest.raises(DatasetError, match="exists already"):
+        export(made.path, "webdataset", tmp_path / "o")
+
+
+def test_a_half_made_dataset_is_not_exported(tmp_path):
+    with DatasetWriter(tmp_path / "d", RECIPE, ["mock-0000-v0"]) as writer:
+        writer.add(mock_view(0, touches=2))
+    with pytest.raises(DatasetError, match="unfinished"):
+        export(tmp_path / "d", "webdataset", tmp_path / "w")
+    assert not (tmp_path / "w").exists()
+
+
+SLOW = """
+import sys, time
+from vsfsim.data.formats import webdataset
+from vsfsim.data.formats.export import export
+real = webdataset.packed
+webdataset.packed = lambda arrays: (print("writing", flush=True), time.sleep(0.2), real(arrays))[-1]
+export(sys.argv[1], "webdataset", sys.argv[2])
+"""
+
+
+def test_a_killed_export_leaves_no_folder_and_the_next_one_is_whole(made, tmp_path):
+    pytest.importorskip("PIL")
+    process = subprocess.Popen([sys.executable, "-c", SLOW, str(made.path), str(tmp_path / "w")],
+                               stdout=subprocess.PIPE)
+    process.stdout.readline()
+    time.sleep(0.1)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (tmp_path / "w").exists() and len(list(tmp_path.iterdir())) == 1
+    export(made.path, "webdataset", tmp_path / "w")
+    assert [p.name for p in tmp_path.iterdir()] == ["w"]
+
+
+def test_datasets_are_compared_touch_by_touch(made, tmp_path):
+    assert compare(made.path, made.path).equal == 6
+    views = list(made)
+    import dataclasses
+
+    def changed(view, factor):
+        touches = [dataclasses.replace(t, force=t.force * factor) for t in view.touches]
+        return dataclasses.replace(view, touches=tuple(touches))
+
+    with DatasetWriter(tmp_path / "d", RECIPE, [v.name for v in views]) as writer:
+        for view, factor in zip(views, (1.0, 1.0 + 1e-5, 1.5), strict=True):
+            writer.add(changed(view, factor), "another CPU")
+        writer.finish()
+    found = compare(made.path, tmp_path / "d")
+    assert (found.equal, found.other) == (2, sum(t.force[t.converged].any() for t in views[2].touches))
+    assert found.equal + found.close + found.other == 6 and "another CPU" in found.kinds
+    assert Dataset.open(tmp_path / "d").entries[0].made_on == "another CPU"

@@ -1,0 +1,81 @@
+"""The folders that the published openvsf package loads, one of each object view of an arm's dataset.
+
+    VIEW/seq_NNN/kinova_state.npy           (T, 7)  joint angles [rad]
+    VIEW/seq_NNN/kinova_joint_torques.npy   (T, 7)  due to the contact [N m]
+    VIEW/object/vsf_empty.npz               points (n, 3) float64, world [m]; K (n,) [N/m], all zero
+    VIEW/openvsf.yaml                       configuration of its point_vsf_estimate.py
+    VIEW/ground_truth/                      the fitted VSF; openvsf does not look at it
+
+A sequence begins with `TARE` copies of its first frame, which is free of contact, since openvsf takes its tare there.
+Frames that did not converge are left out. Source: github uiuc-iml/openvsf @29d70e9.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.dataset import Dataset
+
+TARE = 20
+"""Frames without contact at the start of a sequence; openvsf's own number for joint torques."""
+_LINKS = ("Shoulder_Link, HalfArm1_Link, HalfArm2_Link, ForeArm_Link, SphericalWrist1_Link, SphericalWrist2_Link, "
+          "Bracelet_Link")
+_YAML = f"""# What openvsf's scripts/point_vsf_estimate.py --batch reads. Put the arm's URDF and meshes of its
+# repository (knowledge/robot_model) into assets/; they are not ours to ship.
+world:
+  kinova: {{type: robot, file_name: !relative_path assets/kinova_gen3.urdf}}
+simulator:
+  type: quasistatic
+  deformables:
+    vsf:
+      model: {{type: point, path: !relative_path object/vsf_empty.npz}}
+      config: {{friction_mu: 0.5, sim_slide: False, slide_step: 0.0001, geometry_padding1: 0.001,
+               geometry_padding2: 0.001}}
+sensors:
+  kinova_joint_torques: {{name: kinova_joint_torques, type: JointTorqueSensor, attachment_name: kinova,
+                         link_names: [{_LINKS}]}}
+calibrators:
+  kinova_joint_torques: {{type: tare, num_samples: {TARE}}}
+dataset:
+  keys: {{kinova_state: 7, kinova_joint_torques: 7}}
+  control_keys: {{kinova: kinova_state}}
+  sensor_keys: {{kinova_joint_torques: kinova_joint_torques}}
+estimator: {{optimizer: quad_prog, max_buffer_length: 100000, down_sample_rate: 1}}
+prior: {{type: gaussian, mu: 0.0, var: 10000.0}}
+"""
+
+
+def export(dataset: Dataset, folder: Path) -> None:
+    """Write the dataset into an empty folder.
+
+    Raises:
+        DatasetError: its touches are not an arm's.
+    """
+    for view in dataset:
+        if any(touch.q is None or touch.torque is None for touch in view.touches):
+            raise DatasetError(f"export --to openvsf: {view.name} was not touched by an arm, and openvsf reads joint "
+                               f"angles. Export a dataset of a scene with [arm], e.g. plants-v4-mini.")
+        place = folder / view.name
+        (place / "object").mkdir(parents=True)
+        (place / "ground_truth").mkdir()
+        (place / "openvsf.yaml").write_text(_YAML)
+        assert view.truth is not None
+        points = np.asarray(view.truth.vsf_points, np.float64)
+        for path, stiffness in ((place / "object" / "vsf_empty.npz", np.zeros(len(points))),
+                                (place / "ground_truth" / "vsf.npz", view.truth.vsf_stiffness)):
+            content = io.BytesIO()
+            np.savez(content, points=points, K=np.asarray(stiffness, np.float64), axis_mode="isotropic",
+                     features=np.array({}, dtype=object))
+            path.write_bytes(content.getvalue())
+        for index, touch in enumerate(view.touches):
+            good = np.flatnonzero(touch.converged)
+            if not len(good):
+                continue
+            rows = np.concatenate([np.full(TARE, good[0]), good])
+            (place / f"seq_{index:03d}").mkdir()
+            for key, value in (("kinova_state", touch.q), ("kinova_joint_torques", touch.torque)):
+                np.save(place / f"seq_{index:03d}" / f"{key}.npy", np.asarray(value, np.float64)[rows])
