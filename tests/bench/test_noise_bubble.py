@@ -8,7 +8,7 @@ import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.noise import NOISE_KINDS, Noise, delayed, noisy_force
-from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, noisy_pressure, quantised, relaxed
+from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, noisy_pressure, quantised, relaxed, window
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import TaskError
@@ -149,6 +149,32 @@ def test_nodes_move_along_their_rays():
         noisy_nodes(world - 10.0, pose, seconds(50), punyo(), **WHICH)
     with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
         noisy_nodes(world[0], pose, seconds(50), punyo(), **WHICH)
+
+
+def test_tracking_drifts_across_the_ray_smoothly_over_the_skin():
+    axis = np.arange(-0.03, 0.031, 0.002)
+    still = np.stack([*np.meshgrid(axis, axis), np.full((len(axis),) * 2, 0.03)], axis=-1).reshape(-1, 3)
+    position, pose = np.tile(still, (5, 1, 1)), np.tile(np.eye(4), (5, 1, 1))
+    noise = punyo(image_lag=0.0, depth_std=0.0, depth_quantum=0.0, tracking_std=1.5e-4)
+    drift = np.stack([noisy_nodes(position, pose, seconds(5), noise, object_index=0, view_index=0, touch_index=k)
+                      for k in range(40)]) - still
+    assert np.abs(drift[:, 0]).max() < 1e-15 and drift[:, 2] == pytest.approx(0.5 * drift[:, 4], abs=1e-15)
+    ray = still - [-0.040, 0.0, -0.054]
+    assert np.abs((drift[:, 4] * ray).sum(axis=2)).max() < 1e-15  # m^2
+    assert np.sqrt((drift[:, 4] ** 2).sum(axis=2).mean() / 2.0) == pytest.approx(1.5e-4, rel=0.1)
+    rows = drift[:, 4].reshape(40, len(axis), len(axis), 3)
+    for apart in (2, 5, 10):  # steps of 2 mm, of a correlation length of 10 mm
+        alike = (rows[:, :, apart:] * rows[:, :, :-apart]).sum() / (rows[:, :, :-apart] ** 2).sum()
+        assert alike == pytest.approx(np.exp(-0.5 * (0.2 * apart) ** 2), abs=0.12)
+
+
+def test_the_camera_sees_the_nodes_of_its_window():
+    turn = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    ring = np.stack([0.06 * np.cos(turn), 0.04 * np.sin(turn), np.zeros(40)], axis=1)
+    rest = np.concatenate([ring, 0.83 * ring, 0.85 * ring, [[0.0, 0.0, 0.03]]])
+    assert window(rest, punyo()).all()
+    seen = window(rest, punyo(window=0.836))
+    assert seen.tolist() == [False] * 40 + [True] * 40 + [False] * 40 + [True]
 
 
 def test_node_forces_are_off_by_their_share_where_there_is_contact():

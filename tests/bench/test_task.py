@@ -103,3 +103,20 @@ def test_the_right_dataset_is_opened(task, toy_dataset):
 
 def test_a_task_may_leave_the_tier_open(task_text, toy_dataset):
     open_dataset(parse_task(task_text.replace('tier = "vsf"', 'tier = "auto"'), "toy.toml"), toy_dataset.path)
+
+
+@pytest.mark.parametrize("given, message", [
+    ('{ folder = "other", seed = 0, objects = 2 }', "must both differ"),
+    ('{ folder = "toy", seed = 1, objects = 2 }', "must both differ"),
+    ('{ folder = "other", seed = 1 }', "objects"),
+    ('{ folder = "other", seed = 1, objects = 2, sead = 1 }', "sead"),
+])
+def test_a_development_set_shares_no_object_with_the_test_set(task_text, given, message):
+    def with_set(given):
+        return parse_task(task_text.replace("dataset = { ", f"dataset = {{ development = {given}, "), "t")
+
+    with pytest.raises(TaskError, match=message):
+        with_set(given)
+    found = with_set('{ folder = "other", seed = 1, objects = 2 }')
+    assert (found.development.folder, found.development.seed, found.development.objects) == ("other", 1, 2)
+    assert found.development.scene == found.dataset.scene and "--seed 1" in found.development.command()

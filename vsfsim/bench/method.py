@@ -45,6 +45,9 @@ class Action:
     """Numbers in a reading, d."""
     q: np.ndarray | None = None
     """Joint angles of an arm (T, 7) [rad]; None without an arm."""
+    mount_stiffness: float | None = None
+    """Of a spring along the press that carries the probe [N/m]: ``poses`` are then those of its mount, and the probe
+    gives way by force / stiffness. None for a rigid mount."""
 
 
 @dataclass(frozen=True)

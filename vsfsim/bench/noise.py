@@ -46,6 +46,14 @@ class Noise:
     """Quantisation step of the depth [m]; 0 for none."""
     image_lag: float = 0.0
     """Delay of images, and of node positions made from them, relative to the pressure [s]."""
+    tracking_std: float = 0.0
+    """Drift of a node across its ray at the end of a touch, per component [m], as of a tracker that accumulates its
+    errors from frame to frame; 0 at the first frame."""
+    tracking_length: float = 0.010
+    """Correlation length of that drift over the skin [m]."""
+    window: float = 0.0
+    """Part of the rim's semi-axes within which the inside camera sees nodes [-]; nodes outside are not shown. 0: all
+    are."""
     node_force_share: float = 0.0
     """Error of an estimated contact force on a node, relative to the RMS force of the nodes in contact in that frame
     [-]."""
@@ -75,6 +83,11 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
         # of a good force estimator at this depth noise (`vsfsim measure dense-force`), not of the sensor
         "node_force_share": 0.2,
     },
+    "punyo-window": {
+        "force_std": 0.14, "force_lag": 0.019, "pressure_std": 5.4, "pressure_drift": -1.6,
+        "relaxation": 0.02, "relaxation_time": 0.15, "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
+        "node_force_share": 0.2, "tracking_std": 1.5e-4, "window": 0.836,
+    },
     "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},
     "gen3-posed": {"force_std": 0.0, "torque_std": 0.08, "torque_pose_std": 0.4, "torque_pose_length": 0.3,
                    "torque_hysteresis": 0.3},
@@ -82,6 +95,8 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
 """``kind`` of a task's ``[noise]``: values of the keys that the task does not give.
 
 "punyo": measured on 150 frames of a real Punyo at 30 Hz.
+"punyo-window": the same with what its inside camera sees and how well it follows it: 227 of 326 inner nodes, which is
+the dome out to 0.8 to 0.88 of its rim, and a drift across the ray of 0.1 to 0.2 mm over a touch, an assumption.
 "gen3": the joint torques of a Kinova Gen3, whose maker publishes no noise. Offset: users zero their torques by hand
 after every start and find offsets of newton metres (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237).
 White noise and drift are assumptions: 0.1 % of the peak torque, and a tenth of that after a second.

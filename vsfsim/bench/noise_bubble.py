@@ -6,7 +6,8 @@ follows x with the time constant tau, so that a step overshoots by r of itself a
 and white noise, then the tare.
 
 Node positions: a node moves along its ray to the camera by the error of its depth, which is white noise followed by
-rounding to the quantum, and it is delayed.
+rounding to the quantum, and it is delayed. Across the ray it drifts, smoothly over the skin, as the touch goes on. Only
+nodes in the camera's window are shown.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ import numpy as np
 from vsfsim.bench.noise import Noise, delayed, stream, tared
 from vsfsim.core.errors import TaskError
 
-_PRESSURE, _NODES, _NODE_FORCE = 1, 3, 5  # channels of the random streams; 4 is the torques', 2 is free
+_PRESSURE, _TRACKING, _NODES, _NODE_FORCE = 1, 2, 3, 5  # channels of the random streams; 4 is the torques'
+_WAVES = 256  # of the drift: their sum is normal to a few per cent of its spread
 
 CAMERA_ORIGIN, CAMERA_TILT = (-0.040, 0.0, -0.054), math.radians(25.0)
 """Position of the inside camera in the mount frame [m], and its tilt towards +x [rad]; see
@@ -72,8 +74,8 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
     """The read-out nodes of a touch as the inside camera would locate them.
 
     A node has its true pixel and a noisy, quantised depth, so it moves along its ray. It is delayed by ``image_lag`` in
-    the frame of the mount; the arm's pose is not delayed. Tracking errors across the ray were not measured and are not
-    added.
+    the frame of the mount; the arm's pose is not delayed. Across the ray it drifts by a smooth field (``tracking_std``)
+    that grows evenly from the first frame to the last.
 
     Args:
         position: world (T, N, 3) [m]; NaN rows stay NaN.
@@ -105,7 +107,29 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
     white = noise.depth_std * stream(noise, object_index, view_index, touch_index, _NODES).standard_normal(depth.shape)
     measured = quantised(depth + white, noise.depth_quantum)
     local = np.asarray(origin) + ray * (measured / depth)[..., None]
+    if noise.tracking_std:
+        rng = stream(noise, object_index, view_index, touch_index, _TRACKING)
+        wave = rng.standard_normal((_WAVES, 2)) / noise.tracking_length
+        phase = rng.uniform(0.0, 2.0 * np.pi, (2, 1, _WAVES))
+        # on the skin at the first known frame; a sum of random waves has a Gaussian correlation (Rahimi, Recht 2007)
+        first = local[int(np.isfinite(local).all(axis=(1, 2)).argmax()), :, :2]
+        field = noise.tracking_std * np.sqrt(2.0 / _WAVES) * np.cos(first @ wave.T + phase).sum(axis=2)  # (2, N)
+        gone = (time - time[0]) / max(float(time[-1] - time[0]), 1e-12)
+        unit = ray / np.linalg.norm(ray, axis=2, keepdims=True)
+        side = np.cross(unit, [0.0, 1.0, 0.0])
+        side /= np.linalg.norm(side, axis=2, keepdims=True)
+        across = field[0][:, None] * side + field[1][:, None] * np.cross(unit, side)
+        local = local + gone[:, None, None] * across
     return np.einsum("tni,tji->tnj", local, rotation) + shift[:, None]
+
+
+def window(rest: np.ndarray, noise: Noise) -> np.ndarray:
+    """Which nodes the inside camera sees (N,) bool, by their places ``rest`` on the free dome, mount frame (N, 3) [m]:
+    those over the rim's ellipse made smaller by ``noise.window``."""
+    rest = np.asarray(rest, np.float64)
+    if not noise.window:
+        return np.ones(len(rest), bool)
+    return np.hypot(*(rest[:, :2] / np.abs(rest[:, :2]).max(axis=0)).T) <= noise.window
 
 
 def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,

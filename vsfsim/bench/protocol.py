@@ -16,7 +16,7 @@ import numpy as np
 
 from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, frozen_view
 from vsfsim.bench.noise import Noise
-from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes
+from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, window
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
@@ -71,7 +71,7 @@ def record(view: ObjectView, task: Task) -> Recording:
         values, force = _where_converged(values, touch), _where_converged(touch.force, touch)
         noisy = row.channel.noisy(values, touch.time, force, task.noise, **which, **row.channel.motion(touch))
         action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, row.name,
-                        row.size, None if touch.q is None else frozen(touch.q))
+                        row.size, None if touch.q is None else frozen(touch.q), touch.mount_stiffness)
         readings.append(Reading(action, frozen(row.reading(noisy, touch.axis)), frozen(touch.converged),
                                 _surface(touch, task.noise, which)))
         clean.append(row.reading(values, touch.axis))
@@ -111,13 +111,13 @@ def _where_converged(values: np.ndarray, touch: Touch) -> np.ndarray:
 
 def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | None:
     """The sensor's surface with the noise of its inside camera; None where the dataset does not hold one."""
-    if touch.node_position is None or touch.node_force is None:
+    if touch.node_position is None or touch.node_force is None or touch.node_rest is None:
         return None
-    nodes = touch.node_position
-    if noise.depth_std or noise.depth_quantum or noise.image_lag:
+    nodes, seen = touch.node_position, window(touch.node_rest, noise)
+    if noise.depth_std or noise.depth_quantum or noise.image_lag or noise.tracking_std:
         nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)  # type: ignore[arg-type]
     force = noisy_node_force(_where_converged(touch.node_force, touch), touch.time, noise, **which)
-    return Surface(frozen(nodes), frozen(force))
+    return Surface(frozen(nodes[:, seen]), frozen(force[:, seen]))
 
 
 def specimen(view: ObjectView, task: Task) -> Specimen:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +129,8 @@ class Task:
     """Name of the task that corrects this one, or ""."""
     dataset: DatasetWanted
     """``[dataset]``."""
+    development: DatasetWanted | None
+    """``[dataset] development``: other objects of the same scene, on which settings are made; None without any."""
     protocol: Protocol
     """``[protocol]``."""
     observation: Observation
@@ -182,10 +184,18 @@ def parse_task(text: str, path: str | Path) -> Task:
     if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
         raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-v2-mini-v3.")
     d = top.section("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
-                              "sha256"))
+                              "sha256", "development"))
     wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""),
                            d.count("seed", None, 0), d.count("objects", None, 1), d.count("views", None, 1),
                            d.count("touches", None, 1), d.text("tier", "auto"), d.text("sha256", ""))
+    development = None
+    if "development" in d.table:
+        o = Table(d.table["development"], f"{d.where} development", ("folder", "seed", "objects"), error=TaskError)
+        development = replace(wanted, folder=o.text("folder"), seed=o.count("seed", None, 0),
+                              objects=o.count("objects", None, 1), sha256="")
+        if development.seed == wanted.seed or development.folder == wanted.folder:
+            raise TaskError(f"{o.where}: seed {development.seed} and folder '{development.folder}' must both differ "
+                            f"from those of [dataset], so that no object is in both.")
     protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed", "folds", "draws",
                                                   "trainings")))
     o = top.section("observation", ("kind",))
@@ -200,7 +210,7 @@ def parse_task(text: str, path: str | Path) -> Task:
                         f"{', '.join(protocol.labels)}.")
     paper = tuple(_paper(Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values"),
                                error=TaskError), protocol) for i, row in enumerate(top.rows("paper")))
-    return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, protocol,
+    return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, development, protocol,
                 observation(o.text("kind"), o.where), noise, primary, ranking, paper,
                 text_sha256(_SUPERSEDED.sub("", text)))
 

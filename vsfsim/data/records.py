@@ -57,7 +57,8 @@ class Touch:
     time: np.ndarray
     """Of each frame (T,) [s]."""
     mount_pose: np.ndarray
-    """Probe-to-world transform, the origin being the probe's reference point (T, 4, 4) [m]."""
+    """Probe-to-world transform, the origin being the probe's reference point (T, 4, 4) [m]. Where a spring carries the
+    probe, that of its mount: where the probe would be without a force."""
     axis: np.ndarray
     """Unit direction of the press, world (3,) [-]."""
     target: np.ndarray
@@ -109,6 +110,8 @@ class Touch:
     planned_frame: np.ndarray | None = None
     """The frame of the plan in which each frame was read (T,) int; -1 where the arm had left its plan, because the
     force limit was met."""
+    mount_stiffness: float | None = None
+    """Of the spring along the press that carries the probe [N/m]; None for a rigid mount."""
     pressure: np.ndarray | None = None
     """Gauge pressure of the bubble (T,) [Pa]; None for a rigid probe."""
     rest_pressure: float | None = None
@@ -145,6 +148,14 @@ class Touch:
         """What the touch holds under the name of a schema row's field, audit column or channel; None if it does not."""
         found = getattr(self, name, None)
         return self.channels.get(name, self.audit.get(name)) if found is None else found
+
+    def probe_pose(self) -> np.ndarray:
+        """Where the probe itself was, transforms to the world (T, 4, 4) [m]; its mount's in frames without a force."""
+        out = self.mount_pose.copy()
+        if self.mount_stiffness is not None:
+            give = np.nan_to_num(self.normal_force()) / self.mount_stiffness
+            out[:, :3, 3] -= give[:, None] * self.axis
+        return out
 
     def normal_force(self) -> np.ndarray:
         """Force of the object on the probe against the press direction (T,) [N]; positive when it pushes back."""

@@ -23,7 +23,6 @@ from vsfsim.robot.path import turn_to
 
 DRAWS = 200  # targets that are tried for one touch
 _STEPS = 8  # of the linear press that finds the depth of the force limit
-_SPRING_STEPS, _SPRING_BATCH = 4, 4  # steps, and touches at a time, where a spring carries the probe
 BLOCKED = 0.015  # something else that is met this far before the target makes the target unreachable [m]
 
 
@@ -43,9 +42,6 @@ class Aim:
     """How far the press goes past first contact [m]."""
     approach: float | None = None
     """Distance of its start before first contact [m]; None for the scene's."""
-    response: np.ndarray | None = None
-    """Force along the press of the rest state's linear response, at equal steps of the probe's own depth from 0 to the
-    scene's largest (k,) [N]; None where the mount is rigid."""
 
 
 def surface_samples(model: Model) -> np.ndarray:
@@ -194,35 +190,29 @@ def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarra
 
 def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device: str) -> list[Aim]:
     """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few
-    frames suffices. A spring at the mount takes its part of the travel, and the response is kept."""
-    if not aims:
-        return aims
+    frames suffices. A spring at the mount takes its part of the travel."""
     spring = scene.mount_stiffness
-    # A spring needs fewer steps, because the mount is recorded where it was. Small batches keep the patches small: all
-    # touches of a batch have patches as large as the largest.
-    steps, width = (_STEPS, len(aims)) if spring is None else (_SPRING_STEPS, _SPRING_BATCH)
-    depth = spec.depth * np.arange(steps + 1) / steps  # from first contact, so that all frames have a way
+    if not aims or (spring is not None and spring * spec.depth <= spec.force_limit):  # which it cannot carry
+        return aims
+    depth = spec.depth * np.arange(_STEPS + 1) / _STEPS  # from first contact, so that all frames have a way
     out = []
-    for part in (aims[k:k + width] for k in range(0, len(aims), width)):
-        poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in part] for d in depth])
-        # A limit of seconds would cut touches by how busy the machine is; iterations are limited.
-        frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, linear=True,
-                        options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
-        for k, a in enumerate(part):
-            found = frames.converged[:, k]
-            if not found[1:].any():
-                raise SceneError(f"{scene.source} [touches]: the linear response to the touch at {a.target.round(3)} m "
-                                 f"was not found: {Reason(int(frames.reason[-1, k])).text}. Use a smaller depth.")
-            curve = _over_depth(depth, np.linalg.norm(frames.force[:, k], axis=1), found)
-            over = np.flatnonzero(curve > spec.force_limit)
-            cut = spec.depth
-            if len(over):
-                i = int(over[0])
-                share = (spec.force_limit - curve[i - 1]) / (curve[i] - curve[i - 1])
-                cut = spec.depth * (i - 1 + share) / steps + (spec.force_limit / spring if spring else 0.0)
-            along = np.maximum.accumulate(np.maximum(_over_depth(depth, -frames.force[:, k] @ a.axis, found), 0.0))
-            out.append(dataclasses.replace(a, depth=min(a.depth, float(cut)),
-                                           response=along if spring is not None else None))
+    poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
+    # A limit of seconds would cut touches by how busy the machine is; iterations are limited.
+    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, linear=True,
+                    options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
+    for k, a in enumerate(aims):
+        found = frames.converged[:, k]
+        if not found[1:].any():
+            raise SceneError(f"{scene.source} [touches]: the linear response to the touch at {a.target.round(3)} m "
+                             f"was not found: {Reason(int(frames.reason[-1, k])).text}. Use a smaller depth.")
+        curve = _over_depth(depth, np.linalg.norm(frames.force[:, k], axis=1), found)
+        over = np.flatnonzero(curve > spec.force_limit)
+        cut = spec.depth
+        if len(over):
+            i = int(over[0])
+            share = (spec.force_limit - curve[i - 1]) / (curve[i] - curve[i - 1])
+            cut = spec.depth * (i - 1 + share) / _STEPS + (spec.force_limit / spring if spring else 0.0)
+        out.append(dataclasses.replace(a, depth=min(a.depth, float(cut))))
     return out
 
 
@@ -232,35 +222,6 @@ def _over_depth(depth: np.ndarray, force: np.ndarray, found: np.ndarray) -> np.n
     at, known = np.append(0.0, depth[1:][found[1:]]), np.append(0.0, force[1:][found[1:]])
     slope = (known[-1] - known[-2]) / (at[-1] - at[-2])
     return np.where(depth > at[-1], known[-1] + slope * (depth - at[-1]), np.interp(depth, at, known))
-
-
-def give_way(a: Aim, spec: TouchSpec, stiffness: float, poses: np.ndarray) -> np.ndarray:
-    """Poses (T, 4, 4) of a probe on a spring along the press, whose mount is led along ``poses`` (T, 4, 4).
-
-    A mount that travels s past first contact leads the probe to the depth d with d + F(d) / k = s. F is the rest
-    state's linear response, so the mount that belongs to the probe's true force, `mount_of`, is near ``poses``.
-
-    Args:
-        a: the touch, with its response.
-        spec: depths of the scene.
-        stiffness: k [N/m].
-        poses: of the mount as planned.
-    """
-    assert a.response is not None
-    own = np.linspace(0.0, spec.depth, len(a.response))
-    travel = (poses[:, :3, 3] - a.contact) @ a.axis
-    depth = np.where(travel > 0.0, np.interp(travel, own + a.response / stiffness, own), travel)
-    out = poses.copy()
-    out[:, :3, 3] -= (travel - depth)[:, None] * a.axis
-    return out
-
-
-def mount_of(a: Aim, stiffness: float, poses: np.ndarray, force: np.ndarray, planned: np.ndarray) -> np.ndarray:
-    """Poses (T, 4, 4) of the mount whose spring carries the ``force`` (T, 3) [N] on a probe at ``poses`` (T, 4, 4); as
-    ``planned`` (T, 4, 4) in frames without a force."""
-    out = poses.copy()
-    out[:, :3, 3] += (-force @ a.axis / stiffness)[:, None] * a.axis
-    return np.where(np.isfinite(force).all(axis=1)[:, None, None], out, planned)
 
 
 def probe_pose(probe: ProbeShape, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ def truth_of(model: Model, view: View, touches: list[Touch], probe: object, *, f
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
     for touch in touches:
-        moved = simulate(particles, probe, touch.mount_pose, friction=friction, device=device)
+        moved = simulate(particles, probe, touch.probe_pose(), friction=friction, device=device)
         rows.append(normal_force_rows(moved, len(particles), touch.axis)[np.flatnonzero(touch.converged)])
         values.append(touch.normal_force()[touch.converged])
     w = sparse.csr_matrix(sparse.vstack(rows))

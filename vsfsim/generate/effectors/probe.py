@@ -1,7 +1,7 @@
 """The rigid probe of a scene's ``[probe]``: it goes in along the normal that the camera sees, or tilted from it.
 
-With ``mount_stiffness`` a spring along the press carries the probe. The recorded pose is then the mount's: where the
-probe would be without a force.
+With ``mount_stiffness`` a spring along the press carries the probe. The recorded poses are the mount's, which are as
+planned; the probe is where the spring and the contact balance, see `vsfsim.physics.solve.mount`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, ObjectView, Touch
-from vsfsim.generate.aim import Aim, aim_probe, give_way, mount_of
+from vsfsim.generate.aim import Aim, aim_probe
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
@@ -28,6 +28,7 @@ from vsfsim.physics import tiers
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames
 from vsfsim.physics.solve.kernels import solver_kernels
+from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import times, touch_path
 from vsfsim.vsf.stick_slip import stick_slip_kernel
@@ -99,31 +100,21 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
     spec = scene.required_touches
     out: list[Touch] = []
     for part in (aims[some] for some in batches(len(aims), BATCH)):
-        planned = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth, approach=a.approach)
-                            for a in part], axis=1)
-        poses, spring = planned, scene.mount_stiffness
-        if spring is not None:
-            poses = np.stack([give_way(a, spec, spring, planned[:, k]) for k, a in enumerate(part)], axis=1)
+        poses = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth, approach=a.approach)
+                          for a in part], axis=1)
+        spring = scene.mount_stiffness
+        mount = None if spring is None else Mount(spring, np.stack([a.axis for a in part]))
         solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
                         options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
         start = poses[0].copy()
         for pose, a in zip(start, part, strict=True):
             pose[:3, 3] = a.contact - (spec.approach if a.approach is None else a.approach) * a.axis
-        frames = solver.run(poses, start=start, progress=None if progress is None else lambda _, k=width: progress(k))
-        for k, a in enumerate(part):
-            own = poses[:, k] if spring is None else mount_of(a, spring, poses[:, k], frames.force[:, k], planned[:, k])
-            out.append(dataclasses.replace(_record(a, own, frames, k), **(_plan(planned[:, k]) if spec.plan else {})))
+        frames = solver.run(poses, start=start, mount=mount,
+                            progress=None if progress is None else lambda _, k=width: progress(k))
+        out += [dataclasses.replace(_record(a, poses[:, k], frames, k), mount_stiffness=spring)
+                for k, a in enumerate(part)]
     return out
-
-
-def _plan(poses: np.ndarray) -> dict[str, np.ndarray]:
-    """The planned path of a touch as its record holds it.
-
-    A mount on a spring is recorded where it was, which differs from its plan by what the response is not linear: that
-    difference tells the force, so that a query shows the plan.
-    """
-    return {"planned_time": times(len(poses)), "planned_pose": poses, "planned_frame": np.arange(len(poses))}
 
 
 def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:

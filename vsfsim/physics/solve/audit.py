@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
+from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.elements.neo_hooke import CRUSHED
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
@@ -61,9 +64,27 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
         wrong[Reason.CRUSHED] = state["det"] < CRUSHED
     for why, where in wrong.items():
         reason[where.cpu().numpy() & (reason == Reason.NONE)] = why
-    out["reason"], out["converged"] = reason, reason == Reason.NONE
-    out["unbalanced_force"] = np.where(out["converged"][:, None], 0.0, out["force"])
-    for name in OF_AN_EQUILIBRIUM:
-        out[name][~out["converged"]] = np.nan
+    out["reason"], out["converged"] = np.zeros_like(reason), np.ones(batch, bool)
+    out["unbalanced_force"] = np.zeros_like(out["force"])
+    for why in Reason:
+        mark(out, reason == why, why)
     out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
+    return out
+
+
+def mark(out: Rows, where: np.ndarray, why: Reason) -> None:
+    """Mark the touches ``where`` (B,) bool of a frame as no equilibrium, for the reason ``why``; nothing for `NONE`."""
+    if why == Reason.NONE or not where.any():
+        return
+    out["unbalanced_force"][where], out["reason"][where], out["converged"][where] = out["force"][where], why, False
+    for name in OF_AN_EQUILIBRIUM:
+        out[name][where] = np.nan
+
+
+def on_nodes(patches: Sequence[Patch], force: torch.Tensor, converged: np.ndarray, nodes: int) -> np.ndarray:
+    """Contact forces (B, 3 s) [N] on the patches of B touches as forces on all ``nodes`` (n, 3, B) [N]; NaN on the
+    patches of touches that have not ``converged`` (B,)."""
+    out = np.zeros((nodes, 3, len(patches)))
+    for b, (patch, pushed) in enumerate(zip(patches, force.cpu().numpy(), strict=True)):
+        out[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)] if converged[b] else np.nan
     return out

@@ -24,6 +24,7 @@ class Reason(IntEnum):
     PATH = 10
     SNAPPED = 11
     ARM = 12
+    MOUNT = 13
 
     @property
     def text(self) -> str:
@@ -38,7 +39,8 @@ class Reason(IntEnum):
                 "an element is compressed below a tenth of its volume (det F < 0.1)",
                 "the frame itself is in equilibrium, but a step on the way to it was not",
                 "the object snapped to another equilibrium, and which one depends on its motion",
-                "a joint of the arm was at its stop or a motor at its limit: its sensors do not read the contact")[self]
+                "a joint of the arm was at its stop or a motor at its limit: its sensors do not read the contact",
+                "the spring of the mount and the contact do not balance")[self]
 
 
 @dataclass(frozen=True)

@@ -32,14 +32,15 @@ from vsfsim.physics.solve.branch import Branch
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import LinearTier, first_force
+from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.precision import is_single, limits, to_double
 from vsfsim.physics.solve.prediction import Known, guesses, predict
+from vsfsim.physics.solve.softened import lead
 from vsfsim.physics.threads import torch_threads
 
 FAR = 100.0
 """Measure at the start of a frame above which softer contact leads the way; at 1 nothing balances the contact yet."""
-_SOFTENINGS, _SOFT_TOLERANCE = (0.003, 0.05), 0.05  # of the contact stiffness, stage by stage; their tolerance
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
 _NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
 _UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
@@ -82,13 +83,14 @@ class Solver:
         """Whether the last run began in single precision and ended in double."""
         return self.elasticity.real is wp.float32 and not is_single(self._balance)
 
-    def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, keep: bool = False,
-            progress: Callable[[int], None] | None = None) -> Frames:
+    def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, mount: Mount | None = None,
+            keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the bodies through all frames.
 
         Args:
             poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch.
             start: where the path begins, likewise (B, ...); None for the first pose, come to by the shortest way.
+            mount: springs that carry the bodies; ``poses`` are then those of the mounts.
             keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
                 contact force on every surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as
                 `QuadraticMesh.surface_nodes`; NaN on the patch in frames that did not converge.
@@ -100,9 +102,9 @@ class Solver:
         if poses.ndim == 4:
             poses = poses[:, :, None]
         with torch_threads(1), torch.no_grad():  # one, so that the bits do not depend on the machine's load
-            return self._run(poses, start, keep, progress)
+            return self._run(poses, start, mount, keep, progress)
 
-    def _run(self, poses: np.ndarray, start: np.ndarray | None, keep: bool,
+    def _run(self, poses: np.ndarray, start: np.ndarray | None, mount: Mount | None, keep: bool,
              progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
@@ -110,7 +112,6 @@ class Solver:
         options, accept = limits(self.options, single=self.elasticity.real is wp.float32)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, options, floor=self._floor,
                                     accept=accept)
-        every = self._balance.every
         self._contact_force = self.contact.no_force()
         if self.linear:
             self._linear_tier = LinearTier(self._balance)
@@ -121,41 +122,17 @@ class Solver:
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
         self._equilibria: list[Known] = []
+        self._at = previous  # where the bodies are, each touch in equilibrium
         for t in range(frames):
             began, deadline = time.perf_counter(), clock.now() + self.options.seconds * batch
-            if self.linear:
-                out = self._linear_frame(previous, poses[t], deadline)
-            else:
-                self._balance.reset_counts()
-                way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
-                leap = path.too_far(previous, poses[t], self._stride, self.bodies)
-                self.contact.deadline, late = deadline, False
-                for pose in way:
-                    begin, friction = self._step(previous, pose, deadline)
-                    self._contact_force = self.contact.remember(every)
-                    if pose is way[-1]:
-                        break
-                    measure = self._balance.evaluate(every)["measure"] if self._balance.reason.any() else None
-                    self.contact.end_step(every)
-                    previous = self._resume(previous, pose, begin, friction, measure)
-                    late = clock.now() > deadline
-                    if late:  # the next frame goes on from here
-                        self.contact.move(poses[t], every)
-                        self._balance.reason[:] = Reason.TIME
-                        break
-                # the anchors move after the report: the forces balance with the old ones
-                state = self._balance.evaluate(every)
-                self._balance.reason[leap & (self._balance.reason == Reason.NONE)] = Reason.PATH
-                out = self._report(state)
-                if not late:
-                    self.contact.end_step(every)
+            trial = poses[t] if mount is None else mount.begin(poses[t])
+            begun = self._at, self._balance.u.clone(), self.contact.friction_state()
+            out = self._frame(trial, deadline)
+            while mount is not None and (trial := mount.correct(out)) is not None:
+                self._return(*begun)
+                out = mount.counted(self._frame(trial, deadline))
             if keep:
                 self._record(out["converged"])
-            if self.linear:
-                previous = poses[t]
-            elif not late:
-                self._balance.reason[:] = out["reason"]
-                previous = self._resume(previous, poses[t], begin, friction, state["measure"])
             out["seconds"] = np.full(batch, time.perf_counter() - began)
             rows.append(out)
             if progress is not None:
@@ -163,6 +140,46 @@ class Solver:
         data = {f.name: np.stack([row[f.name] for row in rows]) for f in dataclasses.fields(Frames)}
         data["seconds"] = data["seconds"][:, 0]
         return Frames(**data)
+
+    def _frame(self, pose: np.ndarray, deadline: float) -> Rows:
+        """Bring all touches into equilibrium with the bodies at ``pose`` (B, K, 4, 4), and look at what was found."""
+        balance, contact, late = self._balance, self.contact, False
+        way = list(path.pieces(self._at, pose, self._stride, self.bodies))
+        if self.linear:
+            before, self._at = self._at, pose
+            return self._linear_frame(before, way, deadline)
+        leap = path.too_far(self._at, pose, self._stride, self.bodies)
+        balance.reset_counts()
+        contact.deadline = deadline
+        for part in way:
+            begin, friction = self._step(self._at, part, deadline)
+            self._contact_force = contact.remember(balance.every)
+            if part is way[-1]:
+                break
+            measure = balance.evaluate(balance.every)["measure"] if balance.reason.any() else None
+            contact.end_step(balance.every)
+            self._at = self._resume(self._at, part, begin, friction, measure)
+            late = clock.now() > deadline
+            if late:  # the next frame goes on from here
+                contact.move(pose, balance.every)
+                balance.reason[:] = Reason.TIME
+                break
+        # the anchors move after the report: the forces balance with the old ones
+        state = balance.evaluate(balance.every)
+        balance.reason[leap & (balance.reason == Reason.NONE)] = Reason.PATH
+        out = self._report(state)
+        if not late:
+            contact.end_step(balance.every)
+            balance.reason[:] = out["reason"]
+            self._at = self._resume(self._at, pose, begin, friction, state["measure"])
+        return out
+
+    def _return(self, before: np.ndarray, begin: torch.Tensor, friction: Any) -> None:
+        """Take a frame back whose path counts: with friction to where it began, arguments as of `_resume`."""
+        del self._equilibria[-1:]
+        if self.contact.has_friction:
+            self._balance.reason[:] = Reason.PATH
+            self._at = self._resume(before, self._at, begin, friction, None)
 
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
@@ -204,11 +221,8 @@ class Solver:
 
     def _record(self, converged: np.ndarray) -> None:
         """Keep the displacements and forces of this frame for the caller; forces are NaN where it did not converge."""
-        u = self._balance.u
-        self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
-        force = np.zeros((len(self.model.mesh.points), 3, u.shape[1]))
-        for b, (patch, pushed) in enumerate(zip(self.contact.patches, self._contact_force.cpu().numpy(), strict=True)):
-            force[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)] if converged[b] else np.nan
+        self.history.append(self._balance.u.to(torch.float64, copy=True).cpu().numpy())
+        force = audit.on_nodes(self.contact.patches, self._contact_force, converged, len(self.model.mesh.points))
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
@@ -243,7 +257,9 @@ class Solver:
             if np.array_equal(known.pose, pose):
                 balance.u.copy_(known.u)
                 return
-        self._predict(columns, pose)
+        moved = torch.as_tensor((pose != before).any(axis=(1, 2, 3)) | (not self._equilibria), device=self.device)
+        if bool(moved.any()):
+            self._predict(columns[moved[columns]], pose)
 
     def _predict(self, columns: torch.Tensor, pose: np.ndarray, here: Known | None = None) -> None:
         """Begin ``columns`` at a prediction for the bodies' ``pose`` (B, K, 4, 4); ``here``: see `_guesses`."""
@@ -322,7 +338,7 @@ class Solver:
         # softer contact leads a body that goes deep into a soft wall in one frame, and lets one through that touched it
         far = columns[self._far_from_balance(state["measure"]) & ~(self._touched[columns] & contact.shifts)]
         if len(far):
-            self._lead(far, begin, deadline)
+            lead(balance, far, begin, deadline)
             state = balance.evaluate(columns)
         aim, host = balance.options.tolerance, columns.cpu().numpy()
         for _ in range(_GROWTHS):
@@ -352,37 +368,17 @@ class Solver:
                 return
         balance.reason[host] = Reason.PATCH
 
-    def _lead(self, columns: torch.Tensor, begin: torch.Tensor, deadline: float) -> None:
-        """Bring ``columns`` near equilibrium through softer contact, from the displacements ``begin`` (3 n, B) [m].
-        Where that leads to no balance, around a body that is deep in the object, say, the first guess stays."""
-        balance, contact = self._balance, self.contact
-        guess, least = balance.u.clone(), balance.least.clone()
-        self._branch.lift(columns)
-        balance.u[:, columns] = begin[:, columns]
-        for softening in _SOFTENINGS:
-            contact.softening[columns] = softening
-            balance.solve(columns, balance.evaluate(columns), _SOFT_TOLERANCE, deadline)
-            failed = columns[torch.as_tensor(balance.reason[columns.cpu().numpy()] != Reason.NONE, device=self.device)]
-            balance.u[:, failed] = guess[:, failed]
-            contact.softening[failed] = 1.0
-            columns = columns[(contact.softening[columns] < 1.0).nonzero()[:, 0]]
-            if not len(columns):
-                break
-        contact.softening[columns] = 1.0
-        balance.least = least
-
     def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
         """Which touches are so far off, by their ``measure`` (k,), that softer contact should lead the way (k,) bool. A
         nearly incompressible body begins far off by its change of volume alone."""
         return ((measure - 1.0).abs() < 0.03) | ((measure > FAR) & (not self.model.keeps_volume))
 
-    def _linear_frame(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> Rows:
+    def _linear_frame(self, before: np.ndarray, way: list[np.ndarray], deadline: float) -> Rows:
         """One frame of the `linear` tier."""
-        way = list(path.pieces(before, pose, self._stride, self.bodies))
         start = first_force(self._equilibria, self._contact_force, way[0], self.contact.has_friction)
         balance = self._balance
         force, state = self._linear_tier.frame(before, way, start, deadline)
-        self._remember(pose, force)
+        self._remember(way[-1], force)
         balance.reset_counts()
         balance.newton += 1
         late = clock.now() > deadline
@@ -396,5 +392,5 @@ class Solver:
 
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
-        accept = self._linear_tier.accept if self.linear else self._balance.accept
+        accept = (self._linear_tier if self.linear else self._balance).accept
         return audit.report(self._balance, state, self._grounding, linear=self.linear, accept=accept)
