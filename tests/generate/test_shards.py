@@ -21,8 +21,9 @@ from vsfsim.data.recipe import Recipe
 from vsfsim.data.store import open_store
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate import workers
+from vsfsim.generate import costs, workers
 from vsfsim.generate.effector import find_effector
+from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import Share, generate, make
 
 RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2, splits={"test": 2},
@@ -222,3 +223,20 @@ def test_slurm_by_processes_of_this_machine(scene, made, tmp_path):
     assert slurm.submit(words, 2, tmp_path / "logs", cluster="local") == []
     assert make(scene, out, share=Share(finish=True), objects=4).dataset.sha256 == made.sha256
     assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()
+
+
+def test_a_dry_run_is_within_a_quarter_of_the_run(scene, tmp_path, here, monkeypatch):
+    """On CPU time, from two small runs of other sizes."""
+    monkeypatch.setenv("VSFSIM_COSTS", str(tmp_path / "costs.jsonl"))
+    with pytest.raises(DatasetError, match="no view of the scene 'tiny'"):
+        costs.estimate(make_recipe(scene, objects=2), 2)
+    for touches in (1, 3):
+        generate(scene, tmp_path / f"small-{touches}", objects=3, touches=touches)
+    before = (tmp_path / "costs.jsonl").read_text().splitlines()
+    said = costs.estimate(make_recipe(scene, objects=3, touches=5, seed=1), 3)
+    generate(scene, tmp_path / "real", objects=3, touches=5, seed=1)
+    rows = [json.loads(line) for line in (tmp_path / "costs.jsonl").read_text().splitlines()[len(before):]]
+    took, size = sum(row["seconds"] for row in rows), sum(row["bytes"] for row in rows)
+    assert said.touches == 15 and said.seen == 6 and len(rows) == 3
+    assert abs(said.cpu_seconds / took - 1.0) < 0.25 and abs(said.bytes / size - 1.0) < 0.25
+    assert said.hours(2, 2) == pytest.approx(said.cpu_seconds / 3 / 3600.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -63,6 +64,11 @@ def generate(scene: SceneName,
                                                                     "job; default: 100, at most one a view.")] = None,
              printed: Annotated[bool, typer.Option("--print", help="Print the file for Slurm or Kubernetes and make "
                                                                    "nothing.")] = False,
+             dry_run: Annotated[bool, typer.Option("--dry-run", help="Make nothing: touches, bytes and time, from the "
+                                                                     "views of this scene made here before.")] = False,
+             machines: Annotated[int, typer.Option(min=1, help="With --dry-run: how many machines like this one.")] = 1,
+             price: Annotated[float | None, typer.Option(min=0.0, help="With --dry-run: of an hour of a machine.")
+                              ] = None,
              json: JsonFile = None) -> None:
     """Make a dataset from a scene, or finish one.
 
@@ -87,6 +93,14 @@ def generate(scene: SceneName,
     began = time.perf_counter()
     counts = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier, "arm": arm}
     folder = folder_of(loaded, out, **counts)
+    if dry_run:
+        from vsfsim.generate.costs import estimate
+        from vsfsim.generate.recipe import make_recipe
+
+        recipe = make_recipe(loaded, device=device, precision=precision, renderer=renderer, **counts)
+        cost, processes = estimate(recipe, recipe.objects * recipe.views), workers or os.cpu_count() or 1
+        report(cost.text(processes, machines, price), cost.table(processes, machines, price), json)
+        return
     if on in ("slurm", "k8s"):
         from vsfsim.generate.recipe import make_recipe
 

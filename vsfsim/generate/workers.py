@@ -9,6 +9,7 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -16,9 +17,11 @@ from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.lines import MOST_FAILURES, Failure, check_kind, failure, finished_names, put_failure, put_view
+from vsfsim.data.manifest import Entry
 from vsfsim.data.provenance import machine_kind
 from vsfsim.data.records import ObjectView
 from vsfsim.data.store import open_store
+from vsfsim.generate.costs import record
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
@@ -157,7 +160,9 @@ def make_one(job: Job, device: str, report: Callable[[int], None] | None = None)
         try:
             if job.poison:
                 put_failure(store, job.name, Failure(before.count + 1, "its process died"))
-            write(job, effector_of(job.scene()).make_view(job, device=device, progress=report), device)
+            began = time.process_time()
+            entry = write(job, effector_of(job.scene()).make_view(job, device=device, progress=report), device)
+            record(job.recipe, time.process_time() - began, entry.bytes)
             if job.poison:
                 put_failure(store, job.name, Failure(0, ""))
             return
@@ -183,8 +188,8 @@ def kind_of(device: str) -> str:
     return machine_kind(warp.get_device(device).name)
 
 
-def write(job: Job, view: ObjectView, device: str) -> None:
-    """Store a view as its job's file, and its line.
+def write(job: Job, view: ObjectView, device: str) -> Entry:
+    """Store a view as its job's file, and its line, which is returned.
 
     Raises:
         DatasetError: the effector left out a channel that it declares, or a field does not fit the schema.
@@ -196,7 +201,7 @@ def write(job: Job, view: ObjectView, device: str) -> None:
                 raise DatasetError(f"{job.name} touches/{index:03d}: the effector '{scene.effector}' declares the "
                                    f"channel '{name}' and did not record it.")
     check_files(job.recipe, job.path)
-    put_view(open_store(job.store), view, job.recipe, kind_of(device))
+    return put_view(open_store(job.store), view, job.recipe, kind_of(device))
 
 
 # ---------------------------------------------------------------------------------------------- in a worker
