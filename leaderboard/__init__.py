@@ -1,1 +1,1 @@
-"""Committed results: <task>/<method>.json."""
+"""The rows that ship: TASK.json of each task, studies/TASK.json of its studies; and result files, TASK/METHOD.json."""

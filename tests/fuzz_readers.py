@@ -13,6 +13,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.predictions import PredictionFile
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
@@ -93,6 +94,16 @@ def read_result(data):
     Result.load(path).computed()
 
 
+def read_board(data):
+    path = FOLDER / "mutated-board.json"
+    content = (FOLDER / "board.json").read_text()
+    if data.draw(st.booleans()):
+        path.write_text(json.dumps(replaced(data, json.loads(content))))
+    else:
+        path.write_bytes(mutated(data, content.encode()))
+    read_rows(path)
+
+
 def read_predictions(data):
     path = FOLDER / "mutated.npz"
     path.write_bytes(mutated(data, (FOLDER / "predictions.npz").read_bytes()))
@@ -109,7 +120,7 @@ def read_scene(data):
     parse_scene(mutated(data, (FOLDER / "scene.toml").read_bytes()).decode(errors="replace"), "scene.toml").sample(0)
 
 
-READERS = {"object": read_object_file, "manifest": read_manifest, "result": read_result,
+READERS = {"object": read_object_file, "manifest": read_manifest, "result": read_result, "board": read_board,
            "predictions": read_predictions, "task": read_task, "scene": read_scene}
 
 

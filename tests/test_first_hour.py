@@ -286,20 +286,3 @@ for words in (["verify", "toy"], ["score", "p.npz", "--task", "toy-v1.toml", "--
 """
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert out.returncode == 0 and "zeros" in out.stdout, out.stdout + out.stderr
-
-
-def test_the_leaderboard_says_which_rows_shipped_and_which_were_made_here(vsfsim, tmp_path):
-    name = "fewshot-shoes-v2-mini-v3"
-    made = tmp_path / "results" / name
-    made.mkdir(parents=True)
-    shipped = shelf.folder("leaderboard") / name / "gaussian.tuned.json"
-    (made / "gaussian.tuned.json").write_bytes(shipped.read_bytes())
-    table = json.loads(shipped.read_text())
-    (made / "mine.json").write_text(json.dumps({**table, "method": "mine"}))
-    board = json.loads(vsfsim("leaderboard", "--task", name, "--json", "-", cwd=tmp_path).stdout)
-    origin = {row["method"]: row["origin"] for row in board["rows"]}
-    assert origin["gaussian"] == "shipped, made again here" and origin["mine"] == "made here"
-    assert set(origin.values()) == {"shipped", "made here", "shipped, made again here"}
-    text = vsfsim("leaderboard", "--task", name, cwd=tmp_path).stdout
-    (line,) = [line for line in text.splitlines() if " mine " in line]
-    assert line.endswith("made here") and not line.endswith("again here")

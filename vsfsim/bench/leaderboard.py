@@ -13,6 +13,7 @@ from typing import Any
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
+from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task
@@ -27,6 +28,7 @@ SAME_READINGS = 1e-3
 """Datasets whose readings differ by less, by `result.readings_apart`, count as the same dataset made on a machine with
 other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
 has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
+_ROUNDING = 1e-8  # of the nine digits of a score that ships
 _SAME_SCORE = 1e-4
 """Relative difference below which two scores on such datasets count as one result."""
 
@@ -82,6 +84,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     Raises:
         TaskError: a file is not a result, or is a result of another task.
     """
+    board = folder("leaderboard") / f"{task.name}.json"
+    packed = [(board / one.name, one) for one in read_rows(board)]
     shipped = sorted((folder("leaderboard") / task.name).glob("*.json"))
     files = list(shipped)
     for path in paths:
@@ -89,27 +93,35 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
             raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
         files += sorted(path.glob("*.json")) if path.is_dir() else [path]
     results = [(path, Result.load(path)) for path in dict.fromkeys(files)]
-    for path, result in results:
+    told = [(path, one.result) for path, one in packed] + results
+    for path, result in told:
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
     record = shipped_record(task)
     reference = record.dataset_sha256 if record is not None else task.dataset.sha256 or _most(
-        [r for path, r in results if path in shipped], task) or _most([r for _, r in results], task)
-    known = next((r.readings for _, r in results if r.dataset_sha256 == reference and r.readings), {})
+        [r for path, r in told if path in shipped or r.values], task) or _most([r for _, r in results], task)
+    known = next((r.readings for _, r in told if r.dataset_sha256 == reference and r.readings), {})
     good: list[Row] = []
     odd: list[Row] = []
-    origin = {path: "shipped" if path in shipped else "made here" for path, _ in results}
-    for path, result in results:
-        admission = admit(result, task, record)
-        other = result.dataset_sha256 != reference
-        mark = admission.reason or (_far_apart(result, known) if other and record is None else "")
+    kept = {path: one for path, one in packed}
+    origin = {path: "shipped" if path in shipped or path in kept else "made here" for path, _ in told}
+    for path, result in told:
+        if path in kept:  # looked at when it was packed
+            scores, mark = result.scores, kept[path].mark
+            other = kept[path].other_bits
+            if result.task_sha256 != task.sha256:
+                mark = "other text of the task"
+        else:
+            admission = admit(result, task, record)
+            scores, other = admission.scores, result.dataset_sha256 != reference
+            mark = admission.reason or (_far_apart(result, known) if other and record is None else "")
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if mark else good
         same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
         if same is None:
             objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
                        } if over_objects(task) and not mark else {}
-            rows.append(Row(None, mark, result, admission.scores, path, other and not mark, objects, origin[path]))
+            rows.append(Row(None, mark, result, scores, path, other and not mark, objects, origin[path]))
         elif rows[same].origin != origin[path]:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
@@ -150,14 +162,32 @@ def _is_same(result: Result, before: Result) -> bool:
     if any(result.parameters[key] != before.parameters[key] for key in known):
         return False
     if result.dataset_sha256 == before.dataset_sha256:
-        return repr(result.scores) == repr(before.scores)
+        return _same_scores(result, before, list(result.scores), _ROUNDING)
     apart = readings_apart(result.readings, before.readings)
     if apart is None or not apart < SAME_READINGS or result.scores.keys() != before.scores.keys():
         return False
     names = [metric.name for metric in metrics_of(Answer.READINGS) if metric.name in result.scores]
-    pairs = [pair for name in names for shot, score in result.scores[name].items()
-             for pair in zip(score.per_seed, before.scores[name][shot].per_seed, strict=False)]
-    return all(math.isclose(one, other, rel_tol=_SAME_SCORE) for one, other in pairs)
+    return _same_scores(result, before, names, _SAME_SCORE)
+
+
+def _same_scores(one: Result, other: Result, names: list[str], tolerance: float) -> bool:
+    """Whether the means and deviations of some metrics are the same at all shots. A row that ships has no others."""
+    if any(one.scores[name].keys() != other.scores.get(name, {}).keys() for name in names):
+        return False
+    pairs = [pair for name in names for shot, score in one.scores[name].items()
+             for pair in zip((score.mean, *score.per_seed), (
+                 other.scores[name][shot].mean, *other.scores[name][shot].per_seed), strict=False)]
+    return all(math.isclose(a, b, rel_tol=tolerance) for a, b in pairs)
+
+
+def ship(board: Board, path: Path) -> None:
+    """Write a board as the file that ships, `leaderboard/TASK.json`.
+
+    Raises:
+        TaskError: the file cannot be written.
+    """
+    write_rows([Shipped(row.path.name, dataclasses.replace(row.result, scores=row.scores), row.mark, row.other_bits)
+                for row in board.rows], path)
 
 
 def table(board: Board) -> dict[str, Any]:

@@ -100,12 +100,15 @@ class Result:
     study: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What the method learned from where that is not what the task says (`vsfsim.bench.trials.training.Training`),
     else {}. A result with it is a study's and is never ranked."""
+    values: Mapping[str, Mapping[str, Mapping[str, float]]] = dataclasses.field(default_factory=dict)
+    """Of a row that ships (`vsfsim.bench.board.shipped`), in place of `queries` and `answers`: the value of each
+    object, mean over runs, by metric, shot and object. Else {}."""
     schema_version: int = SCHEMA_VERSION
     """Of the file that it was read from."""
 
     def summary(self) -> dict[str, Any]:
         """For JSON: everything but the raw numbers of every query."""
-        raw = ("queries", "readings", "answers", "data", "maps")
+        raw = ("queries", "readings", "answers", "data", "maps", "values")
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in raw}
 
     def __repr__(self) -> str:
@@ -185,8 +188,8 @@ class Result:
         optional = {"isolation", "preset",
                     *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
         given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps", "study", "contents"},
-                  SCHEMA_VERSION: {"readings", "study", "contents"}}
+        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps", "study", "contents", "values"},
+                  SCHEMA_VERSION: {"readings", "study", "contents", "values"}}
         odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
         if odd:
             raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "

@@ -263,12 +263,16 @@ def leaderboard(results: Annotated[list[Path] | None,
                 markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False,
                 html: Annotated[Path | None, typer.Option(metavar="DIR", help="Write static pages that work offline "
                                                                               "into this folder.")] = None,
+                ship: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the rows as files that ship, "
+                                                                              "DIR/TASK.json, and rows of studies "
+                                                                              "beside them.")] = None,
                 json: JsonFile = None) -> None:
     """Rank the methods of a task, from result files.
 
     The last column says which results came with vsfsim and which were made here.
     """
     from vsfsim.bench import leaderboard as board
+    from vsfsim.bench.studies.results import ship as ship_studies
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
 
@@ -280,6 +284,9 @@ def leaderboard(results: Annotated[list[Path] | None,
             paths = [Path("results") / wanted.name]
         found = board.collect(wanted, paths)
         boards.append(found)
+        if ship is not None:
+            board.ship(found, ship / f"{name}.json")
+            ship_studies(name, ship / "studies" / f"{name}.json")
         pages.append((board.markdown if markdown else board.text)(found))
         tables.append(board.table(found))
     if html is not None:

@@ -39,6 +39,10 @@ class Answered(Scored, Protocol):
     def answers(self) -> Mapping[str, Mapping[str, list]]:
         """Columns by the name of the answer."""
 
+    @property
+    def values(self) -> Mapping[str, Mapping[str, ByObject]]:
+        """By metric and shot, where the rows of single touches are not kept."""
+
 
 @dataclass(frozen=True)
 class Paired:
@@ -94,11 +98,15 @@ def by_object(result: Answered, metric: str, shot: str) -> dict[str, float]:
     Args:
         result: of any task. metric: a key of `vsfsim.bench.metrics.METRICS`. shot: label.
     """
+    if result.values:
+        return dict(result.values.get(metric, {}).get(shot, {}))
     if metric == "rmse_ratio":
         return ratios(result, shot)
     if metric == "rmse":
         return absolute(result, shot)
     rows = result.answers.get(METRICS[metric].answer.value, {})
+    if metric not in rows:
+        return {}
     found: dict[str, list[float]] = {}
     for name, at, value in zip(*(rows.get(key, ()) for key in ("object", "shot", metric)), strict=True):
         if at == shot and value is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
+from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.commands.evaluate import finish
 from vsfsim.bench.commands.presets import on_device
 from vsfsim.bench.commands.side_by_side import Evaluation, make
@@ -74,12 +75,29 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
 def _file(study: Study, variant: Variant, task: Task, roots: Sequence[Path]) -> tuple[Path, Result] | None:
     name = f"{study.stem(variant)}.json"
     for root in roots:
+        board = root / "studies" / f"{task.name}.json"
         path = root / "studies" / task.name / name
-        if path.is_file():
-            result = Result.load(path)
+        found = [Result.load(path)] if path.is_file() else [row.result for row in read_rows(board) if row.name == name]
+        for result in found:
             if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels:
                 return path, result
     return None
+
+
+def ship(task: str, out: Path) -> None:
+    """Write the results that studies of a task have made here, beside those that ship, as the file that ships.
+
+    Args:
+        task: its name. out: the file.
+
+    Raises:
+        TaskError: a file is damaged or cannot be written.
+    """
+    rows = {row.name: row for row in read_rows(folder("leaderboard") / "studies" / f"{task}.json")}
+    for path in sorted((MADE / "studies" / task).glob("*.json")):
+        rows[path.name] = Shipped(path.name, Result.load(path), "", False)
+    if rows:
+        write_rows([rows[name] for name in sorted(rows)], out)
 
 
 def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True) -> leaderboard.Board:

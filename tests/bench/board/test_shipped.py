@@ -1,0 +1,57 @@
+"""Rows that ship: a board read from its compact file is the board of the result files."""
+
+import dataclasses
+import json
+
+import pytest
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.board.compare import by_object
+from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.core import shelf
+from vsfsim.core.errors import TaskError
+
+
+@pytest.fixture(scope="module")
+def results(task, toy_dataset, tmp_path_factory):
+    out = tmp_path_factory.mktemp("results")
+    for value in (1.0, 3.0):
+        evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": value}, check=False).save(
+            out / f"constant-{value:g}.json")
+    return out
+
+
+def test_a_board_that_ships_is_the_board_of_its_results(task, results, tmp_path, monkeypatch):
+    board = leaderboard.collect(task, [results])
+    leaderboard.ship(board, tmp_path / "toy-v1.json")
+    monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
+    shipped = leaderboard.collect(task)
+    assert leaderboard.markdown(shipped) == leaderboard.markdown(board)
+    for row, was in zip(shipped.rows, board.rows, strict=True):
+        assert row.rank == was.rank and not row.result.queries["n"] and row.path.name == was.path.name
+        for shot in task.protocol.labels:
+            found, expected = (by_object(r.result, "rmse", shot) for r in (row, was))
+            assert found == pytest.approx(expected, rel=1e-7) and len(found) == 2
+    again = leaderboard.collect(task, [results])
+    assert [row.origin for row in again.rows] == ["shipped, made again here"] * 2
+    other = dataclasses.replace(task, sha256="other")
+    assert {row.mark for row in leaderboard.collect(other).rows} == {"other text of the task"}
+
+
+@pytest.mark.parametrize("change", [
+    lambda t: t.update(version=9), lambda t: t["rows"][0].pop("values"), lambda t: t["rows"][0].update(method=3),
+    lambda t: t["rows"][0].update(readings=7), lambda t: t["objects"].pop(),
+    lambda t: t["rows"][0]["scores"]["rmse"].update({"0": ["a", 1]}), lambda t: t.update(rows=3)])
+def test_a_damaged_file_is_refused(task, results, tmp_path, change):
+    path = tmp_path / "toy-v1.json"
+    leaderboard.ship(leaderboard.collect(task, [results]), path)
+    table = json.loads(path.read_text())
+    change(table)
+    path.write_text(json.dumps(table))
+    with pytest.raises(TaskError, match="is no leaderboard that ships"):
+        read_rows(path)
+
+
+def test_what_ships_is_small():
+    assert sum(path.stat().st_size for path in shelf.folder("leaderboard").rglob("*.json")) < 5e6
