@@ -75,7 +75,7 @@ CELLS = (
     _solid("cylinder rim", probe="cylinder rim"),
     _solid("capsule", probe="capsule"),
     _solid("capsule end", probe="capsule end", depth=0.3),
-    _solid("plane half", probe="plane", depth=0.5),
+    _solid("plane", probe="plane", depth=0.3),
     _solid("fork", probe="fork"),
     _solid("ball and wall", probe="ball and wall"),
     _solid("pyramid", probe="pyramid"),
