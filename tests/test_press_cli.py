@@ -91,12 +91,38 @@ def test_a_scan_with_a_hole_in_millimetres(press, tmp_path):
     whole, result = (pressed(press("--plot", "p.png", "--json", "-", shape=f'mesh = "{name}.stl"', size=0.02,
                                    start=0.04, stop=0.037)) for name in ("whole", "dome"))
     notes = " ".join(result["notes"])
-    assert "read as millimetres" in notes and 'fixed = "bottom" holds the lowest 5 %' in notes
+    assert "read as millimetres" in notes and 'fixed = "bottom" holds the scan\'s base face, 60 x 60 mm' in notes
     assert "Not watertight" in notes and "Not watertight" not in " ".join(whole["notes"])
     assert "tip" not in notes and (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
     # Hertz for two spheres, R = 7.5 mm: 4/3 E* sqrt(R) d^1.5 = 1.2 N; the dome of 30 mm is bonded to its base
     force = result["force"][-1][2]
     assert force == pytest.approx(1.2, rel=0.4) and force == pytest.approx(whole["force"][-1][2], rel=0.1)
+
+
+@pytest.mark.parametrize(("probe", "half", "within"), [
+    # 2.3 % observed: the contact's radius, 3 mm, is 0.4 of an element
+    ("sphere = 0.01", 0.01, 0.03), ("plane = true", 0.0, 0.02)])
+def test_the_scan_of_a_box_presses_as_the_box_does(press, tmp_path, probe, half, within):
+    """Held by its base face like the box. A foot of 5 % of the height would add 5 % to the force of the plate."""
+    trimesh.creation.box((0.06, 0.06, 0.03)).export(tmp_path / "box.stl")
+    box, scan = (pressed(press("--json", "-", shape=shape, size=0.0075, tier="linear", probe=probe, frames=1,
+                               start=0.03 + half, stop=0.029 + half))["force"][-1][2]
+                 for shape in ("box = [0.06, 0.06, 0.03]", 'mesh = "box.stl"'))
+    assert scan == pytest.approx(box, rel=within)
+
+
+def test_a_hollow_ball_that_was_mirrored_keeps_its_cavity(press, tmp_path):
+    """Exporters mirror the corners and keep the winding, so that every face is inside out."""
+    outer, inner = (trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (0.04, 0.026))
+    inner.invert()
+    hollow = trimesh.util.concatenate([outer, inner])
+    hollow.export(tmp_path / "a.stl")
+    trimesh.Trimesh(hollow.vertices * [-1.0, 1.0, 1.0], hollow.faces, process=False).export(tmp_path / "b.stl")
+    one, other = (pressed(press("--json", "-", shape=f'mesh = "{name}.stl"', size=0.014, tier="linear",
+                                probe="plane = true", frames=1, start=0.08, stop=0.078)) for name in "ab")
+    assert other["force"][-1][2] == pytest.approx(one["force"][-1][2], rel=0.02)
+    for result in (one, other):
+        assert any("cavities 1 for 1" in note for note in result["notes"])
 
 
 def test_a_probe_that_misses_is_reported_and_one_inside_is_refused(press):

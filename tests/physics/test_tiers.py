@@ -18,6 +18,7 @@ from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
 from vsfsim.physics.contact.rigid_contact import RigidContact
+from vsfsim.physics.mesh.foot import scan_foot
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver
@@ -259,12 +260,14 @@ def test_the_foot_of_a_scan_is_said_and_a_narrow_one_warned_of():
         # a frustum: a square foot under a square top of 0.1 m
         v = np.array([[x * w, y * w, z] for z, w in ((0.0, foot), (height, 0.1)) for x in (-0.5, 0.5)
                       for y in (-0.5, 0.5)])
-        return tiers.foot_note(Solid(v, np.array([[0, 1, 2, 4]]), np.zeros(1, int), ("body",)), tiers.FOOT * height)
+        return scan_foot(Solid(v, np.array([[0, 1, 2, 4]]), np.zeros(1, int), ("body",)))
 
-    assert ("lowest 5 % of the scan, 5.0 mm: a foot of 80 x 80 mm under a body of 100 x 100 mm" in said(0.08)
-            and "tip" not in said(0.08))
+    assert said(0.08) == (pytest.approx(0.001), (
+        'fixed = "bottom" holds the scan\'s base face, 80 x 80 mm under a body of 100 x 100 mm.'))
+    assert said(0.02)[0] == pytest.approx(0.005)
+    assert "its lowest 5 %, 5.0 mm, a foot of 20 x 20 mm under a body of 100 x 100 mm" in said(0.02)[1]
     assert ("may tip rather than be indented; fixed = [-0.051, -0.051, -0.001, 0.051, 0.051, 0.025] would hold its "
-            "lowest quarter" in said(0.02))
+            "lowest quarter" in said(0.02)[1])
 
 
 def test_round_bars_have_their_full_section_and_a_ball_its_true_top():

@@ -17,6 +17,7 @@ from vsfsim.physics.contact import sdf
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
+from vsfsim.physics.mesh.foot import scan_foot
 from vsfsim.physics.mesh.inclusions import snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, regional_tetrahedra, tetrahedra
@@ -59,11 +60,6 @@ TIERS: dict[str, Tier] = {
     "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True, local_indentation=True,
                      indentation_by_place=True),
 }
-FOOT = 0.05
-"""Part of a scan's height that is held in place of a flat base, which it has none of [-]. A ball of 80 mm then stands
-on a foot of 35 mm; with 2 % it was 22 mm, held by a dozen nodes, and a lumpy blob tipped over under 0.4 N."""
-NARROW = 1 / 3
-"""Part of the body's width or depth under which a foot is narrow enough for a warning [-]."""
 THIN_CELLS = 1500
 """Most cells of a thin body: a sheet of 0.3 x 0.2 x 0.001 m would need two layers of 60,000 cubes, and has 47 cells
 along its length with this many, which its bending resolves."""
@@ -232,26 +228,6 @@ def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np
     return 1.0 / (1.0 / field.evaluate(points, _spread(solid, len(bary)), modulus)).mean(axis=1)
 
 
-def foot_note(solid: Solid, tolerance: float) -> str:
-    """What ``fixed = "bottom"`` means for a scan, in a sentence, and a warning where it is a narrow foot.
-
-    Args:
-        solid: the scan in its own frame.
-        tolerance: height of the part that is held [m].
-    """
-    low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
-    held = solid.vertices[solid.vertices[:, 2] <= low[2] + tolerance]
-    foot, whole = np.ptp(held[:, :2], axis=0), (high - low)[:2]
-    note = (f"fixed = \"bottom\" holds the lowest {100 * FOOT:g} % of the scan, {1e3 * tolerance:.1f} mm: "
-            f"a foot of {1e3 * foot[0]:.0f} x {1e3 * foot[1]:.0f} mm under a body of {1e3 * whole[0]:.0f} x "
-            f"{1e3 * whole[1]:.0f} mm.")
-    if (foot < NARROW * whole).any():
-        box = ", ".join(f"{v:.3f}" for v in (*(low - 0.001), *(high[:2] + 0.001), low[2] + 0.25 * (high[2] - low[2])))
-        note += (f" On so narrow a foot the body may tip rather than be indented; fixed = [{box}] would hold its "
-                 f"lowest quarter.")
-    return note
-
-
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
           cache: Path | None = None, edges: EdgePath | None = None) -> Model:
     """The model of a scene at a tier, in the world frame; arguments and errors as `body`."""
@@ -259,10 +235,10 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
     where = f"{scene.source} [object]"
     solid, values = body(scene, tier, seed=seed, focus=focus, cache=cache, edges=edges)
     turn, shift = placement(spec)
-    height = float(np.ptp(solid.vertices[:, 2]))
-    tolerance = (FOOT if isinstance(spec.shape, MeshFile) else 1e-6) * height
+    tolerance = 1e-6 * float(np.ptp(solid.vertices[:, 2]))
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":
-        solid = dataclasses.replace(solid, notes=(*solid.notes, foot_note(solid, tolerance)))
+        tolerance, note = scan_foot(solid)
+        solid = dataclasses.replace(solid, notes=(*solid.notes, note))
     if tier == "spring" and abs(spec.poisson_ratio - OBSERVED_POISSON_RATIO) > POISSON_SPREAD:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
             f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has about "

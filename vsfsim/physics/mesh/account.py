@@ -10,6 +10,7 @@ import numpy as np
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.solid import boundary_faces, tet_volumes
+from vsfsim.physics.mesh.foot import BASE
 from vsfsim.physics.mesh.manifold import body_of_each_tet, shells
 from vsfsim.physics.mesh.repair import Surface, signed_volume
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
@@ -18,8 +19,6 @@ TOLD = 0.02
 """Relative difference above which a filling is said to depart from its scan [-]."""
 REFUSED = 0.10
 """Relative difference above which a filling is refused [-]."""
-BASE = 0.01
-"""Height of the part under which the base is cut flat, over the height of the scan [-]."""
 _SAMPLES = 80  # of the body's volume along the longest edge of its box, where parts overlap
 _POINTS = 20_000  # of a surface whose distance is measured, at most
 
