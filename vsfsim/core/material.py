@@ -28,6 +28,13 @@ class Inclusion:
     young_modulus: float
     """Inside [Pa]."""
 
+    @property
+    def thickness(self) -> float:
+        """Least width [m]."""
+        if self.kind == "box":
+            return float(np.abs(np.subtract(self.numbers[3:], self.numbers[:3])).min())
+        return 2.0 * self.numbers[-1]
+
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance (...,) [m] of ``points`` (..., 3) [m], negative inside (box: Chebyshev inside)."""
         n = np.asarray(self.numbers)

@@ -59,6 +59,8 @@ class Solid:
     """Repairs and decisions, one sentence each."""
     laws: tuple[Law, ...] | None = None
     """Of each region (R,), or None where the scene gives one material for the whole object."""
+    parts: float = 0.0
+    """By which share of its own the stiffness of a part inside is off in the mesh, the largest of all parts [-]."""
 
     def volume(self) -> float:
         """Volume of the body [m^3]."""

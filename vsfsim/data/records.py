@@ -21,6 +21,8 @@ AUDIT_COLUMNS = ("force_balance", "min_det_f", "energy", "penetration")
 """Columns of `Touch.audit` that every simulated touch has; see there for the units."""
 CONTACT_COLUMNS = ("contact_points", "contact_radius")
 """Further columns of a touch by a rigid probe."""
+MESH_COLUMNS = ("mesh_error", "corner_det_f")
+"""Further columns of a touch by a rigid probe on a solid of tetrahedra."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,12 +83,16 @@ class Touch:
     """0 for a good frame, else an index + 1 into `reason_names` (T,) int."""
     reason_names: tuple[str, ...] = ()
     """What the codes of `reason` mean, one sentence each."""
+    resolved: np.ndarray | None = None
+    """The frame is an equilibrium, and the mesh resolves its contact and the parts inside (T,) bool; None where that is
+    not measured."""
     audit: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Columns by name, each (T,): force_balance = |force - reaction - weight| over the larger norm [-]; min_det_f =
     smallest det F of an element [-]; energy = elastic energy of the object [J]; penetration = deepest point of the
     surface inside the probe, between the contact points too [m]. Of a rigid probe also contact_points = number of
     points in contact, and contact_radius = radius of a circle of the area in contact over the edge of the elements
-    there [-]."""
+    there [-]. On a solid of tetrahedra also mesh_error = estimated error of the force because the contact is small
+    against the elements [-], and corner_det_f = least det F at the corners of the tetrahedra in contact [-]."""
     q: np.ndarray | None = None
     """Joint angles of the arm (T, 7) [rad], or None without an arm."""
     torque: np.ndarray | None = None

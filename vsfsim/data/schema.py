@@ -104,6 +104,15 @@ FIELDS: list[Field] = [
     _touch("audit/contact_radius", "float64", "T", "1",
            "How well the contact is resolved: radius of a circle of its area over the edge of the elements there; of a "
            "rigid probe.", required=False),
+    _touch("audit/mesh_error", "float64", "T", "1",
+           "Estimated error of the force because the contact is small against the elements; of a rigid probe on "
+           "tetrahedra.", required=False, masked=True),
+    _touch("audit/corner_det_f", "float64", "T", "1",
+           "Smallest det F at the corners of the tetrahedra in contact; of a rigid probe on tetrahedra.",
+           required=False, masked=True),
+    _touch("resolved", "bool", "T", "1",
+           "The frame is an equilibrium, its mesh_error is 0.1 at most, no corner of an element is inside out, and the "
+           "mesh holds the parts inside; of a rigid probe on tetrahedra.", required=False),
     _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
     _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
     _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False,
@@ -274,6 +283,14 @@ def schema_markdown() -> str:
         "points and n",
         "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and "
         "nowhere else.", "",
+        "A frame whose `resolved` is False and whose `converged` is True is an equilibrium of the mesh, with a "
+        "force that",
+        "the mesh makes wrong by more than an estimated tenth, or with parts inside that it does not hold. It keeps "
+        "its",
+        "numbers, and `valid` of a reading that a method gets is True for it: `valid` says that there is a number. A "
+        "light",
+        "first contact is often such a frame, and its force is small. Leave such frames out where a tenth matters;",
+        "`touch.resolved` is None in data that do not measure it.", "",
         "| root attribute | type | meaning |", "|---|---|---|",
     ]
     lines += [f"| `{name}` | {kind} | {doc} |" for name, (kind, doc) in ATTRIBUTES.items()]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.verify import contact_frames
+from vsfsim.data.verify import contact_frames, unresolved_frames
 
 
 def summary(path: str | Path) -> str:
@@ -32,7 +32,7 @@ def summary_rows(path: str | Path) -> list[tuple[str, str]]:
     force, change, iterations, balance, modulus = [], [], [], [], []
     regions: dict[str, Any] = {}
     touched = 0
-    ended = [0, 0, 0]
+    ended, unresolved, worst = [0, 0, 0], 0, 0.0
     audit: dict[tuple[str, str], list[Any]] = {
         ("min_det_f", ", all converged frames"): [], ("energy", " J"): [], ("penetration", " m"): []}
     reasons: dict[str, int] = {}
@@ -44,6 +44,9 @@ def summary_rows(path: str | Path) -> list[tuple[str, str]]:
             iterations.append(touch.iterations)
             balance.append(np.asarray(touch.audit["force_balance"])[contact_frames(touch)])
             touched += touch.touched
+            if (lost := unresolved_frames(touch)).any():
+                unresolved += int(lost.sum())
+                worst = max(worst, float(np.asarray(touch.audit.get("mesh_error", np.zeros(len(lost))))[lost].max()))
             ended[touch.ended or 0] += 1
             for (name, _), values in audit.items():
                 if touch.audit.get(name) is not None:  # a plant has no det F
@@ -74,6 +77,10 @@ def summary_rows(path: str | Path) -> list[tuple[str, str]]:
         *([("ended early", f"{ended[1]} touches at the arm's protective stop, {ended[2]} with the solver's "
                            f"iterations used up")] if any(ended[1:]) else []),
         ("frames", f"{frames}, {unconverged} unconverged ({100.0 * unconverged / max(frames, 1):.1f} %)"),
+        *([("not resolved", f"{unresolved} frames ({100.0 * unresolved / max(frames, 1):.1f} %): the mesh is too "
+                            f"coarse for the contact or the parts inside; estimated error of the force up to "
+                            f"{100.0 * worst:.0f} %")]
+          if unresolved else []),
         ("normal force", f"{_span(force_all)} N, converged frames"),
         *([("pressure", f"{_span(np.concatenate(change))} Pa over the free dome's, converged frames")] if change
           else []),

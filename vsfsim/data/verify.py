@@ -66,6 +66,8 @@ class Report:
     """Number of frames."""
     unconverged: int = 0
     """Frames that are marked as not converged."""
+    unresolved: int = 0
+    """Frames that are marked as equilibria which the mesh does not resolve."""
     untouched: int = 0
     """Touches that met nothing."""
     worst_balance: float = 0.0
@@ -85,7 +87,9 @@ class Report:
         share = 100.0 * self.unconverged / max(self.frames, 1)
         lines = [f"{self.path}: {self.files} files, {self.touches} touches ({self.untouched} met nothing), "
                  f"{self.frames} frames "
-                 f"({self.unconverged} = {share:.1f} % unconverged), worst force balance {self.worst_balance:.1e}"]
+                 f"({self.unconverged} = {share:.1f} % unconverged, {self.unresolved} = "
+                 f"{100.0 * self.unresolved / max(self.frames, 1):.1f} % not resolved by the mesh), "
+                 f"worst force balance {self.worst_balance:.1e}"]
         lines += [f"  {problem}" for problem in self.problems]
         lines.append("ok" if self.ok else f"{len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
         return "\n".join(lines)
@@ -94,7 +98,8 @@ class Report:
 def verify(path: str | Path) -> Report:
     """Check the dataset in folder ``path``: hashes, schema, finiteness, force balance.
 
-    Unconverged frames and touches that met nothing are counted, not complained about: they are marked as such.
+    Unconverged and unresolved frames and touches that met nothing are counted, not complained about: they are marked as
+    such.
 
     Returns:
         The report; `Report.problems` names every file that is wrong and what to do.
@@ -110,7 +115,7 @@ def verify(path: str | Path) -> Report:
             raise
         return Report(path, (Problem(MANIFEST, str(error), ""),))
     problems: list[Problem] = []
-    counts = {"files": 0, "touches": 0, "frames": 0, "unconverged": 0, "untouched": 0}
+    counts = {"files": 0, "touches": 0, "frames": 0, "unconverged": 0, "unresolved": 0, "untouched": 0}
     worst = 0.0
     listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
     for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
@@ -157,6 +162,7 @@ def verify(path: str | Path) -> Report:
             counts["touches"] += 1
             counts["frames"] += len(touch.time)
             counts["unconverged"] += int((~touch.converged).sum())
+            counts["unresolved"] += int(unresolved_frames(touch).sum())
             counts["untouched"] += int(not touch.touched)
     return Report(path, tuple(problems), **counts, worst_balance=worst)
 
@@ -169,6 +175,11 @@ def skin_loss(touch: Touch) -> tuple[int, float] | None:
     off = np.linalg.norm(touch.node_force.astype(float).sum(axis=1) - touch.force, axis=1)
     bad = np.flatnonzero(touch.converged & ~(off <= SKIN_LIMIT + BALANCE_LIMIT * np.linalg.norm(touch.force, axis=1)))
     return (int(bad[0]), float(off[bad[0]])) if len(bad) else None
+
+
+def unresolved_frames(touch: Touch) -> np.ndarray:
+    """Converged frames that the mesh does not resolve (T,) bool; none where that was not measured."""
+    return np.zeros(len(touch.converged), bool) if touch.resolved is None else touch.converged & ~touch.resolved
 
 
 def contact_frames(touch: Touch) -> np.ndarray:

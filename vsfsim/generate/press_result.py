@@ -191,6 +191,8 @@ class PressResult:
     """What the picture shows, for the line below it."""
     panels: tuple[Panel, ...] = ()
     """What the picture of the frame of full depth shows; empty without `PressRequest.keep`."""
+    resolved: np.ndarray | None = None
+    """Whether the mesh resolves each frame (T,), see `physics.solve.resolved`; None where that is not measured."""
     arrays: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)
     """What ``--save`` writes, by key: the array, and its shape and unit in words; empty without `PressRequest.keep`."""
 
@@ -203,7 +205,7 @@ class PressResult:
     def table(self) -> dict[str, Any]:
         """What ``--json`` prints: lists, numbers and texts by key."""
         names = ("depth", "force", "normal_force", "axis", "reaction", "converged", "residual", "iterations", "audit",
-                 "notes")
+                 "notes", *(() if self.resolved is None else ("resolved",)))
         return plain({**{name: getattr(self, name) for name in names}, **self.more})
 
 

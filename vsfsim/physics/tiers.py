@@ -18,7 +18,7 @@ from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.foot import scan_foot
-from vsfsim.physics.mesh.inclusions import snap_to_inclusions
+from vsfsim.physics.mesh.inclusions import held_stiffness, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, regional_tetrahedra, tetrahedra
 from vsfsim.physics.network import OBSERVED_POISSON_RATIO, POISSON_SPREAD, spring_network
@@ -178,22 +178,27 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     """
     spec = scene.object
     where = f"{scene.source} [object]"
-    turn, shift = placement(spec)
+    field, (turn, shift) = spec.young_modulus, placement(spec)
+    boxes = [np.sort(np.reshape(part.numbers, (2, 3)), axis=0) for part in field.inclusions if part.kind == "box"]
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
     # a coarse bar is a 12-gon: inscribed in the circle it is 5 % too thin and bends 9 % too softly; of equal area it is
     # 0.05 % off. A ball of equal volume would be 1-2 % of its radius too high, and so would its first contact
     solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
-                        cache=cache, focus=local, equal_volume=isinstance(spec.shape, (Rod, Cylinder)))
+                        cache=cache, focus=local, equal_volume=isinstance(spec.shape, (Rod, Cylinder)),
+                        parts=np.array(boxes) if boxes and TIERS[tier].elements is tetrahedra else None)
     if edges is not None and TIERS[tier].elements is tetrahedra:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
-    field = spec.young_modulus
     modulus = None
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
         modulus = field.by_region(solid.region_names, solid.young_modulus, where)
     if not field.inclusions:
         return solid, field.evaluate(gauss_points(solid), _spread(solid, 4), modulus)
     solid, _ = snap_to_inclusions(solid, field)
-    return solid, np.repeat(_mixed(solid, field, modulus)[:, None], 4, axis=1)
+    values = _mixed(solid, field, modulus)
+    share = held_stiffness(solid, field, modulus, values)
+    off = np.abs(share - 1.0)
+    solid = dataclasses.replace(solid, notes=(*solid.notes, *part_notes(field, share)), parts=float(off.max()))
+    return solid, np.repeat(values[:, None], 4, axis=1)
 
 
 def _with_edges(solid: Solid, edges: EdgePath, scene: Scene, tier: str) -> Solid:
@@ -205,7 +210,8 @@ def _with_edges(solid: Solid, edges: EdgePath, scene: Scene, tier: str) -> Solid
     if len(divided.tets) == len(solid.tets):
         return solid
     return dataclasses.replace(divided, notes=(*divided.notes, (
-        f"Elements are smaller along the probe's edges, down to {1e3 * part * float(edges.half.min()):.2g} mm.")))
+        f"Elements are smaller at the probe's edges and small parts, down to "
+        f"{1e3 * part * float(edges.half.min()):.2g} mm.")))
 
 
 def _spread(solid: Solid, points: int) -> np.ndarray:

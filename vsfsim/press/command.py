@@ -17,7 +17,7 @@ from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.physics.runtime import check_device, check_precision
 from vsfsim.press import archive
 from vsfsim.press import refine as refinement
-from vsfsim.press.text import text
+from vsfsim.press.text import marks, text
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,6 +59,12 @@ class Press:
     def converged(self) -> bool:
         """Whether every frame, of every mesh, is an equilibrium within the solver's tolerance."""
         return all(bool(result.converged.all()) for result in self.results)
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the mesh, of a refinement the finest, resolves every frame; also True where that is not measured, as
+        of a bubble's membrane."""
+        return self.result.resolved is None or bool(self.result.resolved.all())
 
     def text(self) -> str:
         """What the command prints: the table of the frames, whether it can be trusted, notes, the refinement."""
@@ -102,13 +108,14 @@ class Press:
         archive.save(self.result, Path(path))
 
     def __repr__(self) -> str:
-        result, good = self.result, self.converged
-        return f"Press({self.scene}: {len(result.depth)} frames, {result.headline}{'' if good else ', NOT CONVERGED'})"
+        result = self.result
+        mark = ", NOT CONVERGED" if not self.converged else "" if self.resolved else ", NOT RESOLVED"
+        return f"Press({self.scene}: {len(result.depth)} frames, {result.headline}{mark})"
 
     def _repr_html_(self) -> str:
         columns = self.result.columns
-        good = ["" if frame else "NOT CONVERGED" for frame in self.result.converged]
-        rows = list(zip(*(column.cells() for column in columns), good, strict=True))
+        found = marks(self.result.converged, self.result.resolved)
+        rows = list(zip(*(column.cells() for column in columns), found, strict=True))
         return html_table(f"{self.scene}: {' '.join(self.result.words)}",
                           (*(column.heading for column in columns), ""), rows)
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.interactive.figure import new_figure
 from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
+from vsfsim.press.text import marks
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import flat_coloured, with_rigid
 
@@ -79,7 +80,7 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
             axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
             figure.colorbar(_scale(panel.colours), cax=axes).set_label(panel.colours.label, fontsize=9)
         left += width
-    mark = "" if result.converged[result.deepest] else "   NOT CONVERGED"
+    mark = f"   {marks(result.converged, result.resolved)[result.deepest]}".rstrip()
     figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {result.headline}{mark}", va="center", fontsize=12)
     caption = f"{result.model}; {result.caption}" if result.caption else result.model
     figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
-from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, ObjectView, Touch
+from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, ObjectView, Touch
 from vsfsim.generate.aim import Aim, aim_probe
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
@@ -29,6 +29,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames
 from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.physics.solve.mount import Mount
+from vsfsim.physics.solve.resolved import resolved
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import times, touch_path
 from vsfsim.vsf.stick_slip import stick_slip_kernel
@@ -112,16 +113,18 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
             pose[:3, 3] = a.contact - (spec.approach if a.approach is None else a.approach) * a.axis
         frames = solver.run(poses, start=start, mount=mount,
                             progress=None if progress is None else lambda _, k=width: progress(k))
-        out += [dataclasses.replace(_record(a, poses[:, k], frames, k), mount_stiffness=spring)
+        out += [dataclasses.replace(_record(a, poses[:, k], frames, k, model.solid.parts), mount_stiffness=spring)
                 for k, a in enumerate(part)]
     return out
 
 
-def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
+def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int, parts: float) -> Touch:
+    mesh = MESH_COLUMNS if np.isfinite(frames.mesh_error[:, k]).all() else ()
+    held = resolved(frames.mesh_error[:, k], frames.corner_det_f[:, k], frames.converged[:, k], parts) if mesh else None
     found = frames.converged[:, k] & np.isfinite(frames.force[:, k]).all(axis=1)
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], residual=frames.residual[:, k],
         iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
-        audit=audit(frames, k, columns=(*AUDIT_COLUMNS, *CONTACT_COLUMNS)),
+        audit=audit(frames, k, columns=(*AUDIT_COLUMNS, *CONTACT_COLUMNS, *mesh)), resolved=held,
         **verdict(found, frames.force_balance[:, k], frames.reason[:, k]))

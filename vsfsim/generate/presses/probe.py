@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,7 +12,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
-from vsfsim.core.shape import MeshFile, Plane, ProbeShape
+from vsfsim.core.shape import Capsule, MeshFile, Plane, ProbeShape
 from vsfsim.generate.aim import clearance
 from vsfsim.generate.press_result import (
     BodyPanel,
@@ -41,10 +42,12 @@ from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
+from vsfsim.physics.contact.patch import smooth_radius
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.kernels import solver_kernels
+from vsfsim.physics.solve.resolved import in_words, resolved
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import body_poses, pose_at, press_path
 from vsfsim.sensing.camera import fitting_camera
@@ -52,6 +55,7 @@ from vsfsim.sensing.surface import Surface
 from vsfsim.sensing.tessellate import tessellate
 
 RATIO = 1.3  # of the edges of two meshes: three meshes span 1.69, the finest has 4.8 times the tetrahedra of the first
+SMALLER = 0.5  # a round part under this share of the probe's reach gets elements of its own
 SPACING = 0.1  # of the points of a body's edges, over its half-width
 PICTURE = (640, 512)  # width and height of a view [px]
 
@@ -147,8 +151,9 @@ def _discretise(scene: Scene, tier: str, request: PressRequest, notes: tuple[str
 
 
 def edge_path(scene: Scene) -> EdgePath | None:
-    """The way in of points on the edges, corners and rims of the probe and its parts, close enough for every tier; None
-    without any, or without a path."""
+    """The way in of points on the edges, corners and rims of the probe and its parts, close enough for every tier, and
+    of the tips of round parts, for which the elements that suit the probe are too large; None without any, or without a
+    path."""
     if scene.press is None:
         return None
     inward = np.stack([pose_at(scene.press, scene.probe, k) for k in range(scene.press.inward + 1)])
@@ -156,9 +161,18 @@ def edge_path(scene: Scene) -> EdgePath | None:
     for k, shape in enumerate(scene.bodies[:1 + len(scene.parts)]):
         width = inner_radius(shape)
         pose, spot = body_poses(scene, inward)[:, k], sharp_samples(shape, SPACING * width)[0]
+        if 0.0 < smooth_radius(shape) < SMALLER * sdf.reach(scene.probe):
+            spot, width = _tips(shape, pose[-1, :3, :3].T @ direction(scene.press)), 1.5 * smooth_radius(shape)
         places.append(pose[:, None, :3, 3] + np.einsum("tij,kj->tki", pose[:, :3, :3], spot))
         half.append(np.full(len(spot), width))
     return EdgePath(np.concatenate(places, axis=1), np.concatenate(half)) if sum(map(len, half)) else None
+
+
+def _tips(shape: ProbeShape, axis: np.ndarray) -> np.ndarray:
+    """The points (k, 3) [m] of a ball or capsule that lead when it moves along ``axis`` (3,), in its own frame."""
+    half = 0.5 * shape.length if isinstance(shape, Capsule) else 0.0
+    line = np.linspace(-half, half, 1 + 2 * math.ceil(half / smooth_radius(shape)))
+    return line[:, None] * np.array([0.0, 0.0, 1.0]) + smooth_radius(shape) * axis
 
 
 def solve(prepared: Prepared, request: PressRequest) -> PressResult:
@@ -206,8 +220,10 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
              "precision": request.precision, "element_size": prepared.element_size, "edge": edge,
              "edge_at_contact": edge_at(model, tip(scene, np.array(spec.stop), axis)),
              "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
-             "statement": said}
-    words = [FORCES, said, f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
+             "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0]}
+    mesh = (frames.mesh_error[:, 0], frames.corner_det_f[:, 0], frames.converged[:, 0])
+    words = [FORCES, said, *filter(None, [in_words(*mesh)]),
+             f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
                    f"{1e3 * prepared.element_size:.1f} mm, {request.precision} on {request.device}; built in "
                    f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
     if len(names) > 1 or max(scene.frictions) > 0.0:
@@ -222,9 +238,11 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     return PressResult(
         depth=depth, force=force, axis=axis, reaction=frames.reaction[:, 0], **fields, deepest=full, more=more,
         columns=(*force_columns(depth, force, axis), Column("balance", frames.force_balance[:, 0], ".1e"),
-                 Column("min det F", frames.min_det_f[:, 0], ".3f"), Column("energy J", frames.energy[:, 0], ".2e"),
+                 Column("min det F", frames.min_det_f[:, 0], ".3f"),
+                 *([Column("mesh err %", 100.0 * frames.mesh_error[:, 0], ".1f")]
+                   if np.isfinite(frames.mesh_error).any() else []), Column("energy J", frames.energy[:, 0], ".2e"),
                  *solver_columns(frames, edge)),
-        words=tuple(words), notes=notes,
+        words=tuple(words), notes=notes, resolved=resolved(*mesh, model.solid.parts),
         plot=(Curves("normal force [N]", {"reaction of the supports": -(frames.reaction[:, 0] @ axis),
                                           "force on the probe": normal}),),
         abscissa="depth past first contact [mm]", model=f"tier {tier}, {tets} tetrahedra",

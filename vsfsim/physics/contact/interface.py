@@ -98,9 +98,9 @@ class Contact(Protocol):
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
         """Share of the points in contact that slip (k,) [-]; 0 without contact."""
 
-    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Number of points in contact (k,), and the radius of a circle of their area over the element size there (k,)
-        [-]."""
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Number of points in contact (k,), the radius of a circle of their area over the element size there (k,) [-],
+        and the same of the contact with each body (k, K) [-]."""
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
         """Contact stiffness on the patches (k, 3 s, 3 s) [N/m], a tensor or an operator.

@@ -167,14 +167,18 @@ class LocalIndentation:
         work = 2.0 / 3.0 if self._work is None else self._work[columns]
         return (work * (0.5 * force * depth * (1.0 - share) * round_)).flatten(1).sum(dim=1)
 
-    def resolution(self, touching: torch.Tensor, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """How well the contact of the touches ``columns`` (k,) is resolved, from the points that touch (k, 6 f) bool:
-        their number (k,), and the radius of a circle of their area over the edge of the elements there (k,) [-]."""
-        area = self._cover[columns] * touching
+    def resolution(self, touching: torch.Tensor, held: torch.Tensor,
+                   columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """How well the contact of the touches ``columns`` (k,) is resolved, from the points that touch (k, 6 f) bool
+        and the bodies that they are at (k, 6 f, K) bool: their number (k,), the radius of a circle of their area over
+        the edge of the elements there (k,) [-], and that of the points at each body (k, K) [-]."""
+        area = self._cover[columns][:, :, None] * touching[:, :, None]
+        area = torch.cat([area, area * held], dim=2)
         whole = area.sum(dim=1)
-        edge = (area.view(*area.shape[:1], -1, 6).sum(dim=2) * self._edge[columns]).sum(dim=1)
+        edge = (area * self._edge[columns].repeat_interleave(6, dim=1)[:, :, None]).sum(dim=1)
         # edge is the sum of area x edge: sqrt(A / pi) / (edge / A)
-        return touching.sum(dim=1), whole.sqrt() * whole / (np.sqrt(np.pi) * edge.clamp(min=1e-300))
+        radius = whole.sqrt() * whole / (np.sqrt(np.pi) * edge.clamp(min=1e-300))
+        return touching.sum(dim=1), radius[:, 0], radius[:, 1:]
 
 
 class MissingCompliance:

@@ -303,9 +303,9 @@ class RigidContact:
         inside = self.gap[columns] < 0.0  # a point that has left may still have a limit in this step
         return (self.slips[columns] * inside).sum(dim=1) / inside.sum(dim=1).clamp(min=1)
 
-    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """See `Contact`."""
-        return self._local_indentation.resolution(self.gap[columns] < 0.0, columns)
+        return self._local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
         """See `Contact`."""

@@ -20,7 +20,7 @@ MAX_CELLS = 2_000_000
 
 def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator | None = None,
                 cache: Path | None = None, focus: np.ndarray | None = None,
-                equal_volume: bool = False) -> Solid:
+                equal_volume: bool = False, parts: np.ndarray | None = None) -> Solid:
     """Fill an object with straight-sided, positively oriented tetrahedra, in its own frame.
 
     Args:
@@ -30,6 +30,8 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
         cache: folder for filled mesh files, None for the user's cache folder.
         focus: points (k, 3) [m] in the object's frame near which a box keeps ``resolution`` while it
             coarsens up to 3x elsewhere; other shapes ignore it.
+        parts: low and high corners of boxes inside (p, 2, 3) [m] in the object's frame, whose faces become faces of the
+            elements of a box, and whose tops and bottoms those of a cylinder; other shapes ignore them.
         equal_volume: for sphere, cylinder and rod, scale the inscribed polyhedron to the true volume.
 
     Raises:
@@ -48,11 +50,12 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
     _check_cells(shape, resolution)
     match shape:
         case Box(size):
-            vertices, tets = blocks.box(size, resolution, focus=focus)
+            vertices, tets = blocks.box(size, resolution, focus=focus, parts=parts)
         case Sphere(radius):
             vertices, tets = blocks.ball(radius, resolution, equal_volume=equal_volume)
         case Cylinder(radius, height):
-            vertices, tets = blocks.cylinder(radius, height, resolution, equal_volume=equal_volume)
+            layers = None if parts is None or not len(parts) else parts[:, :, 2]
+            vertices, tets = blocks.cylinder(radius, height, resolution, equal_volume=equal_volume, parts=layers)
         case Rod(length, radius):
             vertices, tets = blocks.rod(length, radius, resolution, equal_volume=equal_volume)
         case _:

@@ -19,10 +19,17 @@ from vsfsim.core.solid import tet_volumes
 GROWTH = 1.3
 # Far from the focus a cell is at most this many times larger than near it.
 COARSEST = 3.0
+# Cells across a part inside a block.
+ACROSS = 2
+# Growth of cells away from thin parts, tried in turn, and the most cells that a block may have for their sake: so many
+# times those without, and so many more.
+_SLOPES, _MOST_CELLS = (0.24, 0.5, 1.0), (2, 3000)
+# A face of a part is put onto a neighbouring plane that is nearer than this share of the part's thickness.
+_SAME = 0.02
 
 
 def box(size: tuple[float, float, float], resolution: float, *,
-        focus: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        focus: np.ndarray | None = None, parts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A block with its base centre at the origin, five tetrahedra a cell.
 
     Five a cell (mirrored from cell to cell) has dihedral angles of 55 to 90 degrees in a cube, where Kuhn's
@@ -34,6 +41,8 @@ def box(size: tuple[float, float, float], resolution: float, *,
         resolution: largest cell edge [m]; with ``focus``, the edge near it.
         focus: points (k, 3) [m] around which the grid stays fine; elsewhere it coarsens to 3x, or to the block's least
         edge.
+        parts: low and high corners of boxes inside (p, 2, 3) [m], whose faces become planes of the grid with two cells
+        at least between them, unless that takes far more cells.
 
     Returns:
         Vertices (n, 3) [m] and positively oriented corners (m, 4).
@@ -45,8 +54,19 @@ def box(size: tuple[float, float, float], resolution: float, *,
     coarsest = min(COARSEST, max(1.0, min(size) / resolution))
     # two cells at least from the base to the top: a pad bonded to its base is 4 % too stiff with one
     finest = (resolution, resolution, min(resolution, 0.5 * size[2]))
-    ticks = [grid_line(low[a], low[a] + size[a], finest[a], even=a < 2, coarsest=coarsest,
-                       focus=None if focus is None else focus[:, a]) for a in range(3)]
+    def lines(inside: np.ndarray | None, slope: float) -> list[np.ndarray]:
+        return [grid_line(low[a], low[a] + size[a], finest[a], even=a < 2, coarsest=coarsest,
+                          focus=None if focus is None else focus[:, a],
+                          parts=None if inside is None else inside[:, :, a], slope=slope) for a in range(3)]
+
+    def cells(ticks: list[np.ndarray]) -> int:
+        return math.prod(len(t) - 1 for t in ticks)
+
+    ticks = lines(None, 1.0)
+    if parts is not None and len(parts):
+        most = _MOST_CELLS[0] * cells(ticks) + _MOST_CELLS[1]
+        finer = (lines(parts, slope) for slope in _SLOPES)
+        ticks = next((found for found in finer if cells(found) <= most), ticks)
     shape = tuple(len(t) for t in ticks)
     vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     index = np.arange(len(vertices)).reshape(shape)
@@ -63,27 +83,64 @@ def grid_hexes(index: np.ndarray) -> np.ndarray:
 
 
 def grid_line(low: float, high: float, resolution: float, *, even: bool = False,
-              focus: np.ndarray | None = None, coarsest: float = COARSEST) -> np.ndarray:
+              focus: np.ndarray | None = None, coarsest: float = COARSEST, parts: np.ndarray | None = None,
+              slope: float = 0.24) -> np.ndarray:
     """Ticks of one axis [m], at most ``resolution`` apart; with ``focus`` (k,) [m] that holds near it only, and
     ``coarsest`` times it elsewhere.
 
     The spacing wished for grows linearly with the distance to the focus, which makes cells grow by a
-    constant factor; the ticks are the equal parts of the integral of its inverse.
+    constant factor; the ticks are the equal parts of the integral of its inverse. The ends of ``parts`` (p, 2) [m] are
+    ticks, too; two cells at least lie between them, and cells grow from there by ``slope`` times the distance.
     """
+    if parts is not None:
+        return _line_with_parts(low, high, resolution, focus, coarsest, parts, slope, even)
     if focus is None or not len(focus):
         count = max(1, math.ceil((high - low) / resolution - 1e-9))
         return np.linspace(low, high, count + (count % 2 if even else 0) + 1)
     x = np.linspace(low, high, 4001)
-    away = np.abs(x[:, None] - np.asarray(focus, float)[None, :]).min(axis=1)
-    # A cell of the local size h next to one of h (1 + slope): the slope stays a little under the growth allowed.
-    slope = 0.9 * math.log(GROWTH)
-    wished = resolution * np.minimum(1.0 + slope * np.maximum(away / resolution - 1.5, 0.0), coarsest)
+    wished = _wished(x, resolution, focus, coarsest)
     cells = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / wished[1:] + 1.0 / wished[:-1]) * np.diff(x))])
     count = max(1, math.ceil(cells[-1] - 1e-9))
     count += count % 2 if even else 0
     ticks = np.interp(np.linspace(0.0, cells[-1], count + 1), cells, x)
     ticks[0], ticks[-1] = low, high
     return ticks
+
+
+def _wished(x: np.ndarray, resolution: float, focus: np.ndarray, coarsest: float) -> np.ndarray:
+    away = np.abs(x[:, None] - np.asarray(focus, float)[None, :]).min(axis=1)
+    # A cell of the local size h next to one of h (1 + slope): the slope stays a little under the growth allowed.
+    slope = 0.9 * math.log(GROWTH)
+    return resolution * np.minimum(1.0 + slope * np.maximum(away / resolution - 1.5, 0.0), coarsest)
+
+
+def _line_with_parts(low: float, high: float, resolution: float, focus: np.ndarray | None, coarsest: float,
+                     parts: np.ndarray, slope: float, even: bool) -> np.ndarray:
+    """See `grid_line`: every interval between planes is divided by itself."""
+    inside = np.clip(np.sort(np.asarray(parts, float), axis=1), low, high)
+    inside = inside[inside[:, 1] - inside[:, 0] > 1e-9 * (high - low)]
+    thin = _SAME * (inside[:, 1] - inside[:, 0]).min(initial=high - low)
+    planes = [low]
+    for plane in sorted({*inside.ravel().tolist(), high}):
+        if plane - planes[-1] > thin:
+            planes.append(plane)
+    planes[-1] = high
+    own = [(a, b, (b - a) / ACROSS) for a, b in inside]  # cells of the parts, and of what lies between two planes
+    own += [(a, b, b - a) for a, b in itertools.pairwise(planes)]
+    ticks = [np.array([low])]
+    for a, b in itertools.pairwise(planes):
+        x = np.linspace(a, b, 2001)
+        wished = (np.full(len(x), resolution) if focus is None or not len(focus)
+                  else _wished(x, resolution, focus, coarsest))
+        for start, stop, cell in own:
+            if cell < resolution:
+                wished = np.minimum(wished, cell + slope * np.maximum(np.maximum(start - x, x - stop), 0.0))
+        sums = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / wished[1:] + 1.0 / wished[:-1]) * np.diff(x))])
+        count = max(1, math.ceil(sums[-1] - 1e-6))
+        count += count % 2 if even and a < 0.5 * (low + high) - 1e-9 < b else 0
+        ticks.append(np.interp(np.linspace(0.0, sums[-1], count + 1), sums, x)[1:])
+        ticks[-1][-1] = b
+    return np.concatenate(ticks)
 
 
 def disc(radius: float, rings: int) -> tuple[np.ndarray, np.ndarray]:
@@ -108,11 +165,12 @@ def disc(radius: float, rings: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cylinder(radius: float, height: float, resolution: float, *,
-             equal_volume: bool = False) -> tuple[np.ndarray, np.ndarray]:
+             equal_volume: bool = False, parts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A cylinder along +z with the centre of its base at the origin.
 
     Args:
         radius, height: [m]. resolution: largest edge length aimed at, along the axis and the radius [m].
+        parts: low and high ends of layers inside (p, 2) [m], see `grid_line`.
         equal_volume: push the rim out so that the polygon has the circle's area; a bar of 12 sides then
             has the round bar's bending stiffness within 0.05 % (inscribed: 9 % too soft).
     """
@@ -121,7 +179,7 @@ def cylinder(radius: float, height: float, resolution: float, *,
     if equal_volume:
         sides = 6 * rings
         plane = plane / math.sqrt(sides / (2.0 * math.pi) * math.sin(2.0 * math.pi / sides))
-    levels = grid_line(0.0, height, resolution)
+    levels = grid_line(0.0, height, resolution, parts=parts)
     vertices = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in levels])
     offsets = len(plane) * np.arange(len(levels) - 1)
     bottom = (triangles[None] + offsets[:, None, None]).reshape(-1, 3)

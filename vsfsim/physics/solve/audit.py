@@ -8,9 +8,11 @@ import numpy as np
 import torch
 
 from vsfsim.physics.contact.patch import Patch
+from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.elements.neo_hooke import CRUSHED
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
+from vsfsim.physics.solve.resolved import corner_det_f, mesh_error
 
 Rows = dict[str, np.ndarray]
 """The values of one frame by the fields of `Frames`, (B, ...) each."""
@@ -49,8 +51,9 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
         "energy": state["energy"] + contact.local_energy(every),
         "penetration": contact.penetration(every), "slipping": contact.slipping(every),
     }
-    values["contact_points"], values["contact_radius"] = contact.resolution(every)
+    values["contact_points"], values["contact_radius"], each = contact.resolution(every)
     out = {key: value.cpu().numpy() for key, value in values.items()}
+    out["mesh_error"], out["corner_det_f"] = resolution(balance, each.cpu().numpy(), out["body_force"])
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
     reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
@@ -88,3 +91,21 @@ def on_nodes(patches: Sequence[Patch], force: torch.Tensor, converged: np.ndarra
     for b, (patch, pushed) in enumerate(zip(patches, force.cpu().numpy(), strict=True)):
         out[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)] if converged[b] else np.nan
     return out
+
+
+def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Estimated error of the force by the mesh, and least det F at corners of elements in contact, (B,) [-] each; NaN
+    of what is no solid under rigid bodies.
+
+    Args:
+        balance: the batch.
+        radius: of the contact with each body over the edge of the elements there (B, K) [-].
+        force: on each body (B, K, 3) [N].
+    """
+    model, batch = balance.model, len(radius)
+    solid = all(block.kind.startswith(("tet10", "hyperfoam")) for block in model.blocks)
+    if not (solid and isinstance(balance.contact, RigidContact)):
+        return np.full(batch, np.nan), np.full(batch, np.nan)
+    u = balance.u.to(torch.float64).cpu().numpy().reshape(-1, 3, batch)
+    corner = [corner_det_f(model, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
+    return mesh_error(radius, force), np.array(corner)

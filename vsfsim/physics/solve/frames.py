@@ -126,5 +126,11 @@ class Frames:
     contact_radius: np.ndarray
     """How well the contact is resolved: radius of a circle of its area over the edge of the elements there (T, B) [-];
     NaN between two soft bodies."""
+    mesh_error: np.ndarray
+    """Estimated error of the force because the contact is small against the elements (T, B) [-], see
+    `solve.resolved`; NaN where it is not known: of membranes, between two soft bodies, and of elements that are no
+    tetrahedra."""
+    corner_det_f: np.ndarray
+    """Least det F at the corners of the tetrahedra in contact (T, B) [-]; NaN likewise."""
     seconds: np.ndarray
     """Duration of the frame, shared by the batch (T,) [s]."""

@@ -240,10 +240,11 @@ class PairContact:
         at_nodes = torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0)
         return torch.maximum(at_nodes, self._overlap[columns]).clamp(min=0.0)
 
-    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """See `Contact`; nodes have no area, and the radius is not measured."""
         points = torch.stack([(side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides]).sum(dim=0)
-        return points, torch.full((len(columns),), torch.nan, dtype=torch.float64, device=self.device)
+        none = torch.full((len(columns),), torch.nan, dtype=torch.float64, device=self.device)
+        return points, none, none[:, None]
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
