@@ -71,6 +71,17 @@ def shallow(out: JsonFile = None) -> None:
 
 
 @app.command()
+def resolution(balls: Annotated[int | None, typer.Option(min=1, help="Random balls of each tier; default: 24 and "
+                                                                     "16.")] = None,
+               out: JsonFile = None) -> None:
+    """Error of the force against the contact radius over the element size: what the mark of unresolved frames rests on.
+    """
+    from benchmarks.resolution import measure
+
+    _report(measure(balls=balls, progress=step), out)
+
+
+@app.command()
 def drag(young: Annotated[float, typer.Option(min=100.0, help="Modulus of the block [Pa].")] = 3e4,
          depth: Annotated[float, typer.Option(min=0.001, max=0.02, help="Depth of the press [m].")] = 0.006,
          frames: Annotated[int, typer.Option(min=1, help="Of each move.")] = 10,

@@ -50,8 +50,7 @@ def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
         assert list(file) == ["view", "touches", "truth"], "truth must be the last group"
     # a solid has the smallest det F, a rigid probe the resolution of its contact; plants and bubbles have neither
     assert seen == {f.path for f in FIELDS if f.required} | {
-        f"touches/*/audit/{name}" for name in ("min_det_f", "contact_points", "contact_radius", "mesh_error",
-                                               "corner_det_f")} | {"touches/*/resolved"}
+        f"touches/*/audit/{name}" for name in ("min_det_f", "contact_points", "contact_radius")}
 
 
 @pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),

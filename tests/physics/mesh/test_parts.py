@@ -1,0 +1,82 @@
+"""Boxes, layers and skins inside a body are cut out by its elements; what the mesh does not hold is told with its share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vsfsim.core.scene import parse_scene
+from vsfsim.core.solid import tet_volumes
+from vsfsim.physics import tiers
+
+SCENE = """
+[object]
+shape = {{ {shape} }}
+{more}
+young_modulus = {{ base = 1e4, inclusions = [{parts}] }}
+[probe]
+shape = {{ sphere = 0.01 }}
+"""
+BLOCK = "box = [0.06, 0.06, 0.024]"
+
+
+def body(parts, *, shape=BLOCK, more="", focus=None):
+    scene = parse_scene(SCENE.format(shape=shape, parts=parts, more=more), "s.toml").sample(0)
+    return tiers.body(scene, "fem-coarse", focus=focus)
+
+
+@pytest.mark.parametrize(("box", "value"), [
+    ((-0.1, -0.1, 0.022, 0.1, 0.1, 0.024), 1e7), ((-0.015, -0.015, 0.016, 0.015, 0.015, 0.0175), 1e8),
+    ((0.003, -0.02, 0.004, 0.0035, 0.01, 0.02), 1e7), ((-0.03, -0.03, 0.01, 0.03, 0.03, 0.0104), 1e2)])
+@pytest.mark.parametrize("focus", [None, np.array([[0.004, 0.0, 0.024]])])
+def test_a_box_inside_a_block_is_cut_out_by_its_elements(box, value, focus):
+    solid, modulus = body(f"{{ box = {list(box)}, value = {value} }}", focus=focus)
+    volume = tet_volumes(solid.vertices, solid.tets)
+    low, high = np.maximum(box[:3], (-0.03, -0.03, 0.0)), np.minimum(box[3:], (0.03, 0.03, 0.024))
+    assert (volume > 0.0).all() and volume.sum() == pytest.approx(0.06 * 0.06 * 0.024)
+    inside = np.isclose(modulus[:, 0], value)
+    assert np.allclose(modulus[~inside], 1e4), "no element of two materials"
+    assert volume[inside].sum() == pytest.approx(np.prod(high - low))
+    thin = int(np.argmin(high - low))
+    ticks = np.unique(solid.vertices[solid.tets[inside]][..., thin].round(9))
+    assert len(ticks) >= 3, "two elements across"
+    assert solid.parts < 1e-6 and not [n for n in solid.notes if "Inclusion" in n]
+
+
+def test_boxes_that_overlap_and_a_layer_of_a_cylinder():
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        boxes = [np.concatenate([np.sort(rng.uniform(-0.03, 0.03, (2, 3)), axis=0)]) for _ in range(2)]
+        for b in boxes:
+            b[:, 2] = np.sort(rng.uniform(0.0, 0.024, 2))
+        solid, modulus = body(", ".join(f"{{ box = {b.ravel().tolist()}, value = {v} }}"
+                                        for b, v in zip(boxes, (1e6, 1e7), strict=True)))
+        volume = tet_volumes(solid.vertices, solid.tets)
+        if solid.parts < 1e-6:
+            assert volume[np.isclose(modulus[:, 0], 1e7)].sum() == pytest.approx(np.prod(boxes[1][1] - boxes[1][0]))
+    solid, modulus = body("{ box = [-1, -1, 0.010, 1, 1, 0.0112], value = 1e7 }",
+                          shape="cylinder = [0.03, 0.024]")
+    volume = tet_volumes(solid.vertices, solid.tets)
+    assert np.allclose(modulus[:, 0][~np.isclose(modulus[:, 0], 1e7)], 1e4)
+    assert volume[np.isclose(modulus[:, 0], 1e7)].sum() == pytest.approx(volume.sum() * 1.2 / 24.0)
+
+
+@pytest.mark.parametrize(("part", "least", "words"), [
+    ("{ sphere = [0.0, 0.0, 0.012, 0.002], value = 1e7 }", 0.5, "too small or soft"),
+    ("{ capsule = [-0.01, 0.0, 0.012, 0.01, 0.002, 0.013, 0.001], value = 1e8 }", 0.5, "too small or soft"),
+    ("{ sphere = [0.004, 0.003, 0.012, 0.0015], value = 1e1 }", 0.5, "too large")])
+def test_what_the_mesh_does_not_hold_is_told_with_its_share(part, least, words):
+    solid, _ = body(part)
+    assert solid.parts > least
+    note = next(n for n in solid.notes if "Inclusion 1" in n)
+    assert words in note and f"{100 * solid.parts:.0f} %" in note
+    coarse = solid.parts
+    finer, _ = body(part, more="resolution = 0.0025")
+    assert finer.parts < coarse
+
+
+def test_a_part_like_its_surroundings_and_one_outside_are_no_matter():
+    solid, _ = body("{ sphere = [0.0, 0.0, 0.012, 0.002], value = 1e4 }")
+    assert solid.parts == 0.0
+    solid, _ = body("{ sphere = [0.0, 0.0, 0.5, 0.002], value = 1e7 }")
+    assert solid.parts == 0.0
