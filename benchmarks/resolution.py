@@ -7,6 +7,7 @@ Random balls are pressed at random places into a block on coarse elements, and o
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +79,7 @@ def measure(*, balls: int | None = None, progress: Progress = lambda said: None)
             pairs += errors(tier, rng)
     radius, error = np.array(pairs).T
     rows = []
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in pairwise(BINS):
         own = np.abs(error[(radius >= low) & (radius < high)])
         if len(own):
             middle = np.median(radius[(radius >= low) & (radius < high)])

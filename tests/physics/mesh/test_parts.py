@@ -1,4 +1,4 @@
-"""Boxes, layers and skins inside a body are cut out by its elements; what the mesh does not hold is told with its share."""
+"""Boxes, layers and skins inside a body are cut out by its elements; what the mesh does not hold is told."""
 
 from __future__ import annotations
 
