@@ -1,7 +1,7 @@
 """Error of the force against how well a mesh resolves the contact: `vsfsim measure resolution`.
 
 Random balls are pressed at random places into a block on coarse elements, and on a mesh that is refined at the contact.
-`vsfsim/physics/solve/resolved.py` has the relation that was read from it.
+`vsfsim/physics/mesh/resolved.py` has the relation that was read from it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import Scene, parse_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.edge_refine import EdgePath
+from vsfsim.physics.mesh.resolved import SHARE
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames
-from vsfsim.physics.solve.resolved import SHARE
 from vsfsim.physics.solve.touches import Solver
 
 SCENE = """

@@ -192,7 +192,7 @@ class PressResult:
     panels: tuple[Panel, ...] = ()
     """What the picture of the frame of full depth shows; empty without `PressRequest.keep`."""
     resolved: np.ndarray | None = None
-    """Whether the mesh resolves each frame (T,), see `physics.solve.resolved`; None where that is not measured."""
+    """Whether the mesh resolves each frame (T,), see `physics.mesh.resolved`; None where that is not measured."""
     arrays: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)
     """What ``--save`` writes, by key: the array, and its shape and unit in words; empty without `PressRequest.keep`."""
 

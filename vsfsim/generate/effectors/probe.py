@@ -25,11 +25,11 @@ from vsfsim.generate.solid import batches, draw_solid, prepare
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
+from vsfsim.physics.mesh.resolved import resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames
 from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.physics.solve.mount import Mount
-from vsfsim.physics.solve.resolved import resolved
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import times, touch_path
 from vsfsim.vsf.stick_slip import stick_slip_kernel

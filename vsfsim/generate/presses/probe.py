@@ -44,10 +44,10 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
 from vsfsim.physics.contact.patch import smooth_radius
 from vsfsim.physics.mesh.edge_refine import EdgePath
+from vsfsim.physics.mesh.resolved import in_words, resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.kernels import solver_kernels
-from vsfsim.physics.solve.resolved import in_words, resolved
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import body_poses, pose_at, press_path
 from vsfsim.sensing.camera import fitting_camera

@@ -10,9 +10,9 @@ import torch
 from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.elements.neo_hooke import CRUSHED
+from vsfsim.physics.mesh.resolved import corner_det_f, mesh_error
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
-from vsfsim.physics.solve.resolved import corner_det_f, mesh_error
 
 Rows = dict[str, np.ndarray]
 """The values of one frame by the fields of `Frames`, (B, ...) each."""
@@ -107,5 +107,5 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
     if not (solid and isinstance(balance.contact, RigidContact)):
         return np.full(batch, np.nan), np.full(batch, np.nan)
     u = balance.u.to(torch.float64).cpu().numpy().reshape(-1, 3, batch)
-    corner = [corner_det_f(model, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
+    corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
     return mesh_error(radius, force), np.array(corner)

@@ -128,7 +128,7 @@ class Frames:
     NaN between two soft bodies."""
     mesh_error: np.ndarray
     """Estimated error of the force because the contact is small against the elements (T, B) [-], see
-    `solve.resolved`; NaN where it is not known: of membranes, between two soft bodies, and of elements that are no
+    `mesh.resolved`; NaN where it is not known: of membranes, between two soft bodies, and of elements that are no
     tetrahedra."""
     corner_det_f: np.ndarray
     """Least det F at the corners of the tetrahedra in contact (T, B) [-]; NaN likewise."""

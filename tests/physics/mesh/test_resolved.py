@@ -9,7 +9,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.probe import press
 from vsfsim.physics.elements.tet10_shape import EDGES
-from vsfsim.physics.solve.resolved import LIMIT, SHARE, corner_det_f, mesh_error, resolved
+from vsfsim.physics.mesh.resolved import LIMIT, SHARE, corner_det_f, mesh_error, resolved
 from vsfsim.press.text import text
 
 BLOCK = """
@@ -79,13 +79,13 @@ def test_det_f_at_corners_is_that_of_the_displacements(block):
     rng = np.random.default_rng(0)
     linear = rng.normal(size=(3, 3))
     nodes = model.mesh.surface_nodes()
-    assert corner_det_f(model, nodes, points @ linear.T) == pytest.approx(np.linalg.det(np.eye(3) + linear))
+    assert corner_det_f(model.mesh, nodes, points @ linear.T) == pytest.approx(np.linalg.det(np.eye(3) + linear))
     # a quadratic field, whose gradient at the corners is known
     bend = rng.normal(size=(3, 3, 3)) * 20.0
     u = np.einsum("cij,ni,nj->nc", bend, points, points)
     at = points[np.unique(tets[:, :4])]
     exact = np.linalg.det(np.eye(3) + np.einsum("cij,nj->nci", bend, at) + np.einsum("cij,ni->ncj", bend, at))
-    assert corner_det_f(model, np.arange(len(points)), u) == pytest.approx(exact.min())
+    assert corner_det_f(model.mesh, np.arange(len(points)), u) == pytest.approx(exact.min())
     assert EDGES.shape == (6, 2)
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from vsfsim.physics.elements.tet10_shape import EDGES
-from vsfsim.physics.model import Model
+from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 SHARE = 0.022
 """Error of the force times (a / h)^2 [-], see above."""
@@ -40,13 +40,12 @@ def mesh_error(radius: np.ndarray, force: np.ndarray) -> np.ndarray:
     return (size * np.where(size > 0.0, own, 0.0)).sum(axis=1) / np.maximum(size.sum(axis=1), 1e-300)
 
 
-def corner_det_f(model: Model, nodes: np.ndarray, u: np.ndarray) -> float:
+def corner_det_f(mesh: QuadraticMesh, nodes: np.ndarray, u: np.ndarray) -> float:
     """Least det F [-] at the corners of the tetrahedra that have one of ``nodes`` (s,), for displacements u (n, 3) [m].
 
     The solver integrates over four Gauss points inside a tetrahedron. Under a contact that is smaller than the element
     its corners may turn inside out while det F is positive at those points.
     """
-    mesh = model.mesh
     on = np.zeros(len(mesh.points), bool)
     on[nodes] = True
     at = np.flatnonzero(on[mesh.tets].any(axis=1))
