@@ -63,20 +63,10 @@ def laws(out: JsonFile = None) -> None:
 
 
 @app.command()
-def shallow(out: JsonFile = None) -> None:
+def shallow(balls: Annotated[int, typer.Option(min=0, help="Also press so many random balls, 24 in pages.")] = 0,
+            out: JsonFile = None) -> None:
     """Error of the force against depth, at six places within an element, on meshes of three sizes."""
     from benchmarks.shallow import measure
-
-    _report(measure(progress=step), out)
-
-
-@app.command()
-def resolution(balls: Annotated[int | None, typer.Option(min=1, help="Random balls of each tier; default: 24 and "
-                                                                     "16.")] = None,
-               out: JsonFile = None) -> None:
-    """Error of the force against the contact radius over the element size: what the mark of unresolved frames rests on.
-    """
-    from benchmarks.resolution import measure
 
     _report(measure(balls=balls, progress=step), out)
 

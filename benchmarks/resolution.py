@@ -1,4 +1,4 @@
-"""Error of the force against how well a mesh resolves the contact: `vsfsim measure resolution`.
+"""Error of the force against how well a mesh resolves the contact: `vsfsim measure shallow --balls 24`.
 
 Random balls are pressed at random places into a block on coarse elements, and on a mesh that is refined at the contact.
 `vsfsim/physics/mesh/resolved.py` has the relation that was read from it.

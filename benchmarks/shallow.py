@@ -12,6 +12,7 @@ import time
 import numpy as np
 
 import references
+from benchmarks import resolution
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
@@ -54,8 +55,8 @@ def errors(tier: str, resolution: float | None) -> tuple[list[dict[str, object]]
     return out, spent
 
 
-def measure(*, progress: Progress = lambda said: None) -> Measurement:
-    """Error against depth on all meshes."""
+def measure(*, balls: int = 0, progress: Progress = lambda said: None) -> Measurement:
+    """Error against depth on all meshes, and of so many random ``balls`` a tier, see `benchmarks.resolution`."""
     rows: list[dict[str, object]] = []
     for tier, resolution in MESHES:
         progress(f"{tier}, elements of {'the press' if resolution is None else f'{1e3 * resolution:g} mm'} ...")
@@ -66,6 +67,7 @@ def measure(*, progress: Progress = lambda said: None) -> Measurement:
                Column("least", "least error", "1", "%", "+.1f"), Column("most", "largest", "1", "%", "+.1f"),
                Column("penetration", "penetration / element", "1", "%", ".2f"),
                Column("converged", "converged", "1", "%", ".0f")]
+    more = resolution.measure(balls=balls, progress=progress).tables if balls else []
     return Measurement.of("shallow", {"places": PLACES.tolist()}, [
         Table("force of S1's ball at six places within an element, against references/s1.json", columns, rows,
-              name="shallow")])
+              name="shallow"), *more])
