@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 import references
-from benchmarks import resolution
+from benchmarks import resolution as random_balls
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
@@ -67,7 +67,7 @@ def measure(*, balls: int = 0, progress: Progress = lambda said: None) -> Measur
                Column("least", "least error", "1", "%", "+.1f"), Column("most", "largest", "1", "%", "+.1f"),
                Column("penetration", "penetration / element", "1", "%", ".2f"),
                Column("converged", "converged", "1", "%", ".0f")]
-    more = resolution.measure(balls=balls, progress=progress).tables if balls else []
+    more = random_balls.measure(balls=balls, progress=progress).tables if balls else []
     return Measurement.of("shallow", {"places": PLACES.tolist()}, [
         Table("force of S1's ball at six places within an element, against references/s1.json", columns, rows,
               name="shallow"), *more])
