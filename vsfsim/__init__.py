@@ -13,7 +13,7 @@ Each is imported at its first use: `import vsfsim` takes milliseconds and needs 
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["__version__", "evaluate", "generate", "load", "methods", "press", "tasks"]
 
 if TYPE_CHECKING:

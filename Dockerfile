@@ -1,0 +1,10 @@
+# docker build -t vsfsim . && docker run --rm -v "$PWD/out:/out" vsfsim
+FROM python:3.11-slim
+ENV OMP_NUM_THREADS=1 PIP_NO_CACHE_DIR=1
+WORKDIR /vsfsim
+COPY . .
+ARG COMMIT=""
+ENV VSFSIM_COMMIT=$COMMIT
+RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[sim]"
+WORKDIR /out
+CMD ["sh", "-c", "vsfsim press indent --plot indent.png && vsfsim leaderboard --task fewshot-shoes-v2-mini-v3"]
