@@ -1,5 +1,4 @@
 """Ray: one remote task an item, on a cluster that is there already."""
-
 from __future__ import annotations
 
 import contextlib
@@ -11,9 +10,7 @@ from typing import Any
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.extras import missing_package
 
-WAIT = 5.0
-"""How long a cluster may take to answer [s]."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+WAIT = 5.0  # a cluster may take so long to answer [s]
 
 
 def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str = "auto", gpus: float = 0.0,
@@ -27,19 +24,20 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
         that of this machine. gpus: of each task. retries: of a task whose process dies.
 
     Raises:
-        VsfsimError: there is no such cluster, it has no such GPU, or it was lost. MissingPackage: Ray is not installed.
+        VsfsimError: no such cluster, no such GPU, or it was lost. MissingPackage: Ray is not installed.
     """
     try:
         import ray
     except ModuleNotFoundError:
         raise missing_package("ray", "ray") from None
-    _connect(ray, address)
     try:
+        _connect(ray, address)
         if gpus and ray.cluster_resources().get("GPU", 0.0) < gpus:
             raise VsfsimError(f"--gpus-per-task is {gpus:g}, but the Ray cluster has "
                               f"{ray.cluster_resources().get('GPU', 0.0):g} GPUs.")
-        task = ray.remote(function).options(num_cpus=1, num_gpus=gpus, max_retries=retries, runtime_env={
-            "env_vars": dict.fromkeys(_THREADS, "1")})
+        one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        task = ray.remote(function).options(name="vsfsim", num_cpus=1, num_gpus=gpus, max_retries=retries,
+                                            runtime_env={"env_vars": one})
         going: dict[Any, int] = {}
         todo = list(range(len(items)))
         while todo or going:
@@ -50,8 +48,8 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
             for ready in ray.wait(list(going), num_returns=1, timeout=10.0)[0]:
                 yield going.pop(ready), _error(ray, ready)
     except (ray.exceptions.RaySystemError, ConnectionError) as error:
-        raise VsfsimError(f"the Ray cluster at '{address}' was lost: {error}. What is finished is kept; start the "
-                          f"cluster and run the same command again.") from error
+        raise VsfsimError(f"the Ray cluster at '{address}' was lost: {error}. What is finished is kept; start it and "
+                          f"run the same command again.") from error
     finally:
         with contextlib.suppress(Exception):
             ray.shutdown()
@@ -59,7 +57,7 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
 
 def _connect(ray: Any, address: str) -> None:
     where = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
-    help = ("Start one with `ray start --head`, or give --address HOST:PORT of its head.")
+    help = "Start one with `ray start --head`, or give --address HOST:PORT of its head."
     host, colon, port = where.removeprefix("ray://").rpartition(":")
     if colon:
         try:
