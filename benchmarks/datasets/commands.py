@@ -26,7 +26,7 @@ def loading(folder: Annotated[Path, typer.Argument(metavar="DATASET", help="Fold
             shuffle: Annotated[bool, typer.Option("--shuffle", help="Read in random order.")] = False,
             json: JsonFile = None) -> None:
     """Read throughput of `dataset.torch()` in a DataLoader, and the memory that reading takes."""
-    from benchmarks.loading import measure, text
+    from benchmarks.datasets.loading import measure, text
 
     rows = measure(folder, workers or [0, 2, 8], item=item, shuffle=shuffle)
     report(text(rows), rows, json)

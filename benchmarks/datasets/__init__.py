@@ -1,0 +1,1 @@
+"""Measurements on datasets: how fast they are read."""
