@@ -27,6 +27,7 @@ MAY_IMPORT = {
     "vsf": {"core", "data", "physics"},
     "generate": {"core", "data", "physics", "robot", "sensing", "vsf"},
     "press": {"core", "data", "physics", "robot", "sensing", "generate"},
+    "view": {"core", "data", "generate"},
     "bench": {"core", "data"},
     "baselines": {"core", "data", "bench", "vsf"},
     "scenes": {"core"},
@@ -40,8 +41,8 @@ MAY_IMPORT = {
 }
 """Layers that a layer may import, besides itself; "top" is `vsfsim/__init__.py` and `vsfsim/__main__.py`."""
 
-LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "bench", "baselines", "vsf",
-                  "benchmarks"},
+LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines",
+                  "vsf", "benchmarks"},
           "tasks": {"bench"}, "top": {"data", "bench", "generate", "press", "tasks"}}
 """Layers that a layer may import inside a function, or for types alone. `vsfsim.tasks()` is a function of `bench`."""
 
@@ -57,6 +58,7 @@ HEAVY = {
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
     "press": {"numpy", "scipy", "warp", "matplotlib"},
+    "view": {"numpy", "scipy"},
     "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer"},
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},

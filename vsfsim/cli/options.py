@@ -87,6 +87,8 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callbac
 ArchiveFile = Annotated[Path | None, typer.Option("--save", metavar="FILE", callback=_archive,
                                                   help="Write mesh, displacements and contact forces of every frame "
                                                        "(.npz).")]
+PageFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", callback=_writable,
+                                               help="File to write, which must not exist; default: NAME.html here.")]
 Objects = Annotated[int | None, typer.Option("--objects", min=1, help="How many objects; default: the scene's.")]
 Views = Annotated[int | None, typer.Option("--views", min=1, help="Views of each object; default: the scene's.")]
 Touches = Annotated[int | None, typer.Option("--touches", min=1, help="Touches of each view; default: the scene's.")]

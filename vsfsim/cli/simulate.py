@@ -12,6 +12,7 @@ from vsfsim.cli.options import (
     ArchiveFile,
     Device,
     JsonFile,
+    PageFile,
     Precision,
     SceneName,
     Seed,
@@ -92,4 +93,21 @@ def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="F
     from vsfsim.generate import inspect as look
 
     lines, numbers = look.inspect(what, out, seed=seed, device=device)
+    report("\n".join(lines), numbers, json)
+
+
+@app.command()
+def view(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="Folder of a dataset, or a scene.")],
+         html: PageFile = None,
+         objects: Annotated[int, typer.Option(min=1, help="Object views of a dataset to show, at most.")] = 12,
+         seed: Seed = 0, json: JsonFile = None) -> None:
+    """Write a page to look at a dataset, or at a scene's object, in a browser.
+
+    The page is one file that needs no network: the object coloured by Young's modulus, to be turned and cut; touches,
+    forces and pressures frame by frame; the RGB-D picture. Of a scene it holds object 0 of the seed.
+    """
+    from vsfsim.view.command import view as run
+
+    with Progress("view") as progress:
+        lines, numbers = run(what, html, objects=objects, seed=seed, progress=progress)
     report("\n".join(lines), numbers, json)

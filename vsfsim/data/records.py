@@ -186,17 +186,17 @@ class Truth:
     """Of each element, an index into `region_names` (M,) int."""
     region_names: tuple[str, ...]
     """Names of the object's parts (R,)."""
-    probe_points: np.ndarray
+    probe_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     """Surface points where the small cone was pressed, world (P, 3) [m]; empty if not measured."""
-    probe_normals: np.ndarray
+    probe_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     """Outward unit normals there, world (P, 3) [-]."""
-    probe_stiffness: np.ndarray
+    probe_stiffness: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Force of the cone over its displacement, SBML appendix C.4 (P,) [N/m]."""
-    vsf_points: np.ndarray
+    vsf_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     """Particles of the oracle VSF, world (n, 3) [m]; empty if not fitted."""
-    vsf_stiffness: np.ndarray
+    vsf_stiffness: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Spring constant of each particle, fitted to exhaustive noise-free touches (n,) [N/m]."""
-    vsf_touched: np.ndarray
+    vsf_touched: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     """The particle was displaced by at least one of those touches (n,) bool."""
     radius: np.ndarray | None = None
     """Of a plant's segments, half the thickness of a blade (M,) [m]; None for a solid."""

@@ -28,7 +28,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.shelf import EFFECTOR_GROUP, effectors
-from vsfsim.data.records import ObjectView
+from vsfsim.data.records import ObjectView, Truth
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.sensing.surface import Surface
@@ -36,7 +36,7 @@ from vsfsim.sensing.surface import Surface
 
 @dataclass(frozen=True)
 class Drawing:
-    """What `vsfsim inspect` shows of a scene."""
+    """What `vsfsim inspect` and `vsfsim view` show of a scene."""
 
     surface: Surface
     """The surface to draw."""
@@ -46,6 +46,9 @@ class Drawing:
     """Follows the scene's name in the picture's title; None for the seed."""
     lines: tuple[str, ...]
     """What is printed; the scene's name is put before the first line."""
+    truth: Truth | None = None
+    """Its elements, as a dataset records them: without probed points and particles. None where only a surface is
+    drawn."""
 
 
 class Effector(Protocol):
@@ -120,7 +123,7 @@ class Effector(Protocol):
         ...
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
-        """What `vsfsim inspect` shows of a scene.
+        """What `vsfsim inspect` and `vsfsim view` show of a scene.
 
         Args:
             scene: concrete.

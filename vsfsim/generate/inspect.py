@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from vsfsim.core.errors import DatasetError, no_such_file
+
+if TYPE_CHECKING:
+    from vsfsim.generate.effector import Drawing
 
 
 def inspect(what: str, out: Path | None, *, seed: int, device: str) -> tuple[list[str], dict[str, Any]]:
@@ -17,12 +20,36 @@ def inspect(what: str, out: Path | None, *, seed: int, device: str) -> tuple[lis
     Raises:
         DatasetError, SceneError: neither a dataset nor a scene, or one that is damaged.
     """
+    return _dataset(Path(what), out) if is_dataset(what) else _scene(what, out, seed=seed, device=device)
+
+
+def is_dataset(what: str) -> bool:
+    """Whether a word names the folder of a dataset; if not, it is to name a scene.
+
+    Raises:
+        DatasetError: it can be neither.
+    """
     path = Path(what)
-    if path.is_dir():
-        return _dataset(path, out)
-    if len(path.parts) > 1 and path.suffix != ".toml":
+    if len(path.parts) > 1 and path.suffix != ".toml" and not path.is_dir():
         raise DatasetError(no_such_file("folder of a dataset", what))
-    return _scene(what, out, seed=seed, device=device)
+    return path.is_dir()
+
+
+def draw_scene(name: str, seed: int) -> tuple[str, Drawing]:
+    """The name of a scene, and its object as object 0 of a dataset of this seed.
+
+    Raises:
+        SceneError, MeshError: there is no such scene, or its object cannot be built.
+    """
+    from vsfsim.core.scene import load_scene
+    from vsfsim.core.shelf import find_scene
+    from vsfsim.data.streams import Stream, stream
+
+    loaded = load_scene(find_scene(name))
+    from vsfsim.generate.effector import effector_of
+
+    scene = loaded.sample(stream(seed, Stream.SCENE, 0))
+    return loaded.name, effector_of(scene).draw(scene, stream(seed, Stream.BODY, 0))
 
 
 def _dataset(folder: Path, out: Path | None) -> tuple[list[str], dict[str, Any]]:
@@ -41,19 +68,12 @@ def _dataset(folder: Path, out: Path | None) -> tuple[list[str], dict[str, Any]]
 
 
 def _scene(name: str, out: Path | None, *, seed: int, device: str) -> tuple[list[str], dict[str, Any]]:
-    from vsfsim.core.scene import load_scene
-    from vsfsim.core.shelf import find_scene
-    from vsfsim.data.streams import Stream, stream
-    from vsfsim.generate.effector import effector_of
     from vsfsim.sensing.turntable import turntable
 
-    loaded = load_scene(find_scene(name))
-    # as object 0 of a dataset of this seed
-    scene = loaded.sample(stream(seed, Stream.SCENE, 0))
-    drawing = effector_of(scene).draw(scene, stream(seed, Stream.BODY, 0))
-    path = out or Path(f"{loaded.name}.png")
+    name, drawing = draw_scene(name, seed)
+    path = out or Path(f"{name}.png")
     turntable(drawing.surface, path, young_modulus=drawing.young_modulus,
-              title=f"{loaded.name}, {drawing.subtitle or f'seed {seed}'}", device=device)
+              title=f"{name}, {drawing.subtitle or f'seed {seed}'}", device=device)
     first, *others = drawing.lines
-    return ([f"{loaded.name}: {first}", *others, f"turntable: {path}"],
-            {"scene": loaded.name, "seed": seed, "lines": list(drawing.lines), "picture": str(path)})
+    return ([f"{name}: {first}", *others, f"turntable: {path}"],
+            {"scene": name, "seed": seed, "lines": list(drawing.lines), "picture": str(path)})

@@ -96,4 +96,6 @@ def draw_solid(scene: Scene, seed: np.random.SeedSequence) -> Drawing:
             lines.append(f"  {region:<14} E {np.average(mean[inside], weights=volume[inside]):9.3g} Pa  "
                          f"{1e6 * volume[inside].sum():8.1f} cm^3")
     lines.extend(f"note: {sentence}" for sentence in solid.notes)
-    return Drawing(surface_of(solid, scene), mean[solid.surface()[1]], None, tuple(lines))
+    surface = surface_of(solid, scene)
+    truth = Truth(surface.vertices[solid.tets].mean(axis=1), mean, np.asarray(solid.region), solid.region_names)
+    return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), truth)

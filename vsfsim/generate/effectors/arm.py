@@ -17,6 +17,7 @@ from vsfsim.generate.plants.admit import grow
 from vsfsim.generate.plants.batches import make_together
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
 from vsfsim.generate.plants.touches import make_views
+from vsfsim.generate.plants.truth import segments
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import arm as presses
 from vsfsim.generate.workers import make_each
@@ -84,7 +85,7 @@ class ArmEffector:
                              f"{1e3 * r.max():.2g} mm")
         lines.extend(f"note: {sentence}" for sentence in plant.notes)
         modulus = np.repeat(plant.young_modulus[1:], triangles_of(plant)[1:])
-        return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines))
+        return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines), segments(plant))
 
 
 EFFECTOR = ArmEffector()

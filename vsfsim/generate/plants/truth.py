@@ -3,10 +3,13 @@ model fitted to all torques."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 
 from vsfsim.core.chain import Chain
+from vsfsim.core.plant import Plant
 from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.cloud import cloud_normals, voxel_sample
 from vsfsim.physics.rods.model import RodModel
@@ -63,7 +66,6 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
         device: Warp device.
         notes: what the plant is, and why others were drawn before it.
     """
-    plant = model.plant
     points = voxel_sample(view.points(), PROBE_VOXEL)
     normals = cloud_normals(view.points(), points, view.camera_pose[:3, 3])
     segment, along, offset, away = nearest_material_points(model, points)
@@ -84,10 +86,14 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
     w = sparse.csr_matrix(sparse.vstack(rows))
     fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0,
                           prior_var=1e8).mean if len(particles) else np.zeros(0)
+    return replace(segments(model.plant), probe_points=points[keep], probe_normals=normals[keep],
+                   probe_stiffness=stiffness[keep], vsf_points=particles, vsf_stiffness=fitted,
+                   vsf_touched=np.diff(w.tocsc().indptr) > 0, notes=notes or None)
+
+
+def segments(plant: Plant) -> Truth:
+    """Modulus and section of every segment, without probed points and particles."""
     ends = np.stack([plant.nodes[plant.parent[1:]], plant.nodes[1:]], axis=1)
     return Truth(points=ends.mean(axis=1), young_modulus=plant.young_modulus[1:],
-                 region=plant.region[1:].astype(np.int64), region_names=plant.region_names,
-                 probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
-                 vsf_points=particles, vsf_stiffness=fitted,
-                 vsf_touched=np.diff(w.tocsc().indptr) > 0, radius=plant.radius[1:], half_width=plant.half_width[1:],
-                 segment_ends=ends, notes=notes or None)
+                 region=plant.region[1:].astype(np.int64), region_names=plant.region_names, radius=plant.radius[1:],
+                 half_width=plant.half_width[1:], segment_ends=ends)

@@ -1,0 +1,167 @@
+"""`vsfsim view`: the page holds what the dataset holds, needs nothing from outside, and bad input is refused."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.records import Truth
+from vsfsim.data.writer import DatasetWriter
+from vsfsim.view.page import data_of, page
+from vsfsim.view.subject import of_truth
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    views = [mock_view(i, touches=3) for i in range(2)]
+    path = tmp_path_factory.mktemp("view") / "toy"
+    recipe = Recipe(scene="<mock>", scene_text="mock", seed=0, objects=2, views=1, touches=3, splits={"test": 2},
+                    device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(path, recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        writer.finish()
+    return path
+
+
+def values(table):
+    """What the page's script reads: value = low + data / 65535 * span."""
+    raw = np.frombuffer(base64.b64decode(table["data"]), "<u2").reshape(-1, len(table["low"]))
+    return np.array(table["low"]) + raw / 65535 * np.array(table["span"])
+
+
+def half_step(table):
+    return 0.5001 * np.array(table["span"]) / 65535
+
+
+def test_the_page_holds_what_the_dataset_holds(folder, vsfsim, tmp_path):
+    Image = pytest.importorskip("PIL.Image")
+    out = vsfsim("view", folder, "--html", "page.html", "--json", "numbers.json", cwd=tmp_path)
+    assert out.returncode == 0 and "2 object views" in out.stdout, out.stderr
+    content = (tmp_path / "page.html").read_bytes()
+    assert json.loads((tmp_path / "numbers.json").read_text())["bytes"] == len(content)
+    table = data_of(content)
+    dataset = Dataset.open(folder)
+    assert [o["name"] for o in table["objects"]] == list(dataset.names())
+    for shown, view in zip(table["objects"], dataset, strict=True):
+        truth = view.truth
+        assert (abs(values(shown["points"]) - truth.points) <= half_step(shown["points"])).all()
+        modulus = shown["log_modulus"]
+        assert (abs(values(modulus)[:, 0] - np.log10(truth.young_modulus)) <= half_step(modulus)).all()
+        assert np.array_equal(np.frombuffer(base64.b64decode(shown["region"]), np.uint8), truth.region)
+        assert shown["probe_radius"] == view.probe.radius
+        for told, touch in zip(shown["touches"], view.touches, strict=True):
+            assert np.allclose(told["force"], touch.force, rtol=0, atol=5.1e-5)
+            assert np.allclose(told["normal_force"], touch.normal_force(), rtol=0, atol=5.1e-5)
+            assert np.allclose(told["place"], touch.mount_pose[:, :3, 3], rtol=0, atol=5.1e-6)
+            assert np.allclose(told["target"], touch.target, rtol=0, atol=5.1e-6)
+            assert told["touched"] == touch.touched and told["converged"] == touch.converged.tolist()
+        picture = {name: np.asarray(Image.open(io.BytesIO(base64.b64decode(shown["picture"][name].split(",")[1]))))
+                   for name in ("rgb", "depth")}
+        assert np.array_equal(picture["rgb"], view.view.rgb)
+        assert np.array_equal(picture["depth"][..., 1] > 0, view.view.mask)
+
+
+def test_the_page_needs_nothing_from_outside_and_names_cannot_end_its_data():
+    name = "</script><img src=x onerror=alert(1)>@SCRIPT@"
+    text = page(name, [{"name": name}]).decode()
+    assert data_of(text.encode()) == {"title": name, "objects": [{"name": name}]}
+    assert text.count("</script>") == 2 and "<img" not in text
+    assert not re.search(r"https?://|\bsrc=[\"']|\bhref=|import\s|fetch\(", text)
+
+
+def test_frames_without_a_value_are_marked(folder):
+    from dataclasses import replace
+
+    from vsfsim.view.subject import of_view
+
+    view = mock_view(0, touches=1)
+    touch = view.touches[0]
+    force, converged = touch.force.copy(), touch.converged.copy()
+    force[3], converged[3] = np.nan, False
+    shown = of_view(replace(view, touches=(replace(touch, force=force, converged=converged),)))["touches"][0]
+    assert shown["force"][3] == [None] * 3 and shown["normal_force"][3] is None and not shown["converged"][3]
+    page("x", [shown])  # JSON without NaN
+
+
+def test_without_truth_the_visible_cloud_stands_for_the_object(folder):
+    from vsfsim.view.subject import of_view
+
+    view = Dataset.open(folder, blind=True)[0]
+    shown = of_view(view)
+    assert shown["log_modulus"] is None and shown["regions"] == []
+    cloud = view.view.points()
+    assert (abs(values(shown["points"]).min(axis=0) - cloud.min(axis=0)) < 0.002).all()
+
+
+def test_segments_become_rows_of_balls():
+    ends = np.array([[[0, 0, 0], [0, 0, 0.1]], [[0, 0, 0.1], [0.02, 0, 0.1]]], float)
+    truth = Truth(ends.mean(axis=1), np.array([1e6, 1e8]), np.array([0, 1]), ("stem", "leaf"),
+                  radius=np.array([0.005, 0.001]), half_width=np.array([0.0, 0.01]), segment_ends=ends)
+    shown = of_truth(truth)
+    where, radius, log = (values(shown[key]) for key in ("points", "radius", "log_modulus"))
+    stem = abs(log[:, 0] - 6.0) < 1e-3
+    assert stem.sum() == 40 and (~stem).sum() == 4
+    assert np.allclose(radius[stem], 0.005, atol=1e-6) and np.allclose(radius[~stem], 0.01, atol=1e-6)
+    assert np.allclose(where[stem][:, :2], 0.0, atol=1e-6) and np.allclose(np.diff(np.sort(where[stem][:, 2])), 0.0025,
+                                                                           atol=1e-5)
+
+
+def test_the_object_of_a_scene(vsfsim, tmp_path):
+    (tmp_path / "block.toml").write_text(
+        'name = "block"\n[object]\nshape = { box = [0.06, 0.04, 0.02] }\npoisson_ratio = 0.3\n'
+        'young_modulus = { base = 1e5, inclusions = [ { sphere = [0.0, 0.0, 0.01, 0.006], value = 1e7 } ] }\n'
+        '[probe]\nshape = { sphere = 0.01 }\n')
+    out = vsfsim("view", "block.toml", cwd=tmp_path)
+    assert out.returncode == 0, out.stderr
+    (shown,) = data_of((tmp_path / "block.html").read_bytes())["objects"]
+    where, modulus = values(shown["points"]), 10 ** values(shown["log_modulus"])[:, 0]
+    assert (abs(where) <= [0.03, 0.02, 0.02]).all() and where[:, 2].min() > 0.0
+    middle = where[modulus > 3e5]
+    assert len(middle) and (np.linalg.norm(middle - [0, 0, 0.01], axis=1) < 0.012).all()
+    assert modulus.min() == pytest.approx(1e5, rel=1e-3)
+
+
+@pytest.mark.parametrize(("words", "found"), [
+    (("view", "data/none"), "there is no folder"),
+    (("view", "empty"), "dataset.json"),
+    (("view", "nonsense"), "nonsense"),
+    (("view", "bad.toml"), "objekt"),
+    (("view", "toy", "--html", "there.html"), "there.html exists already"),
+    (("view", "toy", "--html", "nowhere/x.html"), "there is no folder 'nowhere'"),
+])
+def test_bad_input_is_refused_and_nothing_is_written(words, found, folder, vsfsim, tmp_path):
+    shutil.copytree(folder, tmp_path / "toy")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "there.html").write_text("mine")
+    (tmp_path / "bad.toml").write_text("[objekt]\n")
+    before = sorted(tmp_path.rglob("*"))
+    out = vsfsim(*words, cwd=tmp_path)
+    assert out.returncode == 2 and found in out.stderr and "Traceback" not in out.stderr
+    assert sorted(tmp_path.rglob("*")) == before and (tmp_path / "there.html").read_text() == "mine"
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
+def test_a_browser_draws_the_object_and_the_cut_takes_part_of_it_away(folder, vsfsim, tmp_path):
+    Image = pytest.importorskip("PIL.Image")
+    assert vsfsim("view", folder, "--html", "page.html", cwd=tmp_path).returncode == 0
+
+    def coloured(cut):
+        picture = tmp_path / f"{cut}.png"
+        subprocess.run(["chromium", "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+                        "--enable-unsafe-swiftshader", "--window-size=900,700", "--virtual-time-budget=2000",
+                        f"--screenshot={picture}", f"file://{tmp_path}/page.html#axis=z&cut={cut}"],
+                       check=True, capture_output=True, timeout=120)
+        image = np.asarray(Image.open(picture).convert("RGB")).astype(int)[120:, 110:500]
+        return int((np.ptp(image, axis=2) > 25).sum())
+
+    whole, half = coloured(1), coloured(0.3)
+    assert whole > 5000 and half < 0.95 * whole and half > 0.2 * whole

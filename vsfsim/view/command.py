@@ -1,0 +1,60 @@
+"""`vsfsim view`: the page of a dataset or of a scene's object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
+from vsfsim.generate.inspect import draw_scene, is_dataset
+from vsfsim.view.page import page
+from vsfsim.view.subject import of_drawing, of_view
+
+
+def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0,
+         progress: Callable[[int, int, str], None] | None = None) -> tuple[list[str], dict[str, Any]]:
+    """Write the page of a dataset folder or of a scene.
+
+    Args:
+        what: folder of a dataset, name of a scene, or path of its .toml file.
+        out: the HTML file, which must not exist; None for the name of the dataset or the scene here.
+        objects: object views of a dataset to show, at most.
+        seed: of a scene's object.
+        progress: called with (done, in all, what).
+
+    Returns:
+        The lines to print, and the same for JSON.
+
+    Raises:
+        DatasetError: neither a dataset nor a scene, a damaged dataset, or a file that exists or cannot be written.
+        SceneError, MeshError: the scene's object cannot be built.
+    """
+    if is_dataset(what):
+        path = _new(out or Path(f"{Path(what).resolve().name}.html"))
+        data = Dataset.open(what)
+        title = f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}"
+        names, shown = data.names()[:objects], []
+        for number, one in enumerate(names):
+            shown.append(of_view(data.load(one)))
+            if progress is not None:
+                progress(number + 1, len(names), "object views")
+        more = f" (of {len(data)}; --objects shows more)" if len(names) < len(data) else ""
+        words = f"{len(names)} object views{more}"
+    else:
+        path = _new(out or Path(f"{Path(what).stem}.html"))
+        name, drawing = draw_scene(what, seed)
+        title, words = f"{name}, {drawing.subtitle or f'seed {seed}'}", drawing.lines[0]
+        shown = [of_drawing(name, drawing)]
+    content = page(title, shown)
+    write_atomic(path, content)
+    return ([f"{title}: {words}", f"page: {path}, {len(content) / 1e6:.1f} MB; open it in a browser"],
+            {"page": str(path), "title": title, "objects": [one["name"] for one in shown], "bytes": len(content)})
+
+
+def _new(path: Path) -> Path:
+    if path.exists():
+        raise DatasetError(f"{path} exists already. Choose another name with --html, or remove it first.")
+    return path

@@ -1,0 +1,55 @@
+"""Arrays and pictures as text inside a page."""
+
+from __future__ import annotations
+
+import base64
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+
+STEPS = 65535
+"""The largest number of 16 bits: a length is kept to the span of its column over this."""
+
+
+def base64_of(array: np.ndarray) -> str:
+    """The bytes of an array in row-major order, numbers of several bytes in little-endian order, as base64."""
+    return base64.b64encode(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()).decode()
+
+
+def quantised(values: np.ndarray) -> dict[str, Any]:
+    """Rows (n, k) as 16-bit numbers: value = low + data / `STEPS` * span, to half a step, column by column.
+
+    Returns:
+        ``low`` (k,), ``span`` (k,) and ``data``, the base64 of (n, k) uint16.
+    """
+    values = np.asarray(values, float)
+    low = values.min(axis=0) if len(values) else np.zeros(values.shape[1])
+    span = np.maximum(values.max(axis=0) - low, 1e-12) if len(values) else np.ones(values.shape[1])
+    return {"low": low.tolist(), "span": span.tolist(),
+            "data": base64_of(np.rint((values - low) / span * STEPS).astype(np.uint16))}
+
+
+def png_uri(image: np.ndarray) -> str:
+    """An image as the address of a PNG that it holds itself.
+
+    Args:
+        image: sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8.
+    """
+    height, width, bands = image.shape
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
+    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 2: 4}[bands], 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
+    content = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks)
+    return "data:image/png;base64," + base64.b64encode(content).decode()
+
+
+def rounded(values: np.ndarray, digits: int) -> Any:
+    """Numbers as lists, rounded to ``digits`` decimals; None where there is none (NaN, infinite)."""
+    values = np.asarray(values, float)
+    if values.ndim:
+        return [rounded(part, digits) for part in values]
+    return round(float(values), digits) + 0.0 if np.isfinite(values) else None
