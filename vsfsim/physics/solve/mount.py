@@ -21,7 +21,9 @@ tolerance of the tiers for a body's own balance. Where the contact is as stiff a
 is then that of a mount 0.05 % of its travel away."""
 TRIALS = 12
 """Equilibria of one frame that are tried before it is marked; three are usual."""
-_FIRST = 1.5  # slope of a first contact over force / travel of its frame: that of a ball on a half-space
+# slope of a first contact: that of a ball on a half-space over force / travel of its frame, which is mostly free, and
+# at least this part of the spring's, so that the next trial does not lose contact
+_FIRST, _LIKE = 1.5, 0.5
 
 
 @dataclass
@@ -76,8 +78,14 @@ class Mount:
             with np.errstate(divide="ignore", invalid="ignore"):
                 met = -(along - self._trials[-1][1]) / moved
             self._slope = np.where(np.isfinite(met) & (met > 0.0), met, self._slope)
+        else:  # the force since the frame before as a parabola whose slope there is known: its slope here
+            known = self._last[1]
+            chord = (along - known) / np.where(self._before > w, self._before - w, np.nan)
+            bent = np.clip(2.0 * chord - self._slope, 0.5 * chord, 2.0 * chord)
+            self._slope = np.where((known > 0.0) & (self._slope > 0.0) & (chord > 0.0), bent, self._slope)
         first = (self._slope <= 0.0) & (along > 0.0)
-        self._slope = np.where(first, _FIRST * along / np.maximum(self._step, 1e-9), self._slope)
+        least = np.maximum(_FIRST * along / np.maximum(self._step, 1e-9), _LIKE * k)
+        self._slope = np.where(first, least, self._slope)
         self._low = np.where(open_ & (excess > 0.0), np.maximum(self._low, w), self._low)
         self._high = np.where(open_ & (excess < 0.0), np.minimum(self._high, w), self._high)
         self._trials.append((w.copy(), along))
