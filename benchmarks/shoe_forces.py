@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.measurement import Column, Measurement, Progress, Table
-from vsfsim.bench.studies.study import load_study
 from vsfsim.bench.task import load_task
 from vsfsim.bench.trials.training import Training
 from vsfsim.core import shelf
@@ -20,6 +19,7 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
 from vsfsim.data.streams import Stream, stream
+from vsfsim.papers.study import load_study
 from vsfsim.scenes._footwear_models import MODELS, PARTS
 
 SCENE = "shoes-v2-mini"

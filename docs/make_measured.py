@@ -59,8 +59,8 @@ def leaderboard(task: str) -> str:
 
 def study(name: str, size: str = "mini") -> str:
     """The table of `vsfsim study NAME` from the results that ship; a variant without one has no row."""
-    from vsfsim.bench.studies.report import cells, on_other_data, title
-    from vsfsim.bench.studies.study import load_study
+    from vsfsim.papers.report import cells, on_other_data, title
+    from vsfsim.papers.study import load_study
 
     one = load_study(name)
     found = results(name, size)
@@ -74,8 +74,8 @@ def study(name: str, size: str = "mini") -> str:
 
 def claims() -> str:
     """The table of `vsfsim claims` from the results that ship, and what experiments say."""
-    from vsfsim.bench.board.claims import HOLDS, conclusions, counts, difference
-    from vsfsim.bench.studies.claims import all_verdicts
+    from vsfsim.papers.claims import HOLDS, conclusions, counts, difference
+    from vsfsim.papers.verdicts import all_verdicts
 
     found = all_verdicts(boards=BOARDS, made=False)
     tables = []
@@ -94,16 +94,16 @@ def claims() -> str:
 @functools.cache
 def results(name: str, size: str) -> dict:
     """Results of a study that ship, by variant."""
-    from vsfsim.bench.studies.results import stored
-    from vsfsim.bench.studies.study import load_study
+    from vsfsim.papers.results import stored
+    from vsfsim.papers.study import load_study
 
     return stored(load_study(name), size, boards=BOARDS, made=False)
 
 
 def studies() -> list[str]:
     """Names of the studies that have two results or more among those that ship."""
-    from vsfsim.bench.studies.study import load_study
-    from vsfsim.bench.studies.study import studies as known
+    from vsfsim.papers.study import load_study
+    from vsfsim.papers.study import studies as known
 
     every = [load_study(name) for name in known()]
     return [one.name for one in every if not one.command and len(results(one.name, "mini")) > 1]

@@ -29,20 +29,21 @@ MAY_IMPORT = {
     "press": {"core", "data", "physics", "robot", "sensing", "generate"},
     "view": {"core", "data", "generate"},
     "bench": {"core", "data"},
+    "papers": {"core", "data", "bench"},
     "baselines": {"core", "data", "bench", "vsf"},
     "scenes": {"core"},
     "tasks": {"core"},
     "leaderboard": set(),
     "cli": {"core"},
-    "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "baselines",
-                   "scenes", "references", "cli"},
+    "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "papers",
+                   "baselines", "scenes", "references", "cli"},
     "references": set(),
     "top": {"cli"},
 }
 """Layers that a layer may import, besides itself; "top" is `vsfsim/__init__.py` and `vsfsim/__main__.py`."""
 
 LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines",
-                  "vsf", "benchmarks"},
+                  "papers", "vsf", "benchmarks"},
           "tasks": {"bench"}, "top": {"data", "bench", "generate", "press", "tasks"}}
 """Layers that a layer may import inside a function, or for types alone. `vsfsim.tasks()` is a function of `bench`."""
 
@@ -62,6 +63,7 @@ HEAVY = {
     "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer"},
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},
+    "papers": {"numpy"},
     "baselines": {"numpy", "scipy", "torch"},
     "scenes": {"numpy"},
     "tasks": set(),

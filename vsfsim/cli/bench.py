@@ -272,9 +272,9 @@ def leaderboard(results: Annotated[list[Path] | None,
     The last column says which results came with vsfsim and which were made here.
     """
     from vsfsim.bench import leaderboard as board
-    from vsfsim.bench.studies.results import ship as ship_studies
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
+    from vsfsim.papers.results import ship as ship_studies
 
     pages, tables, boards = [], [], []
     for name in [task] if task else list(shelf.tasks()):
@@ -309,9 +309,9 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
     Reads the results that ship, those in results/TASK and those of `vsfsim study`. Each verdict names the commands
     behind it; of a claim that does not hold, experiments say what is at fault.
     """
-    from vsfsim.bench.board import claims as judged
     from vsfsim.bench.commands.presets import PRESETS
-    from vsfsim.bench.studies.claims import all_verdicts
+    from vsfsim.papers import claims as judged
+    from vsfsim.papers.verdicts import all_verdicts
 
     check_choice("--preset", preset, PRESETS)
     check_choice("--size", size or "mini", ("mini", "standard"))

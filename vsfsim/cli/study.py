@@ -13,7 +13,7 @@ app = typer.Typer()
 
 
 def _complete(incomplete: str) -> list[str]:
-    from vsfsim.bench.studies.study import studies
+    from vsfsim.papers.study import studies
 
     return [name for name in studies() if name.startswith(incomplete)]
 
@@ -38,10 +38,10 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
     """
-    from vsfsim.bench.studies import report as tables
-    from vsfsim.bench.studies.results import make_missing, stored
-    from vsfsim.bench.studies.study import SIZES, load_study, studies
     from vsfsim.core.errors import TaskError
+    from vsfsim.papers import report as tables
+    from vsfsim.papers.results import make_missing, stored
+    from vsfsim.papers.study import SIZES, load_study, studies
 
     check_choice("--size", size, SIZES)
     known = [load_study(name) for name in (studies() if every else names or [])]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from vsfsim.bench.board.claims import (
+from vsfsim.bench.leaderboard import Board
+from vsfsim.papers.claims import (
     UNTOLD,
     Claim,
     Experiment,
@@ -16,9 +17,8 @@ from vsfsim.bench.board.claims import (
     judge,
     with_results,
 )
-from vsfsim.bench.leaderboard import Board
-from vsfsim.bench.studies.results import Found, board_of, stored
-from vsfsim.bench.studies.study import Asked, Study, load_study, studies
+from vsfsim.papers.results import Found, board_of, stored
+from vsfsim.papers.study import Asked, Study, load_study, studies
 
 
 def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,

@@ -18,13 +18,13 @@ from typing import Any
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.studies import worlds
 from vsfsim.bench.task import DatasetWanted, Task, current_task, open_dataset
 from vsfsim.bench.trials.training import RULES, Extra, Training
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
 from vsfsim.core.table import Table, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
+from vsfsim.papers import worlds
 
 SIZES = ("mini", "standard")
 _SETTINGS = ("method", "preset", "set", "train", "share_of_objects", "share_of_touches", "train_views", "test_views",
@@ -70,7 +70,7 @@ class Variant:
     data: str
     """Name of a table [data.NAME] whose dataset takes the place of the task's; "" for the task's."""
     world: str
-    """A key of `vsfsim.bench.studies.worlds.WORLDS` that takes the place of the task; "" for none."""
+    """A key of `vsfsim.papers.worlds.WORLDS` that takes the place of the task; "" for none."""
     only: str
     """Class of the objects that count; "" for all."""
     paper: Mapping[str, tuple[float, float | None]]

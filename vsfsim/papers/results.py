@@ -16,11 +16,11 @@ from vsfsim.bench.commands.presets import on_device
 from vsfsim.bench.commands.side_by_side import Evaluation, make
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result import Result, readings_apart
-from vsfsim.bench.studies.study import Study, Variant
 from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
+from vsfsim.papers.study import Study, Variant
 
 MADE = Path("results")
 

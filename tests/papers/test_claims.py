@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD, Claim, Side, claims_of, judge, text, with_results
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result import Result
-from vsfsim.bench.studies.study import load_study, studies
 from vsfsim.bench.task import load_task
+from vsfsim.papers.claims import FAILS, HOLDS, UNTOLD, Claim, Side, claims_of, judge, text, with_results
+from vsfsim.papers.study import load_study, studies
 
 TASK = "fewshot-shoes-v2-mini-v3"
 

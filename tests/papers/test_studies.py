@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD
 from vsfsim.bench.commands.presets import preset
 from vsfsim.bench.result import Result
-from vsfsim.bench.studies import claims, report, worlds
-from vsfsim.bench.studies import results as stored_results
-from vsfsim.bench.studies.results import Found
-from vsfsim.bench.studies.study import load_study, parse_study, studies
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import scenes
+from vsfsim.papers import report, verdicts, worlds
+from vsfsim.papers import results as stored_results
+from vsfsim.papers.claims import FAILS, HOLDS, UNTOLD
+from vsfsim.papers.results import Found
+from vsfsim.papers.study import load_study, parse_study, studies
 
 TASK = "fewshot-shoes-v2-mini-v3"
 TEXT = """
@@ -110,10 +110,10 @@ def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer,
                                                                          enumerate(LEVEL)]}
     asked = dataclasses.replace(study, experiments=(dataclasses.replace(study.claims[0], text="toy/more is better",
                                                                         note="data"),))
-    monkeypatch.setattr(claims, "load_study", lambda name: asked)
-    monkeypatch.setattr(claims, "stored", lambda *_: found(study, **values))
-    verdicts, experiments = claims.verdicts("mini", ["toy"])
-    (verdict,) = claims.beside(verdicts, experiments)
+    monkeypatch.setattr(verdicts, "load_study", lambda name: asked)
+    monkeypatch.setattr(verdicts, "stored", lambda *_: found(study, **values))
+    decided, experiments = verdicts.verdicts("mini", ["toy"])
+    (verdict,) = verdicts.beside(decided, experiments)
     assert verdict.answer == answer and verdict.experiments[0].answer == answer
     assert "vsfsim study toy --size mini" in verdict.commands[0]
     said = verdict.experiments[0].conclusion
@@ -124,13 +124,13 @@ def test_an_experiment_of_another_size_counts_where_there_is_none_of_the_size_as
     both = found(study, all=LEVEL, half=[v + 0.1 for v in LEVEL])
     asked = dataclasses.replace(study, claims=(), experiments=study.claims,
                                 tasks={"standard": "fewshot-shoes-v2-v3", **study.tasks})
-    monkeypatch.setattr(claims, "load_study", lambda name: asked)
+    monkeypatch.setattr(verdicts, "load_study", lambda name: asked)
     for size in ("standard", "mini"):
-        monkeypatch.setattr(claims, "stored", lambda study, at, *_, size=size: both if at == size else {})
-        _, (experiment,) = claims.verdicts("standard", ["toy"])
+        monkeypatch.setattr(verdicts, "stored", lambda study, at, *_, size=size: both if at == size else {})
+        _, (experiment,) = verdicts.verdicts("standard", ["toy"])
         assert experiment.answer == HOLDS and experiment.difference.mean == pytest.approx(-0.1)
-    monkeypatch.setattr(claims, "stored", lambda *_: {})
-    _, (experiment,) = claims.verdicts("standard", ["toy"])
+    monkeypatch.setattr(verdicts, "stored", lambda *_: {})
+    _, (experiment,) = verdicts.verdicts("standard", ["toy"])
     assert experiment.difference is None
 
 
@@ -194,7 +194,7 @@ def test_a_shipped_study_asks_what_there_is(name):
 
 
 def test_every_experiment_is_on_a_claim():
-    from vsfsim.bench.board.claims import claims_of
+    from vsfsim.papers.claims import claims_of
 
     keys = {c.key for c in claims_of()} | {f"{name}/{a.text}" for name in studies() for a in load_study(name).claims}
     asked = [e.text for name in studies() for e in load_study(name).experiments]

@@ -8,7 +8,7 @@ than that share, and ours by less even with two standard errors added, the claim
 by its method, its preset and its task; where one is missing, the claim cannot be told and the command that makes the
 result is printed.
 
-The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.bench.studies.claims`), and so do
+The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.papers.verdicts`), and so do
 the experiments that say why a claim does not hold: each asks the same of other data.
 """
 
