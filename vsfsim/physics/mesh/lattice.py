@@ -19,9 +19,10 @@ from vsfsim.core.hexes import split_prisms
 from vsfsim.core.quality import smallest_sine
 from vsfsim.core.solid import boundary_faces, tet_volumes
 
-CELL = (12.0 / 8.5) ** (1 / 3)
-"""Edge of a cell over that of a regular tetrahedron: a cell holds 12 tetrahedra, h^3 about 8.5 regular ones of edge
-h [-]."""
+DENSITY = 5.0
+"""Tetrahedra in a volume h^3, h the element size: as many as of the cubes of edge h that a box is cut into [-]."""
+CELL = (12.0 / DENSITY) ** (1 / 3)
+"""Edge of a cell, which holds 12 tetrahedra, over the element size [-]."""
 _NEAR_LONG, _NEAR_SHORT = 0.24999, 0.41189  # Labelle and Shewchuk, table 1: a cut nearer to a node moves the node
 _BISECTIONS = 24
 _TIE = 4  # decimals to which fractions of edges are compared, so that a symmetric body keeps its ties
@@ -37,7 +38,7 @@ def fill_lattice(inside: Inside, low: np.ndarray, high: np.ndarray, resolution: 
     Args:
         inside: whether points (k, 3) [m] are in the body (k,).
         low, high: corners of its bounding box (3,) [m].
-        resolution: edge length of the tetrahedra [m].
+        resolution: element size [m].
 
     Returns:
         Vertices (n, 3) [m] and positively oriented tetrahedra (m, 4); none if no node lies inside.
@@ -175,10 +176,11 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
     mover = _Mover(vertices, tets)
     vertices, rim, taken, moved = mover.vertices, mover.rim, mover.taken, mover.move
     if len(corners):
-        away, near = cKDTree(vertices[rim]).query(corners, k=min(4, len(rim)), distance_upper_bound=_PULL * reach)
+        away, near = cKDTree(vertices[rim]).query(corners, k=min(8, len(rim)), distance_upper_bound=_PULL * reach)
         away, near = away.reshape(len(corners), -1), near.reshape(len(corners), -1)
         for c in np.lexsort((np.arange(len(corners)), np.round(away[:, 0] / reach, _TIE))):
-            for d, k in zip(away[c], near[c], strict=True):
+            for at in np.lexsort((near[c], np.round(away[c] / reach, _TIE))):
+                d, k = away[c, at], near[c, at]
                 if np.isfinite(d) and int(rim[k]) not in taken and moved(int(rim[k]), corners[c]):
                     break
     if len(edges):

@@ -22,7 +22,7 @@ from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh import tetwild
 from vsfsim.physics.mesh.account import TOLD, Account, account, inside, refuse, scan_volume
 from vsfsim.physics.mesh.foot import BASE
-from vsfsim.physics.mesh.lattice import CELL, fill_lattice, move_boundary, pull_to_features
+from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, move_boundary, pull_to_features
 from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
 
@@ -33,8 +33,9 @@ _FINER = (1.0, 1 / 1.4, 1 / 2, 1 / 2.8)
 _ENOUGH = 0.05  # difference up to which a lattice is preferred to fTetWild, whose mesh differs from run to run [-]
 _MOST = 60_000  # tetrahedra of a lattice that is finer than asked for, at most
 _SHARP = np.radians(35.0)  # between the normals of two faces whose common edge the filling shall keep
+_DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL file has seven
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
-_RECIPE = 3
+_RECIPE = 4
 """Part of the cache key, to be raised when the repairs or the filling change."""
 _ENVELOPES = (1 / 20, 1 / 100)
 """Distances that fTetWild may move the surface, in units of the element size; the second is tried if the first changes
@@ -85,8 +86,7 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
         MeshError: the mesh would have too many tetrahedra, encloses no volume, holds more than one object, or the
             filling is off by more than 10 % of it.
     """
-    # A volume h^3 holds about 8.5 regular tetrahedra of edge h, and a body fills about a third of its bounding box.
-    cells = 3.0 * float(np.prod(surface.extents)) / resolution**3
+    cells = DENSITY * float(np.prod(surface.extents)) / resolution**3
     if cells > MAX_TETS:
         raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of "
                         f"{' x '.join(f'{e:.3g}' for e in surface.extents)} m into about {cells:.1e} tetrahedra; use a "
@@ -115,7 +115,7 @@ def _best(surface: Surface, volume: float, resolution: float,
     problem = None
     for part in _FINER:
         size = part * resolution
-        if part < 1.0 and 8.5 * volume / size**3 > _MOST:
+        if part < 1.0 and DENSITY * volume / size**3 > _MOST:
             break
         vertices, tets = fill_lattice(within, low, high, size)
         if not len(tets):
@@ -207,8 +207,13 @@ def features(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
         ends.setdefault(a, []).append(along)
         ends.setdefault(b, []).append(-along)
     corners = [n for n, ways in sorted(ends.items()) if len(ways) != 2 or -float(ways[0] @ ways[1]) < _TURN]
-    highest = [int(v[:, axis].argmax()) for axis in range(3)] + [int(v[:, axis].argmin()) for axis in range(2)]
-    return v[sorted(dict.fromkeys(highest + corners))], v[sharp]
+    # ties and the order do not hang on the rounding of a file format
+    rough = np.round(v / float(surface.extents.max()), _DIGITS)
+    order = np.lexsort(rough.T)
+    highest = [int(order[pick(rough[order, axis])]) for pick, axes in ((np.argmax, range(3)), (np.argmin, range(2)))
+               for axis in axes]
+    wanted = np.isin(order, [*highest, *corners])
+    return v[order[wanted]], v[sharp]
 
 
 def _look(colour: np.ndarray) -> Appearance:
