@@ -342,3 +342,20 @@ def test_summary_tells_the_main_figures(made):
     assert "12, 3 met nothing" in text
     top = max(t.normal_force().max() for v in VIEWS for t in v.touches)
     assert f"0 to {top:.3g} N" in text
+
+
+def test_a_file_that_is_open_in_another_program_is_not_called_damaged(made):
+    entry = Dataset.open(made).entries[0].file
+    hold = ("import h5py, sys; file = h5py.File(sys.argv[1], 'r+', locking=True); print('open', flush=True); "
+            "sys.stdin.read()")
+    other = subprocess.Popen([sys.executable, "-c", hold, str(made / entry)], stdin=subprocess.PIPE,
+                             stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout.readline() == "open\n"
+        (problem,) = verify(made).problems
+        with pytest.raises(DatasetError, match=r"cannot be opened: .*Close it in the program"):
+            list(Dataset.open(made))
+    finally:
+        other.communicate()
+    assert problem.file == entry and "elete" not in problem.todo and "Close it" in problem.todo
+    assert verify(made).ok

@@ -15,7 +15,7 @@ from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.interactive.html_table import html_table
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.fetched import fetch, fetch_manifest
-from vsfsim.data.hdf5 import read_picture, read_shown, read_view
+from vsfsim.data.hdf5 import CLOSE_IT, in_use, read_picture, read_shown, read_view
 from vsfsim.data.manifest import (
     MANIFEST,
     PART_MANIFEST,
@@ -158,6 +158,8 @@ class Dataset:
                 if self.origin and not path.is_file():
                     fetch(self.origin, entry.file, path)
                 check_file(path, self.path)
+                if busy := in_use(path):
+                    raise DatasetError(f"{path} {busy} {CLOSE_IT}")
                 # HDF5 would read a flipped byte without a word, and a score would rest on it.
                 if path.is_file() and file_sha256(path) != entry.sha256:
                     raise DatasetError(f"{path} was changed after it was written (its sha256 does not fit {MANIFEST}). "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -184,6 +185,23 @@ def _field(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, path: Path
 
 _DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError, MemoryError)
 """What h5py raises on damaged files, by what is damaged."""
+
+
+IN_USE = (BlockingIOError, PermissionError)
+"""What h5py raises on a file that is open for writing elsewhere, which HDF5 locks, or that may not be read."""
+CLOSE_IT = "Close it in the program that has it open, or allow yourself to read it; nothing says that it is damaged."
+
+
+def in_use(path: Path) -> str:
+    """Why a file cannot be opened although it may be whole, or "". HDF5 marks a file that is open for writing in its
+    bytes, so this comes before a comparison of their sha256."""
+    try:
+        h5py.File(path, "r").close()
+    except IN_USE as error:
+        return f"cannot be opened: {os.strerror(error.errno or 0)}."
+    except _DAMAGE:
+        pass
+    return ""
 
 
 def _damaged(path: Path, error: BaseException) -> DatasetError:

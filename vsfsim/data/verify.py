@@ -14,7 +14,7 @@ import numpy as np
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
-from vsfsim.data.hdf5 import check_attributes, read_array, read_view
+from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, in_use, read_array, read_view
 from vsfsim.data.manifest import CARD, MANIFEST, Entry
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.safety import check_tree
@@ -131,6 +131,9 @@ def verify(path: str | Path) -> Report:
                                     "Copy the file into it."))
             continue
         counts["files"] += 1
+        if busy := in_use(file):
+            problems.append(Problem(entry.file, busy, CLOSE_IT))
+            continue
         if file_sha256(file) != entry.sha256:
             problems.append(Problem(entry.file, "was changed after it was written (its sha256 does not fit).", _MEND))
             continue
