@@ -73,8 +73,12 @@ def torch_devices() -> list[str]:
 
 def check_device(device: str) -> None:
     """Raises:
-        VsfsimError: this machine has no such Warp device.
+        VsfsimError: this machine has no such Warp device, or its Warp cannot compile for the CPU.
     """
+    if device == "cpu" and not wp.is_cpu_available():
+        raise VsfsimError("the installed Warp has no compiler for the CPU (its library warp-clang is missing, as in a "
+                          "build for GPUs only). Install the package from the index, `pip install --force-reinstall "
+                          "warp-lang`, or give --device cuda:0.")
     names = [str(d.alias) for d in wp.get_devices()]
     if device not in names:
         raise VsfsimError(f"--device is '{device}', but this machine has {', '.join(names)}. Choose one of them.")
@@ -94,7 +98,11 @@ def compile_kernels(kernels: list[Any], device: str, *,
 
     Args:
         progress: called with (modules done, modules, name of the next one).
+
+    Raises:
+        VsfsimError: as `check_device`.
     """
+    check_device(str(wp.get_device(device).alias) if device == "cuda" else device)
     modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
     for done, module in enumerate(modules):
         if progress is not None:
