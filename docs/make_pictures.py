@@ -1,8 +1,10 @@
 """Makes the pictures of the README: `python docs/make_pictures.py [NAME ...]`, five minutes on two CPU cores.
 
-Each picture is written by the command that stands beside its name, then brought to 256 colours and `WIDTH` pixels.
+Each picture is written by the command that stands beside its name; a PNG is then brought to 256 colours and `WIDTH`
+pixels.
 """
 
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,23 +18,27 @@ PICTURES = {
     "shoe": [["inspect", "shoes-v2-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
+    "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
     "plants-v4": [["measure", "plant-sheet", "plants-v4", "--picture", "OUT"]],
     "contact-sheet": [["generate", "shoes-v2-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
                        "DATASET"],
                       ["inspect", "DATASET", "--out", "OUT"]],
 }
-"""Words after `vsfsim` by picture; OUT and DATASET are places in a temporary folder."""
+"""Words after `vsfsim` by picture; OUT, GIF and DATASET are places in a temporary folder."""
 
 
 def make(name: str) -> None:
-    """Write ``pictures/NAME.png``."""
+    """Write ``pictures/NAME.png``, or ``NAME.gif``."""
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.png"
+        out, gif = Path(folder) / "out.png", Path(folder) / "out.gif"
         for words in PICTURES[name]:
-            places = {"OUT": str(out), "DATASET": str(Path(folder) / "dataset")}
+            places = {"OUT": str(out), "GIF": str(gif), "DATASET": str(Path(folder) / "dataset")}
             subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()",
                             *(places.get(word, word) for word in words)], check=True)
-        shrink(out, FOLDER / f"{name}.png")
+        if gif.exists():
+            shutil.copyfile(gif, FOLDER / gif.with_stem(name).name)
+        else:
+            shrink(out, FOLDER / f"{name}.png")
 
 
 def shrink(picture: Path, to: Path) -> None:

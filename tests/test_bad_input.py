@@ -164,6 +164,7 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vs
     (("press", "indent", "--plot", "nowhere/x.png"), "there is no folder 'nowhere'"),
     (("press", "indent", "--picture", "nowhere/x.png"),
      "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
+    (("press", "indent", "--gif", "x.png"), "--gif is 'x.png'; it must end in .gif"),
     (("press", "indent", "--save", "x.h5"), "--save is 'x.h5'; it must end in .npz"),
     (("press", "indent", "--precision", "float16"), "--precision is 'float16'. Did you mean 'float64'?"),
     (("generate", "indent"), "there is no [touches]"),

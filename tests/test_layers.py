@@ -58,7 +58,7 @@ HEAVY = {
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
-    "press": {"numpy", "scipy", "warp", "matplotlib"},
+    "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy"},
     "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer"},
     "references": {"numpy", "scipy", "torch", "timm"},

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from typer.testing import CliRunner
 
 import vsfsim.physics.runtime  # noqa: F401  Warp keeps its own cache, whatever folder a test sets for meshes
@@ -139,12 +140,22 @@ def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path
     trimesh.creation.capsule(radius=8.0, height=14.0, count=[16, 16]).export(tmp_path / "tip.stl")
     scene = ('[object]\nshape = { box = [0.06, 0.06, 0.03] }\nyoung_modulus = 5e4\nresolution = 0.012\n[probe]\nshape '
              '= { mesh = "tip.stl", scale = 0.001 }\n')
-    out = press("--picture", "p.png", "--save", "s.npz", text=scene)
+    out = press("--picture", "p.png", "--gif", "g.gif", "--save", "s.npz", text=scene)
     assert out.returncode == 0, out.stderr
     assert ("All 10 frames converged." in out.stdout and "of an element" in out.stdout
             and "No [press] is given: the probe goes from above, at the middle" in out.stdout)
     assert "the centre of its bounding box is the probe's origin; distance grid of" in out.stdout
     assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    with Image.open(tmp_path / "g.gif") as film:
+        durations, moved = [], []
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            pixels = np.asarray(film.convert("RGB")).astype(int)[40:, :380]  # without the colour bar
+            durations.append(film.info["duration"])
+            moved.append(int((pixels[..., 1] - pixels[..., 0] > 10).sum()))
+    assert film.n_frames == 10 and durations == [200] * 9 + [1200]
+    # all frames have the colours of the last: what is more green than red has moved far, and grows with depth
+    assert moved[-1] > moved[4] >= moved[0] == 0
     with np.load(tmp_path / "s.npz") as data:
         assert set(json.loads(str(data["units"]))) == set(data.files) - {"units"}
         assert data["contact_force"].shape == (10, len(data["surface_nodes"]), 3)

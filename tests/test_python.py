@@ -89,11 +89,11 @@ def test_the_functions_have_signatures_for_help(name, first):
 def test_python_takes_every_option_of_the_command():
     """`vsfsim press`, `generate` and `evaluate` have no option that the functions lack. Files of pictures are methods,
     and --all is a loop over `vsfsim.methods()`."""
-    from vsfsim.cli import bench, simulate
+    from vsfsim.cli import bench, generate, simulate
 
-    for command, function in ((simulate.press, vsfsim.press), (simulate.generate, vsfsim.generate),
+    for command, function in ((simulate.press, vsfsim.press), (generate.generate, vsfsim.generate),
                               (bench.evaluate, vsfsim.evaluate)):
-        options = set(inspect.signature(command).parameters) - {"json", "plot", "picture", "save", "every"}
+        options = set(inspect.signature(command).parameters) - {"json", "plot", "picture", "gif", "save", "every"}
         assert options <= set(inspect.signature(function).parameters), command.__name__
 
 

@@ -51,10 +51,14 @@ def _writable(param: typer.CallbackParam, path: Path | None) -> Path | None:
     return path
 
 
-def _archive(param: typer.CallbackParam, path: Path | None) -> Path | None:
-    if path is not None and path.suffix != ".npz":
-        raise VsfsimError(f"{param.opts[0]} is '{path}'; it must end in .npz, the format that is written.")
-    return _writable(param, path)
+def _ends_in(suffix: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
+    """A file that can be written after the work and has the name of its format."""
+    def check(param: typer.CallbackParam, path: Path | None) -> Path | None:
+        if path is not None and path.suffix != suffix:
+            raise VsfsimError(f"{param.opts[0]} is '{path}'; it must end in {suffix}, the format that is written.")
+        return _writable(param, path)
+
+    return check
 
 
 def picture_option(help: str, *names: str) -> Any:
@@ -84,9 +88,11 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random num
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=_writable,
                                                help="Write the numbers here as JSON; - for standard output, instead of "
                                                     "the table.")]
-ArchiveFile = Annotated[Path | None, typer.Option("--save", metavar="FILE", callback=_archive,
+ArchiveFile = Annotated[Path | None, typer.Option("--save", metavar="FILE", callback=_ends_in(".npz"),
                                                   help="Write mesh, displacements and contact forces of every frame "
                                                        "(.npz).")]
+GifFile = Annotated[Path | None, typer.Option("--gif", metavar="FILE", callback=_ends_in(".gif"),
+                                              help="Write the deformed body frame by frame (.gif).")]
 PageFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", callback=_writable,
                                                help="File to write, which must not exist; default: NAME.html here.")]
 Objects = Annotated[int | None, typer.Option("--objects", min=1, help="How many objects; default: the scene's.")]

@@ -11,6 +11,7 @@ from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import (
     ArchiveFile,
     Device,
+    GifFile,
     JsonFile,
     PageFile,
     Precision,
@@ -44,7 +45,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
           json: JsonFile = None,
           plot: Annotated[Path | None, picture_option("Write a plot of force against depth.")] = None,
           picture: Annotated[Path | None, picture_option("Write a picture of the deformed body at full depth.")] = None,
-          save: ArchiveFile = None,
+          gif: GifFile = None, save: ArchiveFile = None,
           limit: Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS",
                                                       help="Processor time of a frame; one that takes more is "
                                                            "marked. Default: the tier's own, 120, and 1,500 "
@@ -66,7 +67,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
 
     with Progress("press") as progress:
         made = run(loaded, seed=seed, tier=tier, device=device, precision=precision, refine=refine, limit=limit,
-                   keep=picture is not None or save is not None, progress=progress)
+                   keep=any(file is not None for file in (picture, gif, save)), progress=progress)
     words = [made.text()]
     if plot is not None:
         made.plot(plot)
@@ -74,6 +75,10 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     if picture is not None:
         made.picture(picture)
         words.append(f"picture: {picture}")
+    if gif is not None:
+        with Progress("press") as progress:
+            made.gif(gif, progress=progress)
+        words.append(f"animation: {gif}")
     if save is not None:
         made.save(save)
         words.append(f"saved: {save}")

@@ -189,8 +189,9 @@ class PressResult:
     """Depth, force and other readings of the frame of full depth, for the picture's title."""
     caption: str = ""
     """What the picture shows, for the line below it."""
-    panels: tuple[Panel, ...] = ()
-    """What the picture of the frame of full depth shows; empty without `PressRequest.keep`."""
+    panels: Callable[[int], tuple[Panel, ...]] | None = None
+    """What the picture of a frame shows, by its number, in the colours and from the camera of the frame of full depth;
+    None without `PressRequest.keep`."""
     resolved: np.ndarray | None = None
     """Whether the mesh resolves each frame (T,), see `physics.mesh.resolved`; None where that is not measured."""
     arrays: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)

@@ -99,6 +99,16 @@ class Press:
 
         return figures.picture(self.result, self.scene, path, device=self.device)
 
+    def gif(self, path: str | Path, *, progress: Callable[[int, int, str], None] | None = None) -> None:
+        """Write the pictures of all frames as a GIF that repeats.
+
+        Raises:
+            VsfsimError: the press was made without them, or the file cannot be written.
+        """
+        from vsfsim.press import figures
+
+        figures.animation(self.result, self.scene, Path(path), device=self.device, progress=progress)
+
     def save(self, path: str | Path) -> None:
         """Write mesh, displacements and contact forces of every frame (.npz).
 

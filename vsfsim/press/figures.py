@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.interactive.figure import new_figure
+from vsfsim.data.disk import write_atomic
 from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
 from vsfsim.press.text import marks
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import flat_coloured, with_rigid
 
 DPI = 100
+_GIF_DPI = 60
 _HEAD, _FOOT = 0.4, 0.3  # of a picture, for title and caption [inch]
 _BAR = 0.9  # width of a colour bar with its label [inch]
 _DOT = 30.0  # area of the largest dot [square points]
@@ -48,26 +53,57 @@ def plot(result: PressResult, title: str, path: str | Path | None = None) -> Fig
     return figure
 
 
-def picture(result: PressResult, title: str, path: str | Path | None = None, *, device: str = "cpu") -> Figure:
-    """Draw the panels of a result that kept them, side by side; returns the figure.
+def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu",
+              progress: Callable[[int, int, str], None] | None = None) -> None:
+    """Write the pictures of all frames as a GIF that repeats, 0.2 s each and 1.2 s at full depth, 256 colours a frame.
+
+    Args:
+        result: with panels.
+        title: above everything.
+        path: GIF to write.
+        device: Warp device of the ray caster.
+        progress: called with (done, in all, what).
+
+    Raises:
+        VsfsimError: the result kept no panels, or the file cannot be written.
+    """
+    frames, count = [], len(result.depth)
+    for t in range(count):
+        buffer = io.BytesIO()
+        picture(result, title, frame=t, device=device).savefig(buffer, dpi=_GIF_DPI, format="png")
+        frames.append(Image.open(buffer).convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE))
+        if progress is not None:
+            progress(t + 1, count, "pictures")
+    whole = io.BytesIO()
+    frames[0].save(whole, "GIF", save_all=True, append_images=frames[1:], loop=0, optimize=True,
+                   duration=[1200 if t == result.deepest else 200 for t in range(count)])
+    write_atomic(path, whole.getvalue(), error=VsfsimError)
+
+
+def picture(result: PressResult, title: str, path: str | Path | None = None, *, frame: int | None = None,
+            device: str = "cpu") -> Figure:
+    """Draw the panels of a frame of a result that kept them, side by side; returns the figure.
 
     Args:
         result: with panels.
         title: above everything.
         path: PNG to write, or None.
+        frame: number of the frame; None for that of full depth.
         device: Warp device of the ray caster.
 
     Raises:
         VsfsimError: the result kept no panels.
     """
-    if not result.panels:
+    if result.panels is None:
         raise VsfsimError("this press has nothing to draw: it was made with keep=False. Press again with keep=True.")
-    tall = max(panel.camera.height for panel in result.panels if isinstance(panel, BodyPanel)) / DPI
-    widths = [_width(panel, tall) for panel in result.panels]
+    t = result.deepest if frame is None else frame
+    shown = result.panels(t)
+    tall = max(panel.camera.height for panel in shown if isinstance(panel, BodyPanel)) / DPI
+    widths = [_width(panel, tall) for panel in shown]
     height = tall + _HEAD + _FOOT
     figure = new_figure(figsize=(sum(widths), height), dpi=DPI, facecolor="white")
     left = 0.0
-    for panel, width in zip(result.panels, widths, strict=True):
+    for panel, width in zip(shown, widths, strict=True):
         bar = _BAR if isinstance(panel, BodyPanel) and _has_bar(panel) else 0.0
         place = (left / sum(widths), _FOOT / height, (width - bar) / sum(widths), tall / height)
         if isinstance(panel, MapPanel):
@@ -80,8 +116,10 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
             axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
             figure.colorbar(_scale(panel.colours), cax=axes).set_label(panel.colours.label, fontsize=9)
         left += width
-    mark = f"   {marks(result.converged, result.resolved)[result.deepest]}".rstrip()
-    figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {result.headline}{mark}", va="center", fontsize=12)
+    mark = f"   {marks(result.converged, result.resolved)[t]}".rstrip()
+    head = result.headline if frame is None else (f"depth {1e3 * result.depth[t]:.2f} mm, normal force "
+                                                  f"{result.normal_force[t]:.3g} N")
+    figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {head}{mark}", va="center", fontsize=12)
     caption = f"{result.model}; {result.caption}" if result.caption else result.model
     figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")
     if path is not None:

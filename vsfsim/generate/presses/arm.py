@@ -99,7 +99,7 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
                      {f"joint {j + 1}": touch.torque[:, j] for j in range(7)})),
         abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
         headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
-        panels=(_panel(subject, touch.q, frames, full),) if request.keep else (),
+        panels=(lambda t: (_panel(subject, touch.q, frames, t),)) if request.keep else None,
         arrays={**_arrays(subject, touch, frames),
                 **series(depth, touch.force, touch.reaction, fields, "of the pot on the plant, world")}
         if request.keep else {})

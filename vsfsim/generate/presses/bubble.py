@@ -95,7 +95,7 @@ def result_of(s: Solved, request: PressRequest) -> PressResult:
                  f"{change[full]:.4g} Pa",
         caption="left: from outside; middle: how far the skin went in along the free dome's normal, dots: nodes in "
                 "contact, larger with their force; right: from the camera inside",
-        panels=_panels(s, request.device) if request.keep else (),
+        panels=(lambda t: _panels(s, t, request.device)) if request.keep else None,
         arrays={**_arrays(s, change, volume), **series(depth, force, s.reaction, fields, "of the mount, world")}
         if request.keep else {})
 
@@ -119,11 +119,12 @@ def _arrays(s: Solved, change: np.ndarray, volume: np.ndarray) -> dict[str, tupl
         "volume": (volume, "of the gas (T,) [m^3]")}
 
 
-def _panels(s: Solved, device: str) -> tuple[BodyPanel, MapPanel, ImagePanel]:
-    """The dent from outside, over the rim plane, and seen by the camera inside."""
-    t, mesh = s.full, s.model.mesh
-    inward = 1e3 * inward_distance(s.model, s.position[t])
-    colours = Colours("RdBu_r", min(float(inward.min()), -1e-6), max(float(inward.max()), 1e-6))
+def _panels(s: Solved, t: int, device: str) -> tuple[BodyPanel, MapPanel, ImagePanel]:
+    """The dent of frame ``t`` from outside, over the rim plane, and seen by the camera inside; in the colours of the
+    frame of full depth."""
+    mesh = s.model.mesh
+    inward, most = (1e3 * inward_distance(s.model, s.position[k]) for k in (t, s.full))
+    colours = Colours("RdBu_r", min(float(most.min()), -1e-6), max(float(most.max()), 1e-6))
     inside = look_inside(s.position[t:t + 1], mesh.faces, s.model.flat, BubbleCamera(), device=device).rgb[0]
     return (outside(s, t, inward[mesh.faces].mean(axis=1), colours),
             MapPanel(1e3 * mesh.points[:, :2], mesh.faces, inward, np.nan_to_num(np.linalg.norm(s.push[t], axis=1)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -228,11 +229,11 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
                    f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
     if len(names) > 1 or max(scene.frictions) > 0.0:
         words.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(more["slipping"][full])))
-    panels, arrays = (), {}
+    panels, arrays = None, {}
     if request.keep:
         moved = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
         push = np.stack([f[..., 0] for f in solver.surface_force])
-        panels = _panels(model, scene.bodies, placed[full], moved[full], np.nan_to_num(push[full]))
+        panels = _panels(model, scene.bodies, placed, moved, np.nan_to_num(push), full)
         arrays = {**_arrays(model, placed, moved, push), **series(depth, force, frames.reaction[:, 0], fields)}
     normal = -(force @ axis)
     return PressResult(
@@ -259,23 +260,40 @@ def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force:
 
 
 def _panels(model: Model, shapes: tuple[ProbeShape, ...], poses: np.ndarray, moved: np.ndarray,
-            push: np.ndarray) -> tuple[BodyPanel, ...]:
-    """The deformed body (displacements (n, 3) [m], surface forces (s, 3) [N]) with the rigid bodies, and alone."""
-    vertices, triangles, owner, length = deformed_surface(model.mesh, moved)
-    pressure = face_pressure(model.mesh, push)[owner]
-    size = float(np.ptp(vertices, axis=0).max())
-    rigid = [(v @ pose[:3, :3].T + pose[:3, 3], f)
-             for (v, f), pose in zip((tessellate(shape, 1.2 * size) for shape in shapes), poses, strict=True)]
-    intrinsics, pose = fitting_camera(vertices, np.concatenate([v for v, _ in rigid]), *PICTURE)
-    # A wall between the camera and the body would hide it.
-    shown = [part for part, shape, p in zip(rigid, shapes, poses, strict=True)
-             if not (isinstance(shape, Plane) and float((pose[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0)]
-    surface = Surface(vertices, triangles, np.zeros(len(triangles), int), None, vertices)
-    camera = Camera(intrinsics, pose, *PICTURE)
-    return (BodyPanel(surface, camera, tuple(shown), 1e3 * length,
-                      Colours("viridis", 0.0, 1e3 * float(length.max()), "displacement [mm]")),
-            BodyPanel(surface, camera, (), pressure / 1e3,
-                      Colours("inferno_r", 0.0, float(pressure.max()) / 1e3, "contact pressure [kPa]", True)))
+            push: np.ndarray, full: int) -> Callable[[int], tuple[BodyPanel, ...]]:
+    """Of a frame, the deformed body with the rigid bodies, and alone, as the frame of full depth is seen.
+
+    Args:
+        model: the body.
+        shapes: of the K rigid bodies.
+        poses: of them (T, K, 4, 4) [m].
+        moved: displacements (T, n, 3) [m].
+        push: forces on the surface's nodes (T, s, 3) [N].
+        full: number of the frame of full depth.
+    """
+    at_full, *_, furthest = deformed_surface(model.mesh, moved[full])
+    size = float(np.ptp(at_full, axis=0).max())
+    solid = [tessellate(shape, 1.2 * size) for shape in shapes]
+
+    def placed(t: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [(v @ pose[:3, :3].T + pose[:3, 3], f) for (v, f), pose in zip(solid, poses[t], strict=True)]
+
+    intrinsics, eye = fitting_camera(at_full, np.concatenate([v for v, _ in placed(full)]), *PICTURE)
+    camera, most = Camera(intrinsics, eye, *PICTURE), face_pressure(model.mesh, push[full]).max()
+    lengths = Colours("viridis", 0.0, 1e3 * float(furthest.max()), "displacement [mm]")
+    pressures = Colours("inferno_r", 0.0, float(most) / 1e3, "contact pressure [kPa]", True)
+
+    def panels(t: int) -> tuple[BodyPanel, ...]:
+        vertices, triangles, owner, length = deformed_surface(model.mesh, moved[t])
+        pressure = face_pressure(model.mesh, push[t])[owner]
+        # A wall between the camera and the body would hide it.
+        shown = [part for part, shape, p in zip(placed(t), shapes, poses[t], strict=True)
+                 if not (isinstance(shape, Plane) and float((eye[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0)]
+        surface = Surface(vertices, triangles, np.zeros(len(triangles), int), None, vertices)
+        return (BodyPanel(surface, camera, tuple(shown), 1e3 * length, lengths),
+                BodyPanel(surface, camera, (), pressure / 1e3, pressures))
+
+    return panels
 
 
 def _arrays(model: Model, poses: np.ndarray, moved: np.ndarray, push: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
