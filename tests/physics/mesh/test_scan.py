@@ -54,7 +54,7 @@ def check_filled(solid: Solid, volume: float, *, within: float) -> None:
 def test_sound_mesh_needs_no_repair(suffix: str, tmp_path: Path) -> None:
     solid = filled(ball(), tmp_path, name=f"scan.{suffix}")
     check_filled(solid, VOLUME, within=0.02)
-    assert [note.split()[0] for note in solid.notes] == ["Elements", "Filling", "Moved"], solid.notes
+    assert [note.split()[0] for note in solid.notes] == ["Elements", "Filling", "Moved", "The"], solid.notes
 
 
 def test_hole(tmp_path: Path) -> None:

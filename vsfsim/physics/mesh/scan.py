@@ -75,6 +75,8 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
             # On a file system without locks another worker may have been first; every worker then uses its file.
             found = _read(stored) or made
     vertices, tets, colour, notes = found
+    # fTetWild makes another filling on another machine, which this shows
+    notes = [*notes, f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes),
                  appearance=_look(colour) if len(colour) else None)
 
@@ -214,6 +216,11 @@ def features(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
                for axis in axes]
     wanted = np.isin(order, [*highest, *corners])
     return v[order[wanted]], v[sharp]
+
+
+def _digest(vertices: np.ndarray, tets: np.ndarray) -> str:
+    """sha256 of corners to a nanometre and tetrahedra, hexadecimal; processors differ in the last bits."""
+    return hashlib.sha256(np.round(1e9 * vertices).astype("<i8").tobytes() + tets.astype("<i8").tobytes()).hexdigest()
 
 
 def _look(colour: np.ndarray) -> Appearance:
