@@ -241,8 +241,8 @@ def _read_touch(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, where
     values["touched"] = bool(values["touched"])
     for table in ("audit", "channels"):
         names = [name for name in values if name.startswith(f"{table}/")]
-        values[table] = {name.partition("/")[2]: values.pop(name) for name in names}
-    values["channels"] = {name: value for name, value in values["channels"].items() if value is not None}
+        columns = {name.partition("/")[2]: values.pop(name) for name in names}
+        values[table] = {name: value for name, value in columns.items() if value is not None}
     return Touch(**values)
 
 
