@@ -253,9 +253,11 @@ def test_press_prints_one_json_object(scene, tmp_path):
 
 def test_a_text_table_for_people(scene):
     lines = text(find_effector("probe").press(scene, PressRequest())).splitlines()
-    assert (len(lines) == 10 and "normal N" in lines[0] and "|force| N" in lines[0]
+    assert (len(lines) == 11 and "normal N" in lines[0] and "|force| N" in lines[0]
             and lines[7].startswith("normal N is the component")
-            and lines[8].startswith("All 6 frames converged.") and lines[9].startswith("Tier fem-coarse"))
+            and lines[8].startswith("All 6 frames converged.")
+            and lines[9].startswith("The mesh does NOT resolve the contact in 2 of 6 frames")
+            and lines[10].startswith("Tier fem-coarse"))
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):
