@@ -97,7 +97,7 @@ def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
     view = dataclasses.replace(view, touches=(view.touches[0], dataclasses.replace(view.touches[1], ended=1)))
     recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
     with DatasetWriter(tmp_path / "d", recipe, [view.name]) as writer:
-        write_view(writer.file_of(view.name), view)
+        writer.add(view)
         writer.finish()
     text = summary(tmp_path / "d")
     assert "penetration" in text and "min det" not in text  # beams have no det F
