@@ -15,9 +15,13 @@ from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError
+from vsfsim.core.dome import Dome
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
+from vsfsim.vsf.fields.surface_touch import dome
 from vsfsim.vsf.surface_contact import surface_contact
 
+_POINTS, _FACES = dome(radius=0.03, height=0.015)
+DOME = Dome.of(_POINTS * [1.0, -1.0, -1.0] + [0.0, 0.0, 0.015], _FACES)
 METHODS = [NearSprings, SurfaceGp, lambda: NeuralProcess(steps=50, networks=1)]
 
 
@@ -55,7 +59,7 @@ def test_near_springs_is_the_example_of_the_readme(task, train):
 
 
 @pytest.mark.parametrize("shape, tip", [(Sphere(0.01), 0.01), (Capsule(0.005, 0.02), 0.015),
-                                        (Box((0.02, 0.03, 0.04)), 0.02), (Plane(), 0.0)])
+                                        (Box((0.02, 0.03, 0.04)), 0.02), (Plane(), 0.0), (DOME, 0.015)])
 def test_a_contact_is_where_the_probe_is_deepest(shape, tip):
     """Every shape pressed 3 mm into a flat cloud from above."""
     axis = np.linspace(-0.05, 0.05, 101)
@@ -63,11 +67,11 @@ def test_a_contact_is_where_the_probe_is_deepest(shape, tip):
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[:, :2, 3] = 0.013, -0.021
     poses[:, 2, 3] = tip + np.array([0.005, 0.0, -0.001, -0.003])
-    if isinstance(shape, Plane):
+    if isinstance(shape, Plane | Dome):
         poses[:, :3, :3] = np.diag([1.0, -1.0, -1.0])  # it faces down
     found = surface_contact(cloud, poses, shape)
     np.testing.assert_allclose(found.depth, [0.0, 0.0, 0.001, 0.003], atol=2e-5)
-    if isinstance(shape, Sphere | Capsule):
+    if isinstance(shape, Sphere | Capsule | Dome):
         np.testing.assert_allclose(found.place, [0.013, -0.021, 0.0], atol=1e-9)
 
 

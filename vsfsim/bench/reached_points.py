@@ -38,8 +38,7 @@ def _mark(out: np.ndarray, points: np.ndarray, probe: ProbeShape, poses: np.ndar
     """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
     capsules, most of them far from the object in every frame, and most points are far from any path."""
     assert not isinstance(probe, MeshFile | Chain), SIMPLE
-    size = np.linalg.norm(probe.points, axis=1).max() if isinstance(probe, Dome) else signed_distance.reach(probe)
-    ball = 1.001 * (size + 2.0 * reach)
+    ball = 1.001 * (signed_distance.reach(probe) + 2.0 * reach)
     if not len(points) or not len(poses):
         return
     at = poses[:, :3, 3]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vsfsim.core.dome import Dome
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 
 Analytic = Sphere | Capsule | Cylinder | Box | Plane
@@ -46,7 +47,7 @@ def segment_distance(points: np.ndarray, start: np.ndarray, stop: np.ndarray) ->
     return np.linalg.norm(points - start - t[..., None] * axis, axis=-1)
 
 
-def reach(shape: Analytic) -> float:
+def reach(shape: Analytic | Dome) -> float:
     """Radius of the smallest ball about the origin that holds a shape [m]; infinite for a plane."""
     match shape:
         case Sphere(radius):
@@ -57,6 +58,8 @@ def reach(shape: Analytic) -> float:
             return float(np.hypot(radius, 0.5 * height))
         case Box(size):
             return 0.5 * float(np.linalg.norm(size))
+        case Dome():
+            return shape.reach
         case Plane():
             return float("inf")
     raise AssertionError(shape)

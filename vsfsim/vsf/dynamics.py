@@ -156,7 +156,7 @@ def _reach(probe: ProbeShape) -> tuple[float, float]:
     """Radius of the sphere around the origin that holds the probe, and its thinnest half-width [m]."""
     match probe:
         case Dome():
-            return probe.reach, probe.height
+            thin = probe.height
         case Sphere(radius) | Capsule(radius, _):
             thin = radius
         case Cylinder(radius, height):
