@@ -14,8 +14,8 @@ from vsfsim.bench.method import Reading, Specimen
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
-from vsfsim.core.errors import MethodError
 from vsfsim.core.dome import Dome
+from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
 from vsfsim.vsf.fields.surface_touch import dome
 from vsfsim.vsf.surface_contact import surface_contact

@@ -1,4 +1,4 @@
-"""Where a rigid probe or a dome comes closest to the visible surface, and how far past it: a touch without a particle model."""
+"""Where a rigid probe or a dome comes closest to the visible surface, and how far past it; without particles."""
 
 from __future__ import annotations
 
