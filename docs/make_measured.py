@@ -15,14 +15,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
-TASKS = ("fewshot-plants-v4-v1", "fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v3", "fewshot-plants-v4-mini-v1",
-         "inclusion-mini-v3", "localization-mini-v3",
-         "bag-punyo-v1", "bag-punyo-mini-v2", "rope-punyo-v1", "rope-punyo-mini-v2", "fewshot-shoes-v2-punyo-v1",
-         "fewshot-shoes-v2-punyo-mini-v2")
-STANDARD = ("shoes-amount", "shoes-breadth", "shoes-composition", "shoes-composition-broad", "shoes-features",
-            "shoes-views", "shoes-unified", "shoes-bubble", "rope", "plants-breadth", "plants-amount", "plants-unified",
-            "plants-features")
-"""Studies with results on the task of the papers' size."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
 
@@ -100,13 +92,22 @@ def results(name: str, size: str) -> dict:
     return stored(load_study(name), size, boards=BOARDS, made=False)
 
 
-def studies() -> list[str]:
-    """Names of the studies that have two results or more among those that ship."""
-    from vsfsim.papers.study import load_study
-    from vsfsim.papers.study import studies as known
+def included() -> list[str]:
+    """Names of the tables of results that the pages include: leaderboards, studies and claims."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    found = {name for page in pages
+             for name in re.findall(r"measured(?:/|: )((?:leaderboard-|study-|claims)[\w.-]*)\.md", page.read_text())}
+    return sorted(found)
 
-    every = [load_study(name) for name in known()]
-    return [one.name for one in every if not one.command and len(results(one.name, "mini")) > 1]
+
+def result(name: str) -> str:
+    """A table of results by the name of its file; a study whose name ends with ``-standard`` is of the larger size."""
+    kind, _, what = name.partition("-")
+    if kind == "claims":
+        return claims()
+    if kind == "leaderboard":
+        return leaderboard(what)
+    return study(what.removesuffix("-standard"), "standard" if what.endswith("-standard") else "mini")
 
 
 def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> str:
@@ -127,10 +128,7 @@ def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> st
 
 
 MEASURED: dict[str, Callable[[], str]] = {
-    **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
-    **{f"study-{name}": partial(study, name) for name in studies()},
-    **{f"study-{name}-standard": partial(study, name, "standard") for name in STANDARD},
-    "claims": claims,
+    **{name: partial(result, name) for name in included()},
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
