@@ -20,6 +20,7 @@ from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
 from vsfsim.bench.trials.collect import Collector, Progress
+from vsfsim.bench.trials.curves import Curves
 from vsfsim.bench.trials.rows import Rows, as_columns, beside_zero, scores_of, stored
 from vsfsim.bench.trials.score import map_of, rows_of
 from vsfsim.bench.trials.training import PLAIN, Training
@@ -30,7 +31,7 @@ from vsfsim.data.provenance import made_by
 def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
              seeds: int | None = None, progress: Progress | None = None, isolation: Isolation | None = None,
              part: str | Path | None = None, log: str | Path | None = None, check: bool = True,
-             preset: str = "", training: Training = PLAIN) -> Result:
+             preset: str = "", training: Training = PLAIN, curves: Path | None = None) -> Result:
     """Score a method.
 
     Args:
@@ -49,6 +50,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         check: test on mock objects first whether the method keeps its contract.
         training: what the method learns from, where a study departs from the task (`vsfsim study`). Such a result is
             never ranked.
+        curves: file for all predictions beside the truth (`vsfsim.bench.trials.curves`); None writes none.
 
     Raises:
         MethodError: the method is unknown, breaks its contract, raises, takes too long, or answers with something that
@@ -67,6 +69,8 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
                         training)
         answers = run.run()
     rows, readings = _rows(answers, task, dataset)
+    if curves is not None:
+        Curves.of(answers, task, dataset, run.seeds).save(curves)
     said = run.description
     assert said is not None
     timing = {"meta_fit_s": run.meta_fit_s, "fits": run.fits, "adapt_s": sum(a.adapt_s for a in answers),

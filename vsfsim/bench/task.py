@@ -20,6 +20,9 @@ from vsfsim.data.recipe import text_sha256
 ALL = "all"
 """The shot that means every touch which is not a query."""
 
+DEVELOPMENT = "-development"
+"""What the name of a task on its development objects ends in."""
+
 _SUPERSEDED = re.compile(r"(?m)^superseded_by *=.*\n")
 
 
@@ -152,14 +155,30 @@ class Task:
         """The row of `primary` in the table of metrics."""
         return METRICS[self.primary]
 
+    def on_development(self) -> Task:
+        """The same questions on the development objects, as a task of its own: its results are no rows of this one.
+
+        Raises:
+            TaskError: the task names no development objects.
+        """
+        if self.development is None:
+            raise TaskError(f"task {self.name} names no development objects ([dataset] development in its file). "
+                            f"Generate other objects of its scene with another --seed, and give a task of your own.")
+        return replace(self, name=self.name + DEVELOPMENT, dataset=self.development, development=None, paper=(),
+                       description=f"{self.description} On its development objects, for settings; never ranked.",
+                       sha256=text_sha256(self.sha256 + DEVELOPMENT))
+
 
 def load_task(given: str | Path) -> Task:
-    """The task of this name, or in this TOML file.
+    """The task of this name, or in this TOML file. TASK-development is TASK on its development objects.
 
     Raises:
         TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range.
     """
-    path = find_task(str(given))
+    name = str(given)
+    if name.endswith(DEVELOPMENT):
+        return load_task(name.removesuffix(DEVELOPMENT)).on_development()
+    path = find_task(name)
     return parse_task(read_text(path, "task", TaskError), path)
 
 

@@ -133,6 +133,11 @@ def evaluate(task: TaskName,
                                                                 "default: no limit.")] = None,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
                                                                "[GiB]; default: no limit.")] = None,
+             on: Annotated[str, typer.Option(help="test, or development: the objects of the task for settings, whose "
+                                                  "results go to results/TASK-development.")] = "test",
+             keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
+                                                    "RESULT.predictions.npz, which `vsfsim inspect RESULT` draws.")
+                             ] = "",
              sandbox: Annotated[str, typer.Option(help="bubblewrap or namespaces: in a container, which hides your "
                                                        "files and the network; process: in a process of its own; "
                                                        "default: $VSFSIM_SANDBOX, or the strongest that works here.")
@@ -143,6 +148,7 @@ def evaluate(task: TaskName,
     interruption.
     """
     from vsfsim.bench.commands import presets
+    from vsfsim.bench.commands.evaluate import on_objects
     from vsfsim.bench.commands.evaluate_all import evaluate_all
     from vsfsim.bench.method import check_name
     from vsfsim.bench.task import load_task
@@ -158,9 +164,9 @@ def evaluate(task: TaskName,
         raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(presets.PRESETS)}.")
     for name in names:
         check_name(name)
-    wanted = load_task(task)
+    wanted = on_objects(load_task(task), on)
     shared = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout, "memory": memory,
-              "sandbox": sandbox, "processes": processes}
+              "sandbox": sandbox, "processes": processes, "keep": keep}
     if every:
         every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value)
         rows = [row for row in every_row if preset in ("", row.preset)]
@@ -211,7 +217,7 @@ def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str
             print(f"note: {note}")
         if log.exists():
             print(f"what the method printed is in {log}")
-        print(f"written to {path}")
+        print(f"written to {path}" + (f"\n\nvsfsim inspect {path}   # draws them" if shared["keep"] else ""))
     write_json(numbers[0] if len(names) == 1 else numbers, json)
 
 

@@ -42,7 +42,7 @@ def lines(labels: Sequence[str], series: Sequence[Series], *, axis: str, below: 
     if not known:
         return ""
     top = max(max(m + (e if math.isfinite(e) else 0.0) for m, e in known), level or 0.0)
-    ticks = _ticks(0.0, min(top, 3.0 * max(m for m, _ in known)))
+    ticks = round_numbers(0.0, min(top, 3.0 * max(m for m, _ in known)))
     width, height, left, right, up, down = 760, 360, 62, 210, 12, 46
     high = ticks[-1]
 
@@ -92,7 +92,7 @@ def points(values: Mapping[str, tuple[float, float, float]], *, across: str, axi
     low, far = (math.floor(math.log10(min(v[0] for v in known.values()))),
                 math.ceil(math.log10(max(v[0] for v in known.values())) + 1e-9))
     far = max(far, low + 1)
-    ticks = _ticks(0.0, max(v[1] + (v[2] if math.isfinite(v[2]) else 0.0) for v in known.values()))
+    ticks = round_numbers(0.0, max(v[1] + (v[2] if math.isfinite(v[2]) else 0.0) for v in known.values()))
     high = ticks[-1]
     out = _frame(width, height, left, right, up, down, ticks, high, axis)
     for power in range(low, far + 1):
@@ -193,12 +193,13 @@ def png(rgb: np.ndarray, name: str) -> str:
             f'src="data:image/png;base64,{base64.b64encode(file).decode()}">')
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    """About five round numbers from ``low`` to beyond ``high``."""
+def round_numbers(low: float, high: float) -> list[float]:
+    """About five round numbers from below ``low`` to beyond ``high``."""
     raw = max(high - low, 1e-12) / 4.0
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= raw * 0.999)
-    return [low + step * k for k in range(math.ceil((high - low) / step - 1e-9) + 1)]
+    first = math.floor(low / step + 1e-9)
+    return [step * k for k in range(first, max(math.ceil(high / step - 1e-9), first + 1) + 1)]
 
 
 def _frame(width: int, height: int, left: int, right: int, up: int, down: int, ticks: Sequence[float], high: float,

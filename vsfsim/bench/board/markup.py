@@ -27,6 +27,7 @@ th.text, td.text { text-align: left; } td.long { white-space: normal; min-width:
 figure { margin: 0.6rem 0; } svg { max-width: 100%; height: auto; display: block; }
 svg text { font: 12px system-ui, Arial, sans-serif; fill: var(--ink); } svg .soft { fill: var(--soft); }
 svg .over { paint-order: stroke; stroke: var(--back); stroke-width: 4px; }
+svg .truth { stroke: var(--ink); }
 svg .axis { stroke: var(--soft); } svg .grid { stroke: var(--line); }
 .pair { display: flex; flex-wrap: wrap; gap: 1.2rem; }
 """

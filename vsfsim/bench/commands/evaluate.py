@@ -16,16 +16,17 @@ from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
+from vsfsim.bench.trials import curves
 from vsfsim.bench.trials.training import Training
-from vsfsim.core.errors import MethodError
+from vsfsim.core.errors import MethodError, TaskError, did_you_mean
 from vsfsim.data.dataset import Dataset
 
 
 def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "",
-             out: str | Path | None = None, preset: str = "", processes: int = 1,
-             progress: Callable[[int, int, str], None] | None = None) -> Result:
+             out: str | Path | None = None, preset: str = "", processes: int = 1, keep: str = "",
+             on: str = "test", progress: Callable[[int, int, str], None] | None = None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
     Args:
@@ -44,6 +45,9 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
             are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
         processes: trainings that run at the same time, each in a process of its own.
+        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim inspect`
+        draws; "" writes none.
+        on: "test", or "development" for the objects on which settings are made; such a result is of TASK-development.
         progress: called with (trials done, of how many, what is going on).
 
     Raises:
@@ -52,7 +56,10 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     name = method if isinstance(method, str) else name_of(method)
     isolation = Isolation(sandbox, timeout, memory, workers)
     check_name(name)
-    wanted = task if isinstance(task, Task) else load_task(task)
+    if keep not in ("", "predictions") or (keep and out is None):
+        raise MethodError(f"keep is '{keep}' and out is {out}; keep is '' or 'predictions', which are written beside "
+                          f"the result file of out.")
+    wanted = on_objects(task if isinstance(task, Task) else load_task(task), on)
     data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
     if preset:
         parameters = {**chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters,
@@ -67,6 +74,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     if out is None:
         return run(name, wanted, data, **options)
     path = Path(out)
+    if keep:
+        options["curves"] = curves.beside(path)
     if processes > 1:
         one = Evaluation(path, name, wanted, data, lambda: finish(name, wanted, data, path, **options),
                          parameters or {}, seeds, Training(), isolation)
@@ -96,6 +105,17 @@ def finish(name: str, task: Task, dataset: Dataset, path: Path, **options: Any) 
         if text:
             log.write_text(text)
     return result
+
+
+def on_objects(task: Task, on: str) -> Task:
+    """The task on its "test" or on its "development" objects.
+
+    Raises:
+        TaskError: ``on`` is neither, or there are no development objects.
+    """
+    if on not in ("test", "development"):
+        raise TaskError(f"on is '{on}'. {did_you_mean(on, ('test', 'development'))}")
+    return task if on == "test" else task.on_development()
 
 
 def log_of(result: Path) -> Path:

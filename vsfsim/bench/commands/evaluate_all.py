@@ -15,6 +15,7 @@ from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset
+from vsfsim.bench.trials.curves import beside
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import Interrupted, TaskError, VsfsimError
 
@@ -35,7 +36,8 @@ class Made:
 
 def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path | None = None, seeds: int | None = None,
                  before: Callable[[Choice], Any] = lambda _: None, processes: int = 1,
-                 progress: Callable[[int, int, str], None] = lambda *_: None, **options: Any) -> Iterator[Made]:
+                 progress: Callable[[int, int, str], None] = lambda *_: None, keep: str = "",
+                 **options: Any) -> Iterator[Made]:
     """Make the results that are missing in a folder.
 
     A result is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
@@ -45,7 +47,8 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
     Args:
         task: the task. rows: what to evaluate. folder: of the result files. dataset: as of `evaluate`. seeds: as of
         `evaluate`. before: called before a row is made. processes: trainings of all rows that run at the same time.
-        progress: of them, called with (done, of how many, what). options: further ones of `evaluate`.
+        progress: of them, called with (done, of how many, what). keep: as of `evaluate`; a row whose predictions are
+        missing is made again. options: further ones of `evaluate`.
 
     Yields:
         Every row in its order; with several processes those that are there already, then the others as they are ready.
@@ -58,7 +61,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
     for choice in rows:
         path = folder / f"{choice.stem}.json"
         known = _kept(path, task, data.sha256, choice, seeds)
-        if known is not None:
+        if known is not None and (not keep or beside(path).is_file()):
             yield Made(choice, path, known, "kept")
             continue
         if processes > 1:
@@ -67,7 +70,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
         before(choice)
         try:
             result = evaluate(choice.method, task, data, parameters=choice.parameters, seeds=seeds, out=path,
-                              preset=choice.preset, **options)
+                              preset=choice.preset, keep=keep, **options)
         except Interrupted:
             raise
         except VsfsimError as error:
@@ -79,7 +82,8 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
                               options.get("workers", 1))
         jobs = [Evaluation(path, c.method, task, data,
                            partial(finish, c.method, task, data, path, parameters=c.parameters, seeds=seeds,
-                                   preset=c.preset, isolation=isolation), c.parameters, seeds, Training(), isolation)
+                                   preset=c.preset, isolation=isolation, curves=beside(path) if keep else None),
+                           c.parameters, seeds, Training(), isolation)
                 for path, c in to_do.items()]
         for one, message in make(jobs, processes, progress=progress):
             yield Made(to_do[one.path], one.path, None if message else Result.load(one.path), message or "made")

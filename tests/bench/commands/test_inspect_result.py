@@ -1,0 +1,141 @@
+"""`evaluate --on development`, `--keep predictions` and `inspect RESULT`: the loop of a method's author."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.board.charts import round_numbers
+from vsfsim.bench.board.touch_chart import touch_chart
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.inspect_result import inspect_result
+from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.leaderboard import collect
+from vsfsim.bench.protocol import divide
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import load_task, parse_task
+from vsfsim.bench.trials.curves import Curves, beside
+from vsfsim.core.errors import MethodError, TaskError
+
+DEVELOPED = 'development = { folder = "toy-development", seed = 5, objects = 3 }, tier'
+
+
+@pytest.fixture(scope="module")
+def kept(task, toy_dataset, tmp_path_factory):
+    path = tmp_path_factory.mktemp("results") / "constant.json"
+    evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": 2.0}, out=path, keep="predictions")
+    return path
+
+
+def test_predictions_lie_beside_the_truth(kept, toy_views):
+    curves = Curves.beside(Result.load(kept), kept)
+    assert curves.shots == ("0", "1", "5", "all") and curves.seeds == (0, 1, 2)
+    assert (curves.predicted == 2.0).all() and beside(kept).stat().st_size < 20_000
+    for k, (name, touch) in enumerate(zip(curves.objects, curves.touches)):
+        made = next(view for view in toy_views if view.name == name).touches[touch]
+        frames = slice(curves.start[k], curves.start[k + 1])
+        np.testing.assert_allclose(curves.truth[frames, 0], -(made.force @ made.axis), rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(curves.time[frames], made.time, rtol=1e-6)
+
+
+def test_the_worst_object_and_touch_come_first(kept, task, toy_views, tmp_path):
+    text, numbers = inspect_result(kept, tmp_path / "page.html")
+    by_hand = {}
+    for view in toy_views[1:]:
+        for index in divide(view, task.protocol).query:
+            truth = -(view.touches[index].force @ view.touches[index].axis)
+            by_hand[view.name, index] = math.sqrt(np.mean((2.0 - truth) ** 2)), math.sqrt(np.mean(truth**2)), (
+                2.0 * truth.sum() / (truth**2).sum())
+    found = {(t["view"], t["touch"]): (t["rmse"]["5"], t["share"], t["gain"]) for t in numbers["touches"]}
+    assert found.keys() == by_hand.keys()
+    for key, (error, share, gain) in found.items():
+        mine, _, factor = by_hand[key]
+        level = np.mean([zero for (name, _), (_, zero, _) in by_hand.items() if name == key[0]])
+        assert (error, share, gain) == pytest.approx((mine, mine / level, factor), rel=1e-4)
+    assert [t["share"] for t in numbers["touches"]] == sorted((t["share"] for t in numbers["touches"]), reverse=True)
+    objects = numbers["objects"]["5"]
+    lines = text.split("by object, the worst first")[1].splitlines()[3:5]
+    assert [line.split()[0] for line in lines] == sorted(objects, key=objects.get, reverse=True)
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("<figure>") == len(by_hand) and not re.search(r"https?://|<script|src=", page)
+
+
+def test_without_predictions_there_are_errors_and_no_curves(kept, tmp_path):
+    Result.load(kept).save(tmp_path / "bare.json")
+    text, numbers = inspect_result(tmp_path / "bare.json", None, shot="all")
+    assert "--keep predictions" in text and math.isnan(numbers["touches"][0]["gain"])
+    assert (tmp_path / "bare.html").is_file() and numbers["shot"] == "all"
+    with pytest.raises(TaskError, match="--shot is '7'"):
+        inspect_result(tmp_path / "bare.json", None, shot="7")
+
+
+def test_predictions_of_another_evaluation_are_refused(kept, task, toy_dataset, tmp_path):
+    path = tmp_path / "r.json"
+    known = Result.load(kept)
+    queries = {**known.queries, "sse": [1.01 * value for value in known.queries["sse"]]}
+    dataclasses.replace(known, queries=queries).save(path)
+    beside(path).write_bytes(beside(kept).read_bytes())
+    with pytest.raises(TaskError, match="of another evaluation than the result beside it"):
+        inspect_result(path, None)
+    beside(path).write_bytes(beside(kept).read_bytes()[:-40])
+    with pytest.raises(TaskError, match="cannot be read"):
+        inspect_result(path, None)
+    with pytest.raises(MethodError, match="keep is 'everything'"):
+        evaluate("toy_methods:Constant", task, toy_dataset, out=path, keep="everything")
+    with pytest.raises(MethodError, match="beside the result file of out"):
+        evaluate("toy_methods:Constant", task, toy_dataset, keep="predictions")
+
+
+def test_a_row_without_its_predictions_is_made_again(kept, task, toy_dataset, tmp_path):
+    choice = [Choice("toy_methods:Constant", "", {"value": 2.0})]
+    (tmp_path / f"{choice[0].stem}.json").write_bytes(kept.read_bytes())
+    states = []
+    for keep in ("", "predictions", "predictions"):
+        (made,) = evaluate_all(task, choice, tmp_path, dataset=toy_dataset.path, keep=keep)
+        states.append((made.state, beside(made.path).is_file()))
+    assert states == [("kept", False), ("made", True), ("kept", True)]
+
+
+def test_a_task_on_its_development_objects_is_another_task(task_text, toy_dataset, tmp_path):
+    task = parse_task(task_text.replace("tier", DEVELOPED), "toy-v1.toml")
+    other = task.on_development()
+    assert other.name == "toy-v1-development" and other.sha256 != task.sha256 and not other.paper
+    assert (other.dataset.folder, other.dataset.seed) == ("toy-development", 5) and other.development is None
+    with pytest.raises(TaskError, match="--seed 5"):
+        evaluate("toy_methods:Constant", task, tmp_path / "nowhere", on="development")
+    with pytest.raises(TaskError, match="seed is 0, not 5"):
+        evaluate("toy_methods:Constant", task, toy_dataset, on="development")
+    with pytest.raises(TaskError, match="on is 'tests'"):
+        evaluate("toy_methods:Constant", task, toy_dataset, on="tests")
+    with pytest.raises(TaskError, match="names no development objects"):
+        other.on_development()
+
+
+def test_a_result_on_development_objects_is_no_row(task_text, toy_dataset, tmp_path):
+    task = parse_task(task_text.replace("tier", DEVELOPED), "toy-v1.toml")
+    other = dataclasses.replace(task.on_development(), dataset=task.dataset)
+    evaluate("toy_methods:Constant", other, toy_dataset, out=tmp_path / "r.json")
+    with pytest.raises(TaskError, match="is a result of task toy-v1-development, not of toy-v1"):
+        collect(task, [tmp_path / "r.json"])
+    assert [row.rank for row in collect(other, [tmp_path / "r.json"]).rows] == [1]
+
+
+def test_a_shipped_task_is_found_on_its_development_objects_by_name():
+    task = load_task("fewshot-shoes-v3-mini-v1-development")
+    assert task.dataset == load_task("fewshot-shoes-v3-mini-v1").development
+    with pytest.raises(TaskError, match="unknown task 'fewshot'"):
+        load_task("fewshot-development")
+
+
+def test_a_chart_holds_its_curves_and_round_numbers_enclose_them():
+    time, truth = np.linspace(0.0, 1.0, 5), np.array([0.0, 1.0, np.nan, -3.0, 2.0])
+    chart = touch_chart(time, truth, {"0": np.zeros((2, 5)), "5": np.array([time, 2 * time])}, band="0",
+                        unit="N m")
+    height = [float(y) for points in re.findall(r'points="([^"]+)"', chart) for y in re.findall(r",([\d.]+)", points)]
+    assert chart.count("<polyline") == 3 and 0.0 < min(height) and max(height) < 170.0
+    for low, high in ((0.0, 7.3), (-0.31, 0.02), (-5.0, -1.0), (0.0, 0.0), (0.0, 10.0)):
+        marks = round_numbers(low, high)
+        assert marks[0] <= low + 1e-9 and marks[-1] >= high - 1e-9 and 2 <= len(marks) <= 8

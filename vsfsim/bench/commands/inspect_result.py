@@ -1,0 +1,173 @@
+"""`vsfsim inspect RESULT`: where a method errs, object by object and touch by touch, the worst first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsfsim.bench.board.compare import by_object
+from vsfsim.bench.board.markup import figure, page, paragraph, table
+from vsfsim.bench.board.touch_chart import legend, touch_chart
+from vsfsim.bench.leaderboard import score_table
+from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.reading_metrics import object_of
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import load_task
+from vsfsim.bench.trials.curves import Curves
+from vsfsim.core.errors import TaskError, did_you_mean
+from vsfsim.core.text_table import text_table
+from vsfsim.data.disk import write_atomic
+
+MOST_LINES, MOST_CHARTS = 12, 60
+"""Touches in the text, and charts in the page."""
+
+
+@dataclass(frozen=True)
+class _Touch:
+    """A query touch, means over runs."""
+
+    view: str
+    touch: int
+    error: Mapping[str, float]
+    """Root mean square error by shot [unit]."""
+    share: float
+    """Error at the shot that sorts over what predicting zero errs on the object's touches [-]; NaN if that is not
+    known."""
+    gain: float
+    """Factor of the truth that comes nearest to the prediction at that shot [-]; NaN without the predictions."""
+
+
+def inspect_result(path: Path, out: Path | None, *, shot: str = "") -> tuple[str, dict[str, Any]]:
+    """Write the page of a result file.
+
+    Args:
+        path: of the result. out: the page; None for RESULT.html beside the result. shot: label at which errors are
+        sorted; "" for the one that ranks.
+
+    Returns:
+        The text to print, and the same for JSON.
+
+    Raises:
+        TaskError: the file is not a result, its predictions are of another one, or it has no such shot.
+    """
+    result = Result.load(path)
+    curves = Curves.beside(result, path)
+    metric, ranking = _asked(result)
+    shot = shot or ranking
+    if shot not in result.shots:
+        raise TaskError(f"--shot is '{shot}'. {did_you_mean(shot, result.shots)}")
+    objects = {label: by_object(result, metric, label) for label in result.shots}
+    touches = _touches(result, shot, curves)
+    head = ["object", *(f"{label}-shot" for label in result.shots)]
+    order = sorted(objects[shot], key=lambda name: objects[shot][name],
+                   reverse=not METRICS[metric].higher_is_better)
+    rows = [[name, *(f"{of[name]:.3f}" if name in of else "" for of in objects.values())] for name in order]
+    target = out or path.with_suffix(".html")
+    write_atomic(target, _page(result, metric, shot, head, rows, touches, curves).encode(), error=TaskError)
+    unit = result.unit
+    sort = (f"touches with the largest errors at {shot}-shot, means over {len(result.seeds)} runs; share: of the mean "
+            f"error of predicting zero on the object" + ("; gain: prediction over truth" if curves else ""))
+    lines = [score_table(result, metric), "", f"{metric} by object, the worst first", text_table(head, rows), "", sort,
+             text_table(*_touch_table(touches[:MOST_LINES], result.shots, unit))]
+    if curves is None:
+        lines += ["", "The predictions were not kept: `vsfsim evaluate --keep predictions` makes the curves of the "
+                      "touches."]
+    lines += ["", f"page: {target}"]
+    return "\n".join(lines), {
+        "task": result.task, "method": result.method, "metric": metric, "shot": shot, "page": str(target),
+        "objects": objects, "touches": [{"view": t.view, "touch": t.touch, "rmse": dict(t.error), "share": t.share,
+                                         "gain": t.gain} for t in touches]}
+
+
+def _asked(result: Result) -> tuple[str, str]:
+    """The metric and the shot that rank; of a task that is not installed the ratio, or the error, at the last size."""
+    try:
+        task = load_task(result.task)
+        if task.primary in result.scores and task.ranking_shot in result.shots:
+            return task.primary, task.ranking_shot
+    except TaskError:
+        pass  # a task file of the user's
+    return ("rmse_ratio" if "rmse_ratio" in result.scores else "rmse"), result.shots[-2 if len(result.shots) > 1 else 0]
+
+
+def _touches(result: Result, shot: str, curves: Curves | None) -> list[_Touch]:
+    errors: dict[tuple[str, int], dict[str, list[float]]] = {}
+    zero: dict[str, dict[tuple[str, int], float]] = {}
+    for row in result.rows():
+        one = errors.setdefault((row["object"], row["touch"]), {})
+        one.setdefault(row["shot"], []).append(math.sqrt(row["sse"] / row["n"]))
+        if row["ss"] is not None:
+            of_object = zero.setdefault(object_of(row["object"]), {})
+            of_object[row["object"], row["touch"]] = math.sqrt(row["ss"] / row["n"])
+    gains = _gains(curves, shot) if curves is not None else {}
+    out = []
+    for (view, touch), by_shot in errors.items():
+        means = {label: math.fsum(v) / len(v) for label, v in by_shot.items()}
+        known = list(zero.get(object_of(view), {}).values())
+        level = math.fsum(known) / len(known) if known else 0.0
+        out.append(_Touch(view, touch, means, means[shot] / level if level > 0.0 else math.nan,
+                          gains.get((view, touch), math.nan)))
+    return sorted(out, key=lambda t: -(t.share if math.isfinite(t.share) else t.error[shot]))
+
+
+def _gains(curves: Curves, shot: str) -> dict[tuple[str, int], float]:
+    mean = curves.predicted[curves.shots.index(shot)].mean(axis=0)
+    out = {}
+    for k, (view, touch) in enumerate(zip(curves.objects, curves.touches.tolist(), strict=True)):
+        frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
+        truth = curves.truth[frames]
+        size = float(np.nansum(truth**2))
+        out[view, touch] = float(np.nansum(truth * mean[frames])) / size if size > 0.0 else math.nan
+    return out
+
+
+def _touch_table(touches: Sequence[_Touch], shots: Sequence[str], unit: str) -> tuple[list[str], list[list[str]]]:
+    def number(value: float) -> str:
+        return f"{value:.3f}" if math.isfinite(value) else ""
+
+    head = ["object view", "touch", *(f"{label}-shot [{unit}]" for label in shots), "share", "gain"]
+    return head, [[t.view, str(t.touch), *(number(t.error[label]) for label in shots), number(t.share), number(t.gain)]
+                  for t in touches]
+
+
+def _page(result: Result, metric: str, shot: str, head: list[str], rows: list[list[str]], touches: Sequence[_Touch],
+          curves: Curves | None) -> str:
+    preset = f", preset {result.preset}" if result.preset else ""
+    scores = [[name, *(f"{s.mean:.3f} ± {s.std:.3f}" if (s := by_shot.get(label)) else "" for label in result.shots)]
+              for name, by_shot in result.scores.items()]
+    body = [paragraph(f"{result.entry}{preset}; task {result.task}; readings in {result.unit}; vsfsim "
+                      f"{result.made_by.get('vsfsim')}."),
+            table(["metric", *head[1:]], scores, caption=f"mean ± std over {len(result.seeds)} runs"),
+            "<h2>Objects</h2>", table(head, rows, caption=f"{metric}, mean over runs; the worst at {shot}-shot first")]
+    body.append("<h2>Touches</h2>")
+    if curves is None:
+        body.append(paragraph("The predictions were not kept; vsfsim evaluate --keep predictions keeps them."))
+    else:
+        body.append(paragraph(f"The worst {min(len(touches), MOST_CHARTS)} of {len(touches)} query touches at "
+                              f"{shot}-shot. Lines are means over runs, the band goes from the smallest to the largest "
+                              f"run at {shot}-shot. Share: error over the mean error of predicting zero on the object. "
+                              f"Gain: prediction over truth, by least squares.", note=True))
+        body += [legend(curves.shots), '<div class="pair">',
+                 *(_chart(one, curves, shot, result.unit) for one in touches[:MOST_CHARTS]), "</div>"]
+    body.append(table(*_touch_table(touches, result.shots, result.unit), caption="Root mean square errors of touches, "
+                                                                                 "the worst first"))
+    return page(f"{result.method} on {result.task}", body)
+
+
+def _chart(one: _Touch, curves: Curves, shot: str, unit: str) -> str:
+    k = next(n for n, (view, touch) in enumerate(zip(curves.objects, curves.touches.tolist(), strict=True))
+             if (view, touch) == (one.view, one.touch))
+    frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
+    truth, predicted = curves.truth[frames], curves.predicted[:, :, frames]
+    worst = int(np.nansum((predicted[curves.shots.index(shot)] - truth) ** 2, axis=(0, 1)).argmax())
+    numbers = "" if truth.shape[1] == 1 else f", number {worst + 1} of {truth.shape[1]}"
+    gain = f", gain {one.gain:.2f}" if math.isfinite(one.gain) else ""
+    chart = touch_chart(curves.time[frames], truth[:, worst],
+                        {label: predicted[s, :, :, worst] for s, label in enumerate(curves.shots)}, band=shot,
+                        unit=unit)
+    return figure(chart, f"{one.view}, touch {one.touch}{numbers}: share {one.share:.2f}{gain}")
