@@ -16,7 +16,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from vsfsim.cli import bench, data, generate, info, measure, simulate, stability, study
+from vsfsim.cli import bench, board, data, generate, info, measure, simulate, stability, study
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
@@ -38,13 +38,15 @@ Make data, score two methods, see the table:
 \b
 A method of your own:
   vsfsim new-method my-method         a package with its test, which passes `vsfsim check`
+  vsfsim inspect results/TASK/mine.json    where it errs, the worst first (evaluate --keep predictions)
+  vsfsim submit results/TASK/mine.json     its row and pull request
 \b
 What this machine has, and what is missing:
   vsfsim info
 """, epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge, "
                          "4 object views that failed twice were left out, 130 interrupted, 143 ended by SIGTERM.")
 
-for group in (simulate, generate, data, bench, study, info, stability):
+for group in (simulate, generate, data, bench, board, study, info, stability):
     app.add_typer(group.app)  # without a name: its commands are the app's own
 app.add_typer(measure.app, name="measure")
 app.add_typer(measure.app, name=measure.OLD_NAME, hidden=True)

@@ -16,6 +16,7 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, figure, file_name, link, page, paragraph, table
+from vsfsim.bench.commands.submit import command_of
 from vsfsim.bench.leaderboard import Board, Row, labels_of, on_other_bits, over_objects, superseded, unit_of
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
@@ -163,7 +164,7 @@ def _method_page(board: Board, row: Row, name: str) -> str:
                                    ["vsfsim", f"{result.made_by.get('vsfsim')} {result.made_by.get('commit') or ''}"],
                                    ["machine", f"{result.machine.get('cpu')}, {result.machine.get('cores')} cores"],
                                    ["sandbox", result.isolation or "not run here"],
-                                   ["command", command_of(row)]], text=(0,), long=(1,))]
+                                   ["command", command_of(result)]], text=(0,), long=(1,))]
     body += [paragraph(f"Note: {note}.", note=True) for note in result.notes]
     return page(f"{name}", body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
 
@@ -371,12 +372,3 @@ def _picture(task: Task, name: str) -> str:
     except (DatasetError, StopIteration, OSError):
         return paragraph(f"Its picture is in the dataset, which is not on this machine; `{task.dataset.command()}` "
                          f"makes it.", note=True)
-
-
-def command_of(row: Row) -> str:
-    """The command that makes a row again."""
-    result = row.result
-    if result.entry == "predictions file":
-        return f"vsfsim score FILE --task {result.task} --name {result.method}"
-    given = "" if not result.preset else f" --preset {result.preset}"
-    return f"vsfsim evaluate --method {result.method}{given} --task {result.task}"
