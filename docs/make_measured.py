@@ -136,9 +136,12 @@ MEASURED: dict[str, Callable[[], str]] = {
 
 
 def readme(text: str) -> str:
-    """The README with its marked table as it is in ``measured/``."""
-    return re.sub(r"(<!-- measured: ([\w.-]+) -->\n).*?(<!-- end -->)",
-                  lambda m: m[1] + (FOLDER / m[2]).read_text().split("\n", 1)[1] + m[3], text, flags=re.DOTALL)
+    """The README with its marked table as it is in ``measured/``, without the rows that have the papers' settings."""
+    def table(mark: re.Match[str]) -> str:
+        lines = (FOLDER / mark[2]).read_text().splitlines()[1:]
+        return mark[1] + "".join(f"{line}\n" for line in lines if "(paper)" not in line) + mark[3]
+
+    return re.sub(r"(<!-- measured: ([\w.-]+) -->\n).*?(<!-- end -->)", table, text, flags=re.DOTALL)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ def vsfsim(*words, cwd):
 
 
 def test_the_readme_is_short():
-    assert len(README.splitlines()) < 160
+    assert len(README.splitlines()) <= 150
     for picture in re.findall(r"!\[[^]]+\]\(([^)]+)\)", README):
         assert (ROOT / picture).stat().st_size < 200_000
 
@@ -60,6 +60,19 @@ def test_the_architecture_names_what_is_there():
 
     for layer, allowed in re.findall(r"(\w+)  +(nothing|\w+(?:, \w+)*)(?=  |$)", layers, re.MULTILINE):
         assert set(allowed.split(", ")) - {"nothing"} == MAY_IMPORT[layer], layer
+
+
+def test_what_to_read_first_is_short():
+    """Two lists of files in CONTRIBUTING, each of at most as many files and lines as it says."""
+    chapter = CONTRIBUTING.split("**What to read first.**")[1].split("\n**")[0]
+    limits = re.findall(r"At most (\d+) files and ([\d,]+) lines", chapter)
+    lists = re.split(r"At most \d+ files", chapter)[1:]
+    assert len(limits) == len(lists) == 2
+    for (files, lines), text in zip(limits, lists, strict=True):
+        named = re.findall(r"`([\w/]+\.py)`:|`([\w/]+\.py)`,", text)
+        paths = [ROOT / (a or b) for a, b in named]
+        assert 10 < len(paths) == len(set(paths)) <= int(files) == 20
+        assert sum(len(path.read_text().splitlines()) for path in paths) <= int(lines.replace(",", "")) < 4000
 
 
 def test_the_entry_point_of_a_method_is_where_the_recipe_says():
