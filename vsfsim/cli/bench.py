@@ -165,8 +165,8 @@ def evaluate(task: TaskName,
     for name in names:
         check_name(name)
     wanted = on_objects(load_task(task), on)
-    shared = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout, "memory": memory,
-              "sandbox": sandbox, "processes": processes, "keep": keep}
+    shared: dict[str, Any] = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout,
+                              "memory": memory, "sandbox": sandbox, "processes": processes, "keep": keep}
     if every:
         every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value)
         rows = [row for row in every_row if preset in ("", row.preset)]

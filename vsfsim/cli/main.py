@@ -70,7 +70,7 @@ def main() -> None:
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
-    command = typer.main.get_command(app)
+    command = typer.main.get_group(app)
     word = sys.argv[1] if len(sys.argv) > 1 else "-"
     try:
         if not word.startswith("-") and word not in command.commands:

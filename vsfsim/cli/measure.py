@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 import importlib
 import sys
+from collections.abc import MutableMapping
 from typing import Any
 
 import typer
@@ -32,11 +33,11 @@ class _Group(TyperGroup):
     """A group whose commands are those of the checkout."""
 
     @property
-    def commands(self) -> dict[str, Any]:  # type: ignore[override]
+    def commands(self) -> MutableMapping[str, Any]:  # type: ignore[override]
         return _commands()
 
     @commands.setter
-    def commands(self, _: dict[str, Any]) -> None:
+    def commands(self, _: MutableMapping[str, Any]) -> None:
         """What a group is made with: none."""
 
 

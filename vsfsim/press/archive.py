@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,6 @@ def save(result: PressResult, path: Path) -> None:
         raise DatasetError(f"{path} is not written: the press was made with keep=False. Press again with keep=True.")
     units = {name: words for name, (_, words) in result.arrays.items()}
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, units=np.array(json.dumps(units)),
-                        **{name: values for name, (values, _) in result.arrays.items()})
+    arrays: dict[str, Any] = {name: values for name, (values, _) in result.arrays.items()}
+    np.savez_compressed(buffer, units=np.array(json.dumps(units)), **arrays)
     write_atomic(path, buffer.getvalue())

@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
 from PIL import Image
 
 from vsfsim.core.errors import VsfsimError
@@ -112,7 +113,7 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
             axes = figure.add_axes(place)
             axes.imshow(panel.rgb if isinstance(panel, ImagePanel) else rendered(panel, device))
             axes.set_axis_off()
-        if bar:
+        if isinstance(panel, BodyPanel) and panel.colours is not None and bar:
             axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
             figure.colorbar(_scale(panel.colours), cax=axes).set_label(panel.colours.label, fontsize=9)
         left += width
@@ -165,7 +166,7 @@ def _map(figure: Figure, panel: MapPanel, place: tuple[float, float, float, floa
     axes = figure.add_axes((left + 0.1 * width, bottom + 0.11 * height, 0.75 * width, 0.85 * height))
     scale = _scale(panel.colours)
     x, y = panel.points.T
-    drawn = axes.tripcolor(x, y, panel.triangles, panel.values, shading="gouraud", cmap=scale.cmap, norm=scale.norm)
+    drawn = axes.tripcolor(Triangulation(x, y, panel.triangles), panel.values, shading="gouraud", cmap=scale.cmap, norm=scale.norm)
     on = panel.dots > 0.0
     if on.any():
         axes.scatter(x[on], y[on], s=_DOT * panel.dots[on] / panel.dots.max(), color="k", linewidths=0.0)

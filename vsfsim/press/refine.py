@@ -13,7 +13,7 @@ spread.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -127,7 +127,7 @@ def extrapolate(series: MeshSeries, source: str) -> dict[str, Convergence]:
             for name, (unit, values) in series.quantities.items()}
 
 
-def text(series: MeshSeries, found: dict[str, Convergence]) -> list[str]:
+def text(series: MeshSeries, found: Mapping[str, Convergence]) -> list[str]:
     """The meshes as a table, and what they say."""
     converged = np.array([bool(r.converged.all()) for r in series.results])
     marked = np.array([row["converged"] for row in series.rows]) if len(series.rows) > len(converged) else converged
@@ -138,7 +138,7 @@ def text(series: MeshSeries, found: dict[str, Convergence]) -> list[str]:
     return rows
 
 
-def table(series: MeshSeries, found: dict[str, Convergence]) -> dict[str, Any]:
+def table(series: MeshSeries, found: Mapping[str, Convergence]) -> dict[str, Any]:
     """For JSON: the meshes and the convergence of each quantity, that of the force alone on the same level."""
     tables = {name.replace(" ", "_"): c.table() for name, c in found.items()}
     return {**(tables["normal_force"] if len(tables) == 1 else tables), "meshes": series.rows}

@@ -7,13 +7,13 @@ triangle of the other by its material coordinates: those of the flat ellipse bef
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
 
 from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.membrane import closed
+from vsfsim.physics.mesh.membrane import TriangleMesh, closed
 from vsfsim.sensing.membrane_fe import SensorError, checked_mesh
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def readout_of(model: BubbleModel) -> BubbleReadout:
         held[rim] = True
         return FlatMesh(points, np.asarray(faces, np.int64), held)
 
-    mesh, published = model.mesh, model.read_out
+    mesh, published = cast(TriangleMesh, model.mesh), model.read_out
     return BubbleReadout(flat(model.flat, mesh.faces, mesh.rim), flat(published.flat, published.faces, published.rim))
 
 
@@ -206,10 +206,11 @@ def gauge_pressure(model: BubbleModel, points: np.ndarray) -> np.ndarray:
     spec = model.spec
     if not spec.sealed:
         return np.full(len(points), model.pressure)
-    faces = closed(model.mesh.faces, model.mesh.rim)
+    mesh = cast(TriangleMesh, model.mesh)
+    faces = closed(mesh.faces, mesh.rim)
     dome = np.array([gas.volume(x, faces) for x in points])
     start = spec.ambient_pressure + model.pressure
-    return start * ((model.mesh.volume[0] + model.dead_volume)
+    return start * ((mesh.volume[0] + model.dead_volume)
                     / (dome + model.dead_volume)) ** spec.gamma - spec.ambient_pressure
 
 

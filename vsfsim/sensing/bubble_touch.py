@@ -162,8 +162,9 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
     found = DenseForceEstimator(calibration, method=method,
                                 options=options).estimate(np.einsum("tni,tij->tnj", position[good] - shift, turn),
                                                           pressure[good])
-    out = DenseForce(*(np.full((len(good), *value.shape[1:]), np.nan)
-                       for value in (found.force, found.position, found.residual)), np.zeros(len(good), bool))
+    force, place, residual = (np.full((len(good), *value.shape[1:]), np.nan)
+                              for value in (found.force, found.position, found.residual))
+    out = DenseForce(force, place, residual, np.zeros(len(good), bool))
     out.force[good] = np.einsum("tni,tji->tnj", found.force, turn)
     out.position[good] = np.einsum("tni,tji->tnj", found.position, turn) + shift
     out.residual[good], out.converged[good] = found.residual, found.converged

@@ -99,7 +99,10 @@ def project_cone(force: np.ndarray, inward: np.ndarray, friction: float) -> np.n
 
 def prox(force: np.ndarray, step: float, program: ForceProgram, inward: np.ndarray | None) -> np.ndarray:
     """argmin_f  |f - force|^2 / (2 step) + lambda |f| + kappa/2 |f|^2 over the cone, node by node (..., 3) [N]."""
-    out = force if program.friction is None else project_cone(force, inward, program.friction)
+    out = force
+    if program.friction is not None:
+        assert inward is not None  # see solve
+        out = project_cone(force, inward, program.friction)
     size = np.linalg.norm(out, axis=-1, keepdims=True)
     return out * np.maximum(1.0 - step * program.lasso / np.maximum(size, 1e-300), 0.0) / (1.0 + step * program.ridge)
 

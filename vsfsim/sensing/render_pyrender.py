@@ -32,6 +32,7 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
         RenderError: no GL library that works off screen.
     """
     pyrender = load_pyrender()
+    assert surface.appearance is not None  # see checked_surface
     from pyrender.constants import RenderFlags
 
     to_camera = np.linalg.inv(camera_pose)

@@ -30,6 +30,7 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
     origin = camera_pose[:3, 3] - centre
     radius = 1.001 * float(np.linalg.norm(vertices, axis=1).max())
     look = surface.appearance
+    assert look is not None  # see checked_surface
     with wp.ScopedDevice(device):
         points = wp.array(vertices.astype(np.float32), dtype=wp.vec3)
         indices = wp.array(surface.triangles.reshape(-1), dtype=wp.int32)
