@@ -91,7 +91,8 @@ def generate(scene: SceneName,
     from vsfsim.generate.command import folder_of  # takes seconds; a mistake in the scene is reported before
 
     began = time.perf_counter()
-    counts: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier, "arm": arm}
+    counts: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier,
+                              "arm": arm}
     folder = folder_of(loaded, out, **counts)
     if dry_run:
         from vsfsim.generate.costs import estimate

@@ -166,7 +166,8 @@ def _map(figure: Figure, panel: MapPanel, place: tuple[float, float, float, floa
     axes = figure.add_axes((left + 0.1 * width, bottom + 0.11 * height, 0.75 * width, 0.85 * height))
     scale = _scale(panel.colours)
     x, y = panel.points.T
-    drawn = axes.tripcolor(Triangulation(x, y, panel.triangles), panel.values, shading="gouraud", cmap=scale.cmap, norm=scale.norm)
+    drawn = axes.tripcolor(Triangulation(x, y, panel.triangles), panel.values, shading="gouraud",
+                            cmap=scale.cmap, norm=scale.norm)
     on = panel.dots > 0.0
     if on.any():
         axes.scatter(x[on], y[on], s=_DOT * panel.dots[on] / panel.dots.max(), color="k", linewidths=0.0)
