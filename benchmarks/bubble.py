@@ -160,7 +160,7 @@ def _run(s: _Subject, aims: list[Aim], tier: str, device: str,
          progress: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
     poses = np.stack([touch_bubble.mount_path(s.spec, a) for a in aims], axis=1)
     solver = CoupledSolver(s.body, s.sensor, friction=s.scene.required_sensor.friction, device=device,
-                           options=touch_bubble.solver_options(tier, device))
+                           options=touch_bubble.solver_options(tiers.options(tier), device))
     began = time.perf_counter()
     return solver.run(poses, progress=lambda t: progress(t, time.perf_counter() - began)), solver
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from benchmarks.process_memory import held_memory, peak_memory
+from vsfsim.core.system.process_memory import held_memory, peak_memory
 
 
 def wait(device: str) -> None:

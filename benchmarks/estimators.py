@@ -21,8 +21,8 @@ import numpy as np
 from scipy import optimize
 
 from benchmarks.measurement import Column, Measurement, Progress, Table
-from benchmarks.process_memory import held_memory, peak_memory
 from benchmarks.workload import MEAN, NOISE, STD, Workload
+from vsfsim.core.system.process_memory import held_memory, peak_memory
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 

@@ -9,11 +9,11 @@ from scipy import optimize, sparse
 
 from benchmarks import estimators as side_by_side
 from benchmarks import fields as bench_fields
-from benchmarks import process_memory
 from benchmarks import sbml as bench_sbml
 from benchmarks.estimators import batch, batch_dense
 from benchmarks.workload import Workload
 from vsfsim.core.errors import VsfError
+from vsfsim.core.system import process_memory
 
 
 def test_equal_answers():

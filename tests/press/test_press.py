@@ -10,7 +10,7 @@ from vsfsim.generate.presses.assume import with_probe
 from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
 from vsfsim.generate.presses.probe import prepare, solve
 from vsfsim.physics.contact import sdf
-from vsfsim.press.refine import convergence
+from vsfsim.physics.convergence import convergence
 from vsfsim.sensing.tessellate import tessellate
 
 BOX = '[object]\nshape = { box = [0.06, 0.05, 0.03] }\nyoung_modulus = 1e5\nresolution = 0.015\ntier = "linear"\n'

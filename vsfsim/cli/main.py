@@ -16,7 +16,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from vsfsim.cli import bench, board, data, generate, info, measure, simulate, stability, study
+from vsfsim.cli import bench, board, data, generate, info, measure, simulate, stability, study, tradeoff
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
@@ -46,7 +46,7 @@ What this machine has, and what is missing:
 """, epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge, "
                          "4 object views that failed twice were left out, 130 interrupted, 143 ended by SIGTERM.")
 
-for group in (simulate, generate, data, bench, board, study, info, stability):
+for group in (simulate, generate, data, bench, board, study, info, stability, tradeoff):
     app.add_typer(group.app)  # without a name: its commands are the app's own
 app.add_typer(measure.app, name="measure")
 app.add_typer(measure.app, name=measure.OLD_NAME, hidden=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any
@@ -109,6 +110,18 @@ DatasetFolder = Annotated[Path | None, typer.Option("--dataset",
                                                          "or $VSFSIM_DATASETS.")]
 Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
                                                       help="Parameter of the method; may be given again.")]
+
+
+def seconds_of(option: str, text: str) -> float:
+    """A time [s] from a number with s, m or h.
+
+    Raises:
+        VsfsimError: it is none, or not over 0.
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh])", text.strip())
+    if found is None or float(found[1]) <= 0.0:
+        raise VsfsimError(f"{option} is '{text}'; give a time with its unit: 90s, 10m or 2h.")
+    return float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]]
 
 
 def parameters_of(words: list[str] | None) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import Device, JsonFile, Workers, check_choice, picture_option
+from vsfsim.cli.options import Device, JsonFile, Workers, check_choice, picture_option, seconds_of
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import checkout
 
@@ -65,7 +64,7 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
         check_choice("--cell", key, [c.key for c in cells])
     if cell:
         cells = [c for c in cells if c.key in cell]
-    seconds = None if budget is None else _seconds(budget)
+    seconds = None if budget is None else seconds_of("--budget", budget)
     try:
         out.mkdir(parents=True, exist_ok=True)
         circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
@@ -94,13 +93,3 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     report(found.text(), found.record(), json or out / "stability.json", indent=1)
     if any(v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE) for v in verdicts):
         raise typer.Exit(3)
-
-
-def _seconds(text: str) -> float:
-    """Raises:
-        VsfsimError: it is not a number with s, m or h.
-    """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh])", text.strip())
-    if found is None or float(found[1]) <= 0.0:
-        raise VsfsimError(f"--budget is '{text}'; give a time with its unit: 90s, 10m or 2h.")
-    return float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]]

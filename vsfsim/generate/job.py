@@ -45,11 +45,23 @@ class Job:
         return Path(self.store) / file_name(self.name)
 
     def scene(self) -> Scene:
-        """The scene of this object, with the recipe's own number of touches."""
+        """The scene of this object, with the recipe's own number of touches, and its own element size, readings on the
+        way in and nodes of a bubble where its options name them."""
         written = parse_scene(self.recipe.scene_text, self.path)
         scene = written.sample(self.stream(Stream.SCENE), number=self.object_index)
         touches = dataclasses.replace(scene.required_touches, count=self.recipe.touches)
-        return dataclasses.replace(scene, touches=touches)
+        options = self.recipe.options
+        if "frames" in options:
+            free, _, hold, out = touches.frames
+            touches = dataclasses.replace(touches, frames=(free, options["frames"], hold, out))
+        scene = dataclasses.replace(scene, touches=touches)
+        if "resolution" in options:
+            scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object,
+                                                                          resolution=options["resolution"]))
+        if "nodes" in options:
+            scene = dataclasses.replace(scene, sensor=dataclasses.replace(scene.required_sensor,
+                                                                          nodes=options["nodes"]))
+        return scene
 
     def stream(self, kind: Stream, touch: int | None = None) -> np.random.SeedSequence:
         """The random stream of a kind for this object, view, or touch of it."""

@@ -39,10 +39,14 @@ class PressRequest:
     """Whether `PressResult.panels` and `PressResult.arrays` are filled."""
     progress: Callable[[int, int, str], None] | None = None
     """Called with (done, in all, what)."""
+    tolerance: float | None = None
+    """Of the equilibrium, see `SolverOptions`, or None for the tier's own."""
 
     def limited(self, options: SolverOptions) -> SolverOptions:
-        """The options with this request's time limit. Who states one is ready to wait that long, so that the limits of
-        a frame's iterations, which end it on every machine alike, do not end it before."""
+        """The options with this request's tolerance and time limit. Who states a time is ready to wait that long, so
+        that the limits of a frame's iterations, which end it on every machine alike, do not end it before."""
+        if self.tolerance is not None:
+            options = dataclasses.replace(options, tolerance=self.tolerance)
         if self.seconds is None:
             return options
         return dataclasses.replace(options, seconds=self.seconds, cg_frame=_NO_LIMIT, newton_frame=_NO_LIMIT)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -13,10 +14,13 @@ from vsfsim.core.shape import ProbeShape
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.data.records import ObjectView, Touch, Truth, View
 from vsfsim.data.streams import Stream
-from vsfsim.generate.effector import Drawing
+from vsfsim.generate.aim import Aim
+from vsfsim.generate.effector import Drawing, Effector
 from vsfsim.generate.job import Job
 from vsfsim.physics import tiers
+from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.model import Model
+from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.sensing.camera import look_at, render
 from vsfsim.sensing.kinect import seen_by
 from vsfsim.sensing.surface import Surface
@@ -41,11 +45,54 @@ class Subject:
         """The random stream that touch number ``touch`` is aimed with."""
         return np.random.default_rng(self.job.stream(Stream.AIM, touch))
 
+    def again(self, tier: str, options: Mapping[str, Any], *, edges: EdgePath | None = None) -> Subject:
+        """The same object under the same picture, modelled at another tier and with other options of the recipe (see
+        `Job.scene`), with small elements along ``edges`` (see `edge_refine`).
+
+        Raises:
+            SceneError, MeshError: it cannot be built.
+        """
+        recipe = dataclasses.replace(self.job.recipe, tier=tier, options={**self.job.recipe.options, **options})
+        job = dataclasses.replace(self.job, recipe=recipe)
+        scene = job.scene()
+        model = tiers.build(scene, tier, seed=job.stream(Stream.BODY), cache=job.cache, edges=edges)
+        return dataclasses.replace(self, job=job, scene=scene, model=model)
+
+    def limits(self) -> SolverOptions:
+        """Solver limits of the recipe's tier, with the recipe's own tolerance if its options name one."""
+        own, tolerance = tiers.options(self.job.recipe.tier), self.job.recipe.options.get("tolerance")
+        return own if tolerance is None else dataclasses.replace(own, tolerance=tolerance)
+
     def record(self, probe: ProbeShape, touches: Sequence[Touch], truth: Truth) -> ObjectView:
         """The object view of what was found."""
         job = self.job
         return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, self.recorded, tuple(touches),
                           truth)
+
+
+@runtime_checkable
+class Retouching(Effector, Protocol):
+    """An effector whose touches of a solid can be made again, as they were aimed, on another model of it."""
+
+    def aim(self, subject: Subject, *, device: str) -> list[Aim]:
+        """The touches of a subject, one for each that its scene counts.
+
+        Raises:
+            SceneError: nothing is visible, or no target can be reached.
+        """
+        ...
+
+    def touch(self, subject: Subject, aims: list[Aim], *, device: str,
+              progress: Callable[[int], None] | None = None) -> list[Touch]:
+        """What is read of some touches.
+
+        Args:
+            subject: the object; its recipe says the tier and the tolerance.
+            aims: the touches, which may have been aimed at another model of it.
+            device: Warp device.
+            progress: called with the number of frames newly done.
+        """
+        ...
 
 
 def prepare(job: Job, *, device: str) -> Subject:

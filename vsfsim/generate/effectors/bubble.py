@@ -9,12 +9,14 @@ may be beside the apex.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vsfsim.core.bubble import CAMERA
+from vsfsim.core.bubble import CAMERA, Bubble
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile, TouchSpec
@@ -26,7 +28,7 @@ from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import bubble as presses
 from vsfsim.generate.record import audit, verdict
-from vsfsim.generate.solid import batches, draw_solid, prepare
+from vsfsim.generate.solid import Subject, batches, draw_solid, prepare
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
@@ -100,14 +102,20 @@ class BubbleEffector:
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""
         subject = prepare(job, device=device)
-        scene = subject.scene
-        sensor = build_bubble(scene.required_sensor, where=f"{scene.source} [sensor]", cache=job.cache)
-        aims = aim(scene, subject.model, sensor, subject.view, subject.stream)
-        touches = touch_all(scene, subject.model, sensor, aims, options=solver_options(job.recipe.tier, device),
-                            device=device, progress=progress)
-        dome = dome_of(sensor)
+        touches = self.touch(subject, self.aim(subject, device=device), device=device, progress=progress)
+        dome = dome_of(_sensor_of(subject))
         truth = truth_of(subject.model, subject.view, touches, dome, friction=float("inf"), device=device)
         return subject.record(dome, touches, truth)
+
+    def aim(self, subject: Subject, *, device: str) -> list[Aim]:
+        """Along the normals, or tilted from them."""
+        return aim(subject.scene, subject.model, _sensor_of(subject), subject.view, subject.stream)
+
+    def touch(self, subject: Subject, aims: list[Aim], *, device: str,
+              progress: Callable[[int], None] | None = None) -> list[Touch]:
+        """See `touch_all`."""
+        return touch_all(subject.scene, subject.model, _sensor_of(subject), aims,
+                         options=solver_options(subject.limits(), device), device=device, progress=progress)
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""
@@ -127,6 +135,15 @@ class BubbleEffector:
 
 
 EFFECTOR = BubbleEffector()
+
+
+def _sensor_of(subject: Subject) -> BubbleModel:
+    return _built(subject.scene.required_sensor, str(subject.scene.source), subject.job.cache)
+
+
+@functools.lru_cache(maxsize=1)
+def _built(spec: Bubble, source: str, cache: Path | None) -> BubbleModel:
+    return build_bubble(spec, where=f"{source} [sensor]", cache=cache)
 
 
 def _draw_dome(scene: Scene) -> Drawing:
@@ -269,15 +286,15 @@ def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
     return poses
 
 
-def solver_options(tier: str, device: str) -> SolverOptions:
-    """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do
+def solver_options(own: SolverOptions, device: str) -> SolverOptions:
+    """Solver limits without the clock: what a frame may cost is counted in iterations, so that the bits do
     not depend on the machine's load.
 
     A frame that converges takes about 50 conjugate gradients, seldom 100. One that has not converged after `CG_FRAME`
     seldom does, and it would hold up its batch. Of 900 frames of `shoes-punyo-mini` 11 take more than `NEWTON_FRAME`
     Newton iterations, and 6 of these do not converge at all.
     """
-    limits = dataclasses.replace(tiers.options(tier), seconds=1e9, cg_frame=CG_FRAME)
+    limits = dataclasses.replace(own, seconds=1e9, cg_frame=CG_FRAME)
     return limits if device == "cpu" else dataclasses.replace(limits, newton_frame=NEWTON_FRAME)
 
 

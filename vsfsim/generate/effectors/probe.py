@@ -21,13 +21,13 @@ from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import probe as presses
 from vsfsim.generate.record import audit, verdict
-from vsfsim.generate.solid import batches, draw_solid, prepare
+from vsfsim.generate.solid import Subject, batches, draw_solid, prepare
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.resolved import resolved
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.frames import Frames
+from vsfsim.physics.solve.frames import Frames, SolverOptions
 from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.touches import Solver
@@ -59,12 +59,21 @@ class Probe:
         """Build, look, aim along the normals, press."""
         subject = prepare(job, device=device)
         scene = subject.scene
-        aims = aim_probe(scene, subject.model, subject.view, subject.stream, device=device)
-        touches = touch_all(scene, subject.model, aims, tier=job.recipe.tier, precision=job.recipe.precision,
-                            device=device, progress=progress)
+        touches = self.touch(subject, self.aim(subject, device=device), device=device, progress=progress)
         truth = truth_of(subject.model, subject.view, touches, scene.probe, friction=scene.object.friction,
                          device=device)
         return subject.record(scene.probe, touches, truth)
+
+    def aim(self, subject: Subject, *, device: str) -> list[Aim]:
+        """Along the normals, or tilted from them."""
+        return aim_probe(subject.scene, subject.model, subject.view, subject.stream, device=device)
+
+    def touch(self, subject: Subject, aims: list[Aim], *, device: str,
+              progress: Callable[[int], None] | None = None) -> list[Touch]:
+        """See `touch_all`."""
+        recipe = subject.job.recipe
+        return touch_all(subject.scene, subject.model, aims, tier=recipe.tier, precision=recipe.precision,
+                         device=device, options=subject.limits(), progress=progress)
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""
@@ -87,7 +96,7 @@ EFFECTOR = Probe()
 
 
 def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precision: str, device: str,
-              progress: Callable[[int], None] | None = None) -> list[Touch]:
+              options: SolverOptions | None = None, progress: Callable[[int], None] | None = None) -> list[Touch]:
     """Simulate touches, `BATCH` at a time at most.
 
     Args:
@@ -96,6 +105,7 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         aims: the touches.
         precision: of the solver.
         device: Warp device.
+        options: solver limits, None for the tier's own.
         progress: called with the number of frames newly done.
     """
     spec = scene.required_touches
@@ -106,7 +116,7 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         spring = scene.mount_stiffness
         mount = None if spring is None else Mount(spring, np.stack([a.axis for a in part]))
         solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
-                        options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
+                        options=options or tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
         start = poses[0].copy()
         for pose, a in zip(start, part, strict=True):

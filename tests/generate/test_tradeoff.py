@@ -1,0 +1,192 @@
+"""`vsfsim tradeoff`: limits of known sequences, the front, its page, and what is refused."""
+
+import json
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from vsfsim.cli.main import app
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.trade import command, front
+from vsfsim.generate.trade.curve import Curve, distance
+from vsfsim.generate.trade.front import Point, differences, sentence, with_front
+from vsfsim.generate.trade.page import page
+from vsfsim.generate.trade.runs import Run, spread
+from vsfsim.generate.trade.setting import Ground, Setting
+from vsfsim.physics.convergence import curve_limit
+
+EDGE = (0.013, 0.010, 0.0077)
+
+
+def test_the_limit_of_a_curve_is_that_of_its_law():
+    shape = np.array([1.0, 3.0, 6.0])
+    found = curve_limit(EDGE, np.stack([shape * (1.0 + 400.0 * h**2) for h in EDGE]), tolerance=1e-6)
+    assert found.order == pytest.approx(2.0, abs=0.01)
+    assert np.abs(found.value - shape).max() < 1e-3 and (np.abs(found.value - shape) <= found.error).all()
+
+
+def test_the_limit_of_meshes_that_scatter_has_the_error_of_their_scatter():
+    shape = np.array([1.0, 3.0, 6.0])
+    for noise in (1e-3, 2e-3):
+        found = curve_limit(EDGE, np.stack([shape * (1.0 + noise * s) for s in (0.3, -0.4, 1.0)]), tolerance=1e-6)
+        assert found.order is None and found.known and (found.error >= noise * shape).all()
+    lost = curve_limit(EDGE, np.stack([shape, 1.05 * shape, 0.9 * shape]), tolerance=1e-6)
+    assert not lost.known and "do not shrink" in lost.why
+    assert not curve_limit(EDGE, np.stack([shape, shape * np.nan, shape]), tolerance=1e-6).known
+    assert not curve_limit((0.01, 0.01, 0.007), np.stack([shape] * 3), tolerance=1e-6).known
+
+
+def test_a_curve_of_fewer_frames_is_read_between_them():
+    share = np.array([0.25, 0.5, 0.75, 1.0])
+    limit = curve_limit(EDGE, np.stack([share**2] * 3), tolerance=1e-9)
+    good = np.ones(2, bool)
+    coarse = Curve(share[1::2], {"force": share[1::2] ** 2}, good, ~good)
+    off = distance("force", coarse, share, limit)
+    # straight lines from (0, 0) over (1/2, 1/4) to (1, 1)
+    assert off.full == 0.0 and off.worst == pytest.approx(0.0625) and off.shallow == pytest.approx(1.0)
+    assert distance("force", Curve(share[1::2], coarse.readings, np.array([True, False]), ~good), share, limit) is None
+
+
+def test_touches_cover_depths_and_places():
+    rng = np.random.default_rng(0)
+    depth, place = rng.uniform(1.0, 2.0, 30), rng.uniform(size=(30, 3))
+    taken = spread(depth.tolist(), place, 5)
+    ranks = np.argsort(np.argsort(depth))[taken]
+    assert len(set(taken)) == 5 and sorted(ranks // 6) == [0, 1, 2, 3, 4]
+
+
+def some(key, cpu, error, *, bar=0.004, shows=True):
+    return Point(key, "fem", cpu, cpu, cpu / 5, 1.0, 100.0, 0.0, error, bar,
+                 {"force": {"rms": error, "worst": error, "shallow": error, "full": error, "bar": bar}}, shows)
+
+
+POINTS = with_front([some("a, 20 mm", 0.1, 0.2), some("b, 20 mm", 0.2, 0.3), some("c", 0.5, 0.03), some("d", 2.0, 0.01),
+                     some("e", 3.0, 0.001), some("f", 0.05, 0.01, shows=False), some("g <b>", 0.4, math.nan)])
+
+
+def test_the_front_and_the_sentences():
+    assert [p.key for p in POINTS if p.front] == ["a, 20 mm", "c", "d"]
+    assert sentence(0.05, POINTS).startswith("5 %: c, 0.1 s a frame")
+    assert sentence(0.005, POINTS).startswith("0.5 %: e,")
+    assert sentence(0.002, POINTS) == "0.2 %: cannot be told on this scene, the limit itself is known to 0.4 % only"
+    assert "is off by 1 %" in sentence(0.008, [p for p in POINTS if p.key != "e"])
+
+
+def test_the_page_is_whole_and_needs_no_network():
+    content = page("Title & more", ["about"], POINTS, ["5 %: c"], [])
+    assert content.count("url(#hatch)") == 1 and "<b>" not in content.split("</style>")[1]
+    drawing = content[content.index("<svg"):content.index("</svg>") + 6]
+    assert len(ET.fromstring(drawing).findall(".//g")) == len(POINTS) - 1, "one mark for each point with an error"
+    assert "src=" not in content and "http" not in content
+
+
+def test_a_stored_front_is_compared_by_ratios():
+    stored = [{"key": p.key, "cpu": 10.0 * p.cpu, "error": None if math.isnan(p.error) else p.error, "bar": p.bar}
+              for p in POINTS]
+    assert differences(POINTS, stored) == []
+    (said,) = differences(POINTS, [{**row, "cpu": row["cpu"] * (3.0 if row["key"] == "d" else 1.0)} for row in stored])
+    assert said.startswith("d: 0.33 times its cost")
+    (said,) = differences(POINTS, [{**row, "error": 0.01} if row["key"] == "c" else row for row in stored])
+    assert "error 3 % in place of 1 %" in said
+
+
+class Imagined:
+    """Touches whose force is known in closed form: F (1 + k h^2) over the square of the depth."""
+
+    ground = Ground("fem-coarse", 0.01, 4, None, ("linear", "fem-coarse"))
+    count, what = 2, "2 touches"
+
+    def __init__(self):
+        self.made = 0
+
+    def run(self, setting):
+        self.made += 1
+        return Run(tuple(self._curve(setting, k) for k in range(2)), 0.5, 1.0 / setting.resolution, 1.0, 100.0, 10,
+                   (setting.resolution,) * 2)
+
+    def near(self, number, setting, level):
+        return Run((self._curve(setting, number),), 0.5, 1.0, 1.0, 100.0, 5, (setting.resolution,))
+
+    def _curve(self, setting, k):
+        count = setting.frames or 4
+        share = np.arange(1, count + 1) / count
+        force = (1 + k) * share**2 * (1.0 + 300.0 * setting.resolution**2 + 0.1 * (setting.tier == "linear"))
+        good = np.ones(count, bool)
+        return Curve(share, {"force": force, "direction": force[:, None] * [0.0, 0.6, 0.8]}, good, ~good)
+
+
+def test_a_sweep_goes_on_where_its_budget_ended(tmp_path, monkeypatch):
+    scene = load_scene(find_scene("shoes-mini"))
+    imagined = Imagined()
+    monkeypatch.setattr(command, "touched", lambda *_, **__: imagined)
+    with pytest.raises(VsfsimError, match="the budget of 1e-09 s was over before the first point"):
+        command.tradeoff(scene, tmp_path, budget=1e-9)
+    whole, _ = command.tradeoff(scene, tmp_path)
+    made = imagined.made
+    # a line that was cut off is made again, and nothing else
+    file = tmp_path / command.LINES
+    file.write_text(file.read_text()[:-20])
+    again, changed = command.tradeoff(scene, tmp_path, check=file)
+    assert imagined.made == made + 1 and again.points == whole.points and changed == []
+    errors = {p.key: p.error for p in whole.points}
+    assert errors["fem-coarse, 10 mm"] == pytest.approx(0.03 * np.sqrt(np.mean(np.arange(1, 5) ** 4) / 4**4), rel=0.01)
+    assert errors["linear, 10 mm"] > errors["fem-coarse, 13 mm"] and len(whole.sentences()) == len(front.GOALS)
+    assert whole.points[0].channels["direction"]["worst"] == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(VsfsimError, match="was made with seed 0, and this run has 1"):
+        command.tradeoff(scene, tmp_path, seed=1)
+    with pytest.raises(VsfsimError, match="the front of the scene 'shoes-mini', not of 'indent'"):
+        command.tradeoff(load_scene(find_scene("indent")), tmp_path / "other", check=file)
+
+
+NOTHING = """
+[object]
+shape = { box = [0.04, 0.04, 0.02] }
+young_modulus = 1e5
+"""
+
+
+def test_what_cannot_be_measured_is_refused(tmp_path):
+    scene = tmp_path / "nothing.toml"
+    scene.write_text(NOTHING)
+    with pytest.raises(VsfsimError, match=r"neither \[touches\] nor \[press\]"):
+        command.tradeoff(load_scene(scene), tmp_path / "a")
+    with pytest.raises(VsfsimError, match=r"what a \[arm\] touches cannot be touched again"):
+        command.tradeoff(load_scene(find_scene("plants-v4-mini")), tmp_path / "b")
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / command.LINES).write_text("{}\n")
+    with pytest.raises(VsfsimError, match="is not a file of `vsfsim tradeoff`"):
+        command.tradeoff(load_scene(scene), tmp_path / "c")
+    run = CliRunner().invoke(app, ["tradeoff", "indent", "--budget", "10"])
+    assert isinstance(run.exception, VsfsimError) and "90s, 10m or 2h" in str(run.exception)
+
+
+TINY = """
+name = "tiny"
+gravity = [0.0, 0.0, 0.0]
+needs = ["bulging"]
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+resolution = 0.02
+young_modulus = 5e4
+poisson_ratio = 0.3
+[probe]
+shape = { sphere = 0.02 }
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("more", ["[touches]\ndepth = 0.004\nframes = { free = 1, in = 2, hold = 0, out = 0 }",
+                                  "[press]\nfrom = [0, 0, 0.05]\nto = [0, 0, 0.046]\nframes = 2"])
+def test_a_small_block(tmp_path, more):
+    scene = parse_scene(TINY + more, tmp_path / "tiny.toml")
+    found, _ = command.tradeoff(scene, tmp_path / "out", touches=1, tiers_only=("vsf", "fem-coarse"))
+    error = {p.key: p.error for p in found.points}
+    assert error["vsf, 20 mm"] > 3.0 * error["fem-coarse, 15.4 mm"], "layers that cannot move sideways"
+    assert all(p.shows == (p.tier == "fem-coarse") for p in found.points) and any(p.front for p in found.points)
+    assert json.dumps(found.table()) and (tmp_path / "out" / "tradeoff.html").is_file()
+    assert Setting("vsf", 0.02).key == "vsf, 20 mm"

@@ -1,0 +1,302 @@
+"""The same touches of a scene under one setting after another: their curves, and what they cost."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.system.process_memory import held_memory, peak_memory
+from vsfsim.generate.aim import Aim
+from vsfsim.generate.effector import effector_of
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.run import kernels_of
+from vsfsim.generate.solid import Retouching, Subject, prepare
+from vsfsim.generate.trade.curve import Curve, of_press, of_touch
+from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Ground, Setting
+from vsfsim.generate.truth import probe_stiffness
+from vsfsim.physics import tiers
+from vsfsim.physics.contact import sdf
+from vsfsim.physics.mesh.edge_refine import EdgePath
+from vsfsim.physics.runtime import compile_kernels
+
+CANDIDATES = 3
+"""Touches that are drawn for each that is taken."""
+LOCAL = 0.5
+"""Edge of the elements where the limit's meshes are touched, over the radius of the contact [-]; on each finer mesh
+smaller by the ratio of the ladder."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """The touches under one setting."""
+
+    curves: tuple[Curve, ...]
+    """One a touch."""
+    once: float
+    """CPU time of what is made once an object: meshes and factors [s]."""
+    cpu: float
+    """CPU time of all touches, without that [s]."""
+    wall: float
+    """The same on the clock [s]."""
+    memory: float
+    """Largest memory that the process held meanwhile [MiB]."""
+    frames: int
+    """Frames that were solved, the way back too."""
+    edge: tuple[float, ...] = field(default=())
+    """Of the elements that matter to each touch [m]."""
+
+    def table(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**dataclasses.asdict(self), "curves": [c.table() for c in self.curves], "edge": list(self.edge)}
+
+    @classmethod
+    def read(cls, table: dict[str, Any]) -> Run:
+        """As `table` gave it."""
+        return cls(**{**table, "curves": tuple(Curve.read(c) for c in table["curves"]), "edge": tuple(table["edge"])})
+
+
+class Touched(Protocol):
+    """Touches of a scene that can be made again."""
+
+    ground: Ground
+    count: int
+    """Touches."""
+    what: str
+    """The touches in words."""
+
+    def run(self, setting: Setting) -> Run:
+        """All touches.
+
+        Raises:
+            VsfsimError: the setting cannot be built.
+        """
+        ...
+
+    def near(self, number: int, setting: Setting, level: int) -> Run:
+        """Touch ``number`` alone, on a mesh of its own that is finer where it is touched, on a level of the ladder."""
+        ...
+
+
+class _Meter:
+    """CPU time, time on the clock and the largest memory since its start."""
+
+    def __init__(self) -> None:
+        held_memory(reset=True)
+        self.restart()
+
+    def restart(self) -> None:
+        self._cpu, self._wall = time.process_time(), time.perf_counter()
+
+    def read(self) -> tuple[float, float, float]:
+        return time.process_time() - self._cpu, time.perf_counter() - self._wall, peak_memory()
+
+
+class DatasetTouches:
+    """Touches of the first objects of a scene with ``[touches]``, aimed once.
+
+    Of `CANDIDATES` times as many that are drawn, those are taken that cover depths and places: one from each part of
+    the depths, the farthest from those taken before.
+
+    Args:
+        loaded: the scene.
+        touches: of each object.
+        objects: how many.
+        seed: as of `vsfsim generate`.
+        device: Warp device.
+        cache: folder of filled meshes, or None for the user's own.
+
+    Raises:
+        SceneError: the scene cannot be touched so.
+    """
+
+    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu",
+                 cache: Path | None = None):
+        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
+        scene = loaded.sample(0)
+        effector = effector_of(scene)
+        if not isinstance(effector, Retouching):
+            raise SceneError(f"{loaded.path}: what a [{effector.table}] touches cannot be touched again on another "
+                             f"mesh. Speed against accuracy is measured for a [probe] and a [sensor] on a solid "
+                             f"object.")
+        self._effector, self._warm = effector, set[str | None]()
+        compile_kernels(kernels_of(scene, recipe.precision), device)
+        self.subjects: list[Subject] = []
+        self.aims: list[list[Aim]] = []
+        for job in jobs_of(recipe, loaded.path, ".", cache):
+            subject = prepare(job, device=device)
+            drawn = effector.aim(subject, device=device)
+            self.subjects.append(subject)
+            self.aims.append([drawn[k] for k in spread([a.depth for a in drawn], np.stack([a.target for a in drawn]),
+                                                       touches)])
+        self.count = sum(map(len, self.aims))
+        self.ground = _ground(self.subjects[0].scene, recipe.tier, scene.required_touches.frames[1], device)
+        depths = [a.depth for own in self.aims for a in own]
+        self.what = (f"{self.count} touches of {objects} object{'s' * (objects > 1)}, {1e3 * min(depths):.1f} to "
+                     f"{1e3 * max(depths):.1f} mm deep")
+
+    def run(self, setting: Setting) -> Run:
+        """See `Touched`."""
+        if setting.tier not in self._warm:
+            self._warm.add(setting.tier)
+            self._run(self.subjects[0], self.aims[0][:1], _brief(setting))
+        parts = [self._run(subject, aims, setting) for subject, aims in zip(self.subjects, self.aims, strict=True)]
+        return _together(parts)
+
+    def near(self, number: int, setting: Setting, level: int) -> Run:
+        """See `Touched`."""
+        flat = [(subject, a) for subject, own in zip(self.subjects, self.aims, strict=True) for a in own]
+        subject, a = flat[number]
+        return self._run(subject, [a], setting, level)
+
+    def _run(self, subject: Subject, aims: list[Aim], setting: Setting, level: int | None = None) -> Run:
+        meter = _Meter()
+        tier = setting.tier
+        assert tier is not None
+        way = None if level is None else _way(_resized(subject.scene, setting), aims[0], level)
+        own = subject.again(tier, setting.options(), edges=way)
+        once, _, _ = meter.read()
+        meter.restart()
+        touches = self._effector.touch(own, aims, device=setting.device)
+        cpu, wall, memory = meter.read()
+        curves = [of_touch(touch, a) for touch, a in zip(touches, aims, strict=True)]
+        if tier in ("linear", "fem-coarse", "fem", "fem-fine"):  # with tetrahedra
+            soft = probe_stiffness(own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
+            curves = [dataclasses.replace(c, readings={**c.readings, "stiffness": soft[k:k + 1]})
+                      for k, c in enumerate(curves)]
+        return Run(tuple(curves), once, cpu, wall, memory, sum(len(t.time) for t in touches),
+                   (own.model.element_size,) * len(aims))
+
+
+class ScenePress:
+    """The ``[press]`` of a scene, of one seed or of several.
+
+    Args:
+        loaded: the scene.
+        touches: seeds, from ``seed`` on; one for a scene without distributions.
+        seed: of the first.
+        device: Warp device.
+        cache: folder of filled meshes, or None for the user's own.
+    """
+
+    def __init__(self, loaded: SceneFile, *, touches: int, seed: int = 0, device: str = "cpu",
+                 cache: Path | None = None):
+        self._loaded, self._cache, self._warm = loaded, cache, False
+        scenes = [loaded.sample(seed + k) for k in range(touches)]
+        self._seeds = [seed + k for k in range(touches) if k == 0 or scenes[k] != scenes[0]]
+        scene = scenes[0]
+        assert scene.press is not None
+        tier = None if scene.object is None else tiers.choose(scene)
+        self.count = len(self._seeds)
+        self.ground = _ground(scene, tier, scene.press.frames[0] if len(scene.press.frames) == 1 else None, device)
+        self.what = f"the press of the scene{f', {self.count} seeds' * (self.count > 1)}"
+
+    def run(self, setting: Setting) -> Run:
+        """See `Touched`."""
+        if not self._warm:
+            self._warm = True
+            self._run(self._seeds[0], _brief(setting))
+        return _together([self._run(seed, setting) for seed in self._seeds])
+
+    def near(self, number: int, setting: Setting, level: int) -> Run:
+        """See `Touched`; a press has its elements where it touches on every mesh."""
+        return self._run(self._seeds[number], setting)
+
+    def _run(self, seed: int, setting: Setting) -> Run:
+        meter = _Meter()
+        varied = _varied(self._loaded, setting)
+        request = PressRequest(seed=seed, tier=setting.tier, device=setting.device, cache=self._cache,
+                               tolerance=setting.tolerance)
+        result = effector_of(varied.sample(seed)).press(varied, request)
+        cpu, wall, memory = meter.read()
+        solve = float(np.sum(result.more["seconds"]))
+        edge = float(result.more.get("edge_at_contact") or setting.resolution or result.more["edge"])
+        return Run((of_press(result),), max(cpu - solve, 0.0), solve, max(wall - result.more["build_seconds"], 0.0),
+                   memory, len(result.depth), (edge,))
+
+
+def touched(loaded: SceneFile, *, touches: int, objects: int, seed: int, device: str, cache: Path | None) -> Touched:
+    """The touches of a scene, or its press.
+
+    Raises:
+        SceneError: it has neither.
+    """
+    if "touches" in loaded.tree:
+        return DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device, cache=cache)
+    if "press" not in loaded.tree:
+        raise SceneError(f"{loaded.path}: there is neither [touches] nor [press], so there is nothing whose error and "
+                         f"time could be measured. Add one of them.")
+    return ScenePress(loaded, touches=touches, seed=seed, device=device, cache=cache)
+
+
+def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:
+    """``count`` of the candidates, one from each part of their depths, far from one another.
+
+    Args:
+        depth: of each candidate [m].
+        place: of each (n, 3) [m].
+        count: how many.
+    """
+    parts = np.array_split(np.argsort(depth, kind="stable"), count)
+    taken = [int(parts[0][0])]
+    for part in parts[1:]:
+        away = np.linalg.norm(place[part][:, None] - place[taken][None], axis=2).min(axis=1)
+        taken.append(int(part[away.argmax()]))
+    return taken
+
+
+def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> Ground:
+    nodes = None if scene.sensor is None else scene.sensor.nodes
+    if tier is None:
+        return Ground(None, None, frames, nodes, (), device)
+    order = list(tiers.TIERS)
+    start = max(tier, "fem-coarse", key=order.index)
+    size = tiers.element_size(scene.object, start, scene.probe)
+    pressable = tuple(order) if scene.sensor is None else tuple(order[order.index("fem-coarse"):])
+    return Ground(start, size, frames, nodes, tuple(t for t in pressable if t != "fem-fine"), device)
+
+
+def _brief(setting: Setting) -> Setting:
+    """What loads kernels and packages before the clock runs."""
+    return dataclasses.replace(setting, frames=1, tolerance=0.05)
+
+
+def _resized(scene: Scene, setting: Setting) -> Scene:
+    return dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=setting.resolution))
+
+
+def _way(scene: Scene, a: Aim, level: int) -> EdgePath:
+    """The place of a touch, with elements of `LOCAL` times the radius of its contact; see `edge_refine`."""
+    reach = scene.sensor.semi_axes[1] if scene.sensor is not None else min(sdf.reach(scene.probe), 1.0)
+    size = LOCAL * float(np.sqrt(reach * a.depth)) / RATIO**level
+    whole = dataclasses.replace(scene.object, resolution=None)
+    bulk, own = (tiers.element_size(spec, LIMIT_TIER, scene.probe) for spec in (scene.object, whole))
+    ends = np.stack([a.target - 2.0 * a.depth * a.axis, a.target + 2.0 * a.depth * a.axis])
+    # what `tiers.body` makes of the half-width of an edge
+    return EdgePath(ends[:, None], np.array([size / (tiers.TIERS[LIMIT_TIER].probe * min(1.0, bulk / own))]))
+
+
+def _varied(loaded: SceneFile, setting: Setting) -> SceneFile:
+    """The scene file with what a setting says of it, and without needs, which would refuse cheap tiers."""
+    tree: dict[str, Any] = {key: dict(value) if isinstance(value, dict) else value for key, value in loaded.tree.items()
+                            if key != "needs"}
+    for table, key, value in (("object", "resolution", setting.resolution), ("sensor", "nodes", setting.nodes),
+                              ("press", "frames", setting.frames)):
+        if value is not None:
+            tree[table][key] = value
+    return dataclasses.replace(loaded, tree=tree)
+
+
+def _together(parts: Sequence[Run]) -> Run:
+    return Run(tuple(c for p in parts for c in p.curves), sum(p.once for p in parts), sum(p.cpu for p in parts),
+               sum(p.wall for p in parts), max(p.memory for p in parts), sum(p.frames for p in parts),
+               tuple(h for p in parts for h in p.edge))
