@@ -11,7 +11,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
-from vsfsim.physics.contact import complementarity
+from vsfsim.physics.contact.pair import complementarity
 from vsfsim.physics.solve.coupled import CoupledSolver, free_way
 from vsfsim.physics.solve.frames import Reason
 

@@ -199,9 +199,9 @@ def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, li
         contact.follows_below = 0.0
         return contact, previous
 
-    def watched(self, columns, state):
+    def watched(self, columns):
         followed.append(not self.contact.symmetric)
-        return renew(self, columns, state)
+        return renew(self, columns)
 
     monkeypatch.setattr(Equilibrium, "renew_friction", watched)
     forces = []

@@ -4,7 +4,8 @@ On a patch's degrees of freedom the rest-state compliance A gives the elastic re
 
     u_S = u0_S + A q,     q = f(u_S) - f0,
 
-which is the stationary point of 1/2 q^T A q + f0 . A q + (energy of the contact); a semi-smooth Newton method with a
+which is the stationary point of 1/2 q^T A q + f0 . A q + (energy of the contact, and of springs that carry the bodies,
+whose compliance is in series with A); a semi-smooth Newton method with a
 line search on that energy solves it for all touches at once. It is the `linear` tier, and the prediction of the others.
 Near the solution the contact of many points has its geometric term, without which the method converges linearly near a
 body's edges; where that leads up, it is left out again. Directions are in single precision there.
@@ -85,8 +86,8 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
     for step_number in range(iterations):
         if step_number and clock.now() > deadline:
             break
-        contact.evaluate(columns, trial)
-        energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + contact.energy(columns)
+        contact.evaluate(columns, trial, pushed + q)
+        energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + contact.energy(columns) + contact.carried(columns)
         crossed = contact.wrong_side(columns)
         rises = energy > level - 1e-4 * step * slope + _ROUNDING * level.abs()
         far = running & ((crossed > wrong_side) | rises) & (step > _SHORTEST)
@@ -101,7 +102,7 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
             continue
         nodal = contact.nodal(columns)
         rho = nodal - pushed - q
-        miss = _times(compliance, rho)
+        miss = _times(compliance, rho) + contact.given(columns, rho)
         size = miss.abs().amax(dim=1) / trial.abs().amax(dim=1).clamp(min=1e-9)
         fresh = running & ~far
         better = fresh & (size < error)
@@ -168,8 +169,9 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
     idle = torch.zeros(len(columns), dtype=torch.int64, device=base.device)
     most, curved = torch.full_like(error, _CURVED), torch.zeros_like(idle, dtype=torch.bool)
     for step in range(iterations + 1):
-        contact.evaluate(columns, trial)
-        size = _times(compliance, contact.nodal(columns) - pushed - q).abs().amax(dim=1)
+        contact.evaluate(columns, trial, pushed + q)
+        rho = contact.nodal(columns) - pushed - q
+        size = (_times(compliance, rho) + contact.given(columns, rho)).abs().amax(dim=1)
         size = size / trial.abs().amax(dim=1).clamp(min=1e-9)
         better = size < error
         best, error = torch.where(better[:, None], q, best), torch.where(better, size, error)
@@ -181,13 +183,14 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         if held is not None:
             contact.held[columns] = held
         contact.relief[columns] = _RELIEF
-        contact.evaluate(columns, trial)
+        contact.evaluate(columns, trial, pushed + q)
         contact.relief[columns] = 1.0
         rho = contact.nodal(columns) - pushed - q
         curved = size < most
-        dq = rho - contact.block(columns, torch.float32, curved).apply(_times(compliance, rho))
+        miss = _times(compliance, rho) + contact.given(columns, rho)
+        dq = rho - contact.block(columns, torch.float32, curved).apply(miss)
         move = _times(compliance, dq)
-        held = contact.expected(columns, move)
+        held = contact.expected(columns, move + contact.given(columns, dq))
         q, trial = torch.where(running, q + dq, q), torch.where(running, trial + move, trial)
     return best, error
 

@@ -82,16 +82,17 @@ class FaceSums:
         return out[:, :-1].reshape(k, u, u, 3, 3).transpose(2, 3).reshape(k, 3 * u, 3 * u)
 
     def block(self, columns: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor,
-              compliance: torch.Tensor) -> ContactBlock:
+              compliance: torch.Tensor, series: torch.Tensor | None = None) -> ContactBlock:
         """The stiffness of the nodes that are pushed, to be inverted with the ``compliance`` (k, 3 s, 3 s) [m/N].
 
-        ``columns``, ``stiff``: as for `matrix`; ``free``: 1 where a degree of freedom may move (k, 3 s).
+        ``columns``, ``stiff``: as for `matrix`; ``free``: 1 where a degree of freedom may move (k, 3 s); ``series``:
+        see `ContactBlock.of`.
         """
         nodes = self.pushed(columns, stiff)
         touch = torch.arange(len(columns), device=free.device)[:, None]
         loose = free.view(len(columns), -1, 3)[touch, nodes].flatten(1)
         own = self.matrix(columns, stiff, nodes) * loose[:, :, None] * loose[:, None, :]
-        return ContactBlock.joined_of(nodes, own, compliance)
+        return ContactBlock.joined_of(nodes, own, compliance, series)
 
 
 def _slots(targets: Sequence[np.ndarray], count: int, nothing: int, device: str) -> torch.Tensor:

@@ -74,6 +74,12 @@ class Contact(Protocol):
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Potential of the contact (k,) [J]."""
 
+    def carried(self, columns: torch.Tensor) -> torch.Tensor:
+        """Potential of springs that carry the bodies (k,) [J]; 0 without."""
+
+    def follow(self) -> bool:
+        """Let what depends on where the bodies are follow those that springs carry; whether anything has changed."""
+
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
 

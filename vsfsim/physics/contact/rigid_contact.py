@@ -15,20 +15,21 @@ import warp as wp
 from vsfsim.physics.contact import body_points, condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
-from vsfsim.physics.contact.face_sums import FaceSums, at_points, nodal_sums
+from vsfsim.physics.contact.face_sums import FaceSums, nodal_sums
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
+from vsfsim.physics.contact.rigid_stiffness import PointStiffness
 from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
-from vsfsim.physics.contact.stiffness_block import ContactBlock, SparseStiffness, assemble, gram, many, rows_of
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
+from vsfsim.physics.solve.mount import Mount, Springs
 
 
-class RigidContact:
+class RigidContact(PointStiffness):
     """`Contact` of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
 
     Args:
@@ -38,6 +39,7 @@ class RigidContact:
         poses: all poses to come, bodies to world (T, B, K, 4, 4): they tell what is in reach.
         device: Warp device.
         local: whether round bodies sink in locally, see `local_indentation`; ``by_place``: where they touch.
+        mount: springs that carry the bodies; poses are then those of the mounts.
         exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
     """
 
@@ -67,12 +69,13 @@ class RigidContact:
     """Share of the stick stiffness at which friction is linearised at the force `held` (B,) [-]; 1: at its own."""
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
-                 exact: bool = True, local: bool = False, by_place: bool = False):
+                 exact: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
         self.model, self.bodies, self.device, self._exact, self._sinks = model, bodies, device, exact, local
         self._by_place = local and by_place and MissingCompliance.serves(model, bodies.shapes)
         self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
         self.has_friction = bool((friction > 0.0).any())
         self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
+        self.springs = None if mount is None else Springs(mount, device)
         self._set = bodies.upload(self.kernels.sdf, device)
         self._solid = (corners := model.mesh.faces.shape[1]) == 6
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self._solid else sheet_contact(bodies, model.element_size)
@@ -94,11 +97,6 @@ class RigidContact:
         self.softening, self.coulomb, self.relief = (
             torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0, 1.0))
         self._upload()
-
-    @property
-    def symmetric(self) -> bool:
-        """See `Contact`."""
-        return not bool(self.coulomb.any())
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
         return make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
@@ -169,7 +167,11 @@ class RigidContact:
 
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
         """See `Contact`."""
-        self._before, self._u_before, self._begun = self._placed(before), u.clone(), before
+        self._u_before, self._begun, self._before = u.clone(), before, self._placed(before)
+        if self.springs is not None:  # where they let the bodies begin
+            self._plan, self._pose = before, self._before
+            self.evaluate(torch.arange(self.batch, device=self.device), self.gather(u))
+            self._begun = self.springs.poses(before)
         self._relaxation.begin_step()
         self._body_points.begin_step()
         self._stand(u)
@@ -178,16 +180,32 @@ class RigidContact:
         """See `Contact`."""
         kept = self.friction_state()
         if (self._begun is not None and columns is not None  # the first move of a step
-                and self._body_points.add(columns, (self._begun, pose), self._u_before, self.patches)):
+                and self._body_points.add(columns, (self._begun, self._held_at(pose)), self._u_before, self.patches)):
             self._renew(pose, kept)
-        self._pose, self._begun = self._placed(pose), None
-        self._local_indentation.move(pose)
+        self._pose, self._begun, self._plan = self._placed(self._held_at(pose)), None, pose
+        self._sink(pose)
         self._overlap[:, slice(None) if columns is None else columns] = 0.0
+
+    def _held_at(self, pose: np.ndarray) -> np.ndarray:
+        """Poses (B, K, 4, 4) of the bodies whose mounts are at ``pose`` (B, K, 4, 4)."""
+        return pose if self.springs is None else self.springs.poses(pose)
+
+    def _sink(self, pose: np.ndarray) -> None:
+        self._local_indentation.move(self._held_at(pose))
+        if self.springs is not None:
+            self.springs.seen()
+
+    def follow(self) -> bool:
+        """See `Contact`: the local indentation."""
+        if self.springs is None or not self._sinks or not self.springs.moved_on():
+            return False
+        self._sink(self._plan)
+        return True
 
     def _renew(self, pose: np.ndarray, kept: tuple[Any, ...]) -> None:
         """Go on with other contact points than those of the friction state ``kept``."""
         self._upload()
-        self._local_indentation.move(pose)
+        self._sink(pose)
         if self.has_friction:
             self.restore_friction(torch.arange(self.batch, device=self.device), kept)
             self._stand(self._u_before)
@@ -206,9 +224,21 @@ class RigidContact:
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device,
                   inputs=[self._shape, self._part, *model, *self._pose, *state, *more])
 
-    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
-        """See `Contact`."""
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor, pushed: torch.Tensor | None = None) -> None:
+        """See `Contact`; springs give way to the forces ``pushed`` (k, 3 s) [N], or until they are in balance."""
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
+        if self.springs is not None and pushed is None:
+            self.springs.settle(self, columns)
+            return
+        if self.springs is not None and pushed is not None:
+            self.springs.pushed(columns, pushed)
+        self.press(columns)
+
+    def press(self, columns: torch.Tensor) -> None:
+        """Evaluate the contact of ``columns`` (k,) with the bodies where springs let them."""
+        if self.springs is not None:
+            plan = torch.as_tensor(self._plan[..., :3, 3], device=self.device)
+            wp.to_torch(self._pose[0])[columns] = self.springs.placed(plan)[columns]
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
                       self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
@@ -253,6 +283,17 @@ class RigidContact:
         """See `Contact`."""
         return self._energy[columns].sum(dim=1)
 
+    def carried(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._energy.new_zeros(len(columns)) if self.springs is None else self.springs.energy(columns)
+
+    def given(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """How far forces (k, 3 s) [N] of the contact move the nodes against bodies that springs carry (k, 3 s) [m]."""
+        if self.springs is None:
+            return torch.zeros_like(force)
+        series = self.springs.series(columns, force.shape[1] // 3)
+        return series * (series * force).sum(dim=1, keepdim=True)
+
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
         own = (self._energy[columns] * self._of_body[columns]).sum(dim=1)
@@ -264,12 +305,16 @@ class RigidContact:
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
+        return self.nodal_of(columns, self.force[columns])
+
+    def nodal_of(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Forces at the contact points (k, 6 f, 3) [N] as forces on the nodes (k, 3 s) [N]."""
         if self._sums is not None:
-            return self._sums.nodal(columns, self.force[columns])
+            return self._sums.nodal(columns, force)
         if self.device == "cpu":
             own, nodes = (wp.to_torch(self._local)[columns], self._values[columns]), self.dof.shape[1] // 3
-            return nodal_sums(*own, self.force[columns], nodes)
-        return (self._points[columns].mT @ self.force[columns]).flatten(1)
+            return nodal_sums(*own, force, nodes)
+        return (self._points[columns].mT @ force).flatten(1)
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
@@ -307,57 +352,6 @@ class RigidContact:
         """See `Contact`."""
         return self._local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
 
-    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
-        """See `Contact`."""
-        curved = geometric is not None and bool(geometric.any() and self._geometric[columns].any())
-        some, free = columns[geometric] if curved else columns[:0], self.free[columns]
-        if self._sums is None and not self._sparse(columns):
-            rows = self.rows(columns)
-            out = rows.mT @ rows if self.has_friction else gram(rows)
-            if curved:
-                out[geometric] += assemble(self._points, some, self._active(some), self._geometric, self.free[some])
-            return out
-        own = self._own_stiffness(columns, geometric)
-        return (self._assembled(columns, own) if self._sums is None else
-                self._sums.matrix(columns, own) * free[:, :, None] * free[:, None, :])
-
-    def _active(self, columns: torch.Tensor) -> torch.Tensor:
-        return (self.gap[columns] < 0.0) | (self.limit[columns] > 0.0)
-
-    def _sparse(self, columns: torch.Tensor) -> bool:
-        return not self.symmetric or many(self._active(columns))
-
-    def _assembled(self, columns: torch.Tensor, own: torch.Tensor) -> SparseStiffness:
-        return SparseStiffness.of(wp.to_torch(self._local)[columns], self._values[columns], own, self.free[columns])
-
-    def _own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
-        own = self._rows[columns].mT @ self._rows[columns] + self._coupling[columns]
-        if geometric is not None:
-            own[geometric] += self._geometric[columns[geometric]]
-        return own
-
-    def rows(self, columns: torch.Tensor) -> torch.Tensor:
-        """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness
-        without its geometric term."""
-        roots = self._rows if self.has_friction else self._rows[:, :, :1]
-        return rows_of(self._points, columns, self._active(columns), roots) * self.free[columns][:, None, :]
-
-    def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        """Friction (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
-        at, rows = wp.to_torch(self._local)[columns], self._rows[columns][:, :, 1:]
-        return self.held[columns] + (rows.mT @ (rows @ at_points(at, self._values[columns], move)[..., None]))[..., 0]
-
-    def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64,
-              geometric: torch.Tensor | None = None) -> ContactBlock:
-        """See `Contact`. Where many points touch, ``real`` is the precision, and ``geometric`` (k,) bool as above."""
-        compliance = self.compliance[columns] if len(columns) < self.batch else self.compliance
-        if self._sums is None and not self._sparse(columns):
-            return ContactBlock.of(self.rows(columns), compliance, nodes=self.has_friction)
-        if self._sums is not None:
-            return self._sums.block(columns, self._own_stiffness(columns), self.free[columns], compliance)
-        own = self._assembled(columns, self._own_stiffness(columns, geometric))
-        return ContactBlock.sparse_of(own, compliance, nodes=self.has_friction, real=real)
-
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Contact`."""
@@ -383,6 +377,7 @@ class RigidContact:
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
         """See `Contact`."""
+        pose, mounts = self._held_at(pose), pose
         cut, moved, kept = torch.zeros_like(self._member), [], self.friction_state()
         if isinstance(self._passage, Intrusion):
             self._overlap[:, columns], met, cut = self._passage.grow(
@@ -396,5 +391,5 @@ class RigidContact:
             return False
         grow(self.patches, self._cuts, columns.tolist(), met.cpu().numpy(), cut.cpu().numpy(), self.model.mesh,
              self._patch, functools.partial(self.response.ready, deadline=self.deadline))
-        self._renew(pose, kept)
+        self._renew(mounts, kept)
         return True

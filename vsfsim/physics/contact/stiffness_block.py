@@ -86,15 +86,17 @@ class ContactBlock:
     """Pivots of the LU factor (k, m): a third of the work of the inverse where many nodes touch."""
 
     @classmethod
-    def of(cls, rows: torch.Tensor, compliance: torch.Tensor, *, nodes: bool = False) -> ContactBlock:
+    def of(cls, rows: torch.Tensor, compliance: torch.Tensor, series: torch.Tensor | None = None, *,
+           nodes: bool = False) -> ContactBlock:
         """From the rows R (k, m, 3 s) [sqrt(N/m)] and the compliance (k, 3 s, 3 s) [m/N] of the patches.
 
+        ``series``: g (k, 3 s), if the compliance g g^T of a spring is in series with that of the body [sqrt(m/N)].
         ``nodes``: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
         point begins to slip, and so would the rounding.
         """
         dof = _used((rows != 0.0).any(dim=1), nodes)
         rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
-        own = _between(compliance, dof)
+        own = _between(compliance, dof, series)
         if rows.shape[1] > rows.shape[2]:
             # more rows than degrees of freedom: their product R^T R says the same
             stiff = rows.mT @ rows
@@ -104,23 +106,24 @@ class ContactBlock:
         return cls(dof, rows, torch.linalg.cholesky(inner), compliance.shape[2])
 
     @classmethod
-    def joined_of(cls, nodes: torch.Tensor, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
+    def joined_of(cls, nodes: torch.Tensor, stiffness: torch.Tensor, compliance: torch.Tensor,
+                  series: torch.Tensor | None = None) -> ContactBlock:
         """From the stiffness C (k, 3 u, 3 u) [N/m] of some ``nodes`` (k, u) of the patches and the compliance of the
-        patches (k, 3 s, 3 s) [m/N]."""
+        patches (k, 3 s, 3 s) [m/N]; ``series``: see `of`."""
         dof = _dof(nodes)
-        factors, pivots = torch.linalg.lu_factor(_bracket(_between(compliance, dof), stiffness))
+        factors, pivots = torch.linalg.lu_factor(_bracket(_between(compliance, dof, series), stiffness))
         return cls(dof, stiffness, factors, compliance.shape[2], joined=True, pivots=pivots)
 
     @classmethod
-    def sparse_of(cls, stiffness: SparseStiffness, compliance: torch.Tensor, *, nodes: bool = False,
-                  real: torch.dtype = torch.float64) -> ContactBlock:
+    def sparse_of(cls, stiffness: SparseStiffness, compliance: torch.Tensor, series: torch.Tensor | None = None, *,
+                  nodes: bool = False, real: torch.dtype = torch.float64) -> ContactBlock:
         """From the stiffness C of k patches, which need not be symmetric, and their compliance (k, 3 s, 3 s) [m/N];
-        ``nodes`` as for `of`. ``real``: precision; the single one takes half of the time."""
+        ``series`` and ``nodes`` as for `of`. ``real``: precision; the single one takes half of the time."""
         used = torch.zeros(compliance.shape[:2], dtype=torch.bool)
         for b, c in enumerate(stiffness.matrices):
             used[b, torch.as_tensor(c.indices).long()] = True
         dof = _used(used, nodes)
-        own, stiff, bracket = _between(compliance, dof, real), [], []
+        own, stiff, bracket = _between(compliance, dof, series, real), [], []
         for c, a, at in zip(stiffness.matrices, own, dof.numpy(), strict=True):
             few = c[at][:, at].astype(a.numpy().dtype)
             stiff.append(torch.as_tensor(few.toarray()))
@@ -183,12 +186,19 @@ def _dof(nodes: torch.Tensor) -> torch.Tensor:
     return (3 * nodes[:, :, None] + torch.arange(3, device=nodes.device)).flatten(1)
 
 
-def _between(matrix: torch.Tensor, dof: torch.Tensor, real: torch.dtype = torch.float64) -> torch.Tensor:
-    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m), in the precision ``real``."""
+def _between(matrix: torch.Tensor, dof: torch.Tensor, series: torch.Tensor | None,
+             real: torch.dtype = torch.float64) -> torch.Tensor:
+    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s) and of g g^T, g (k, 3 s) the ``series``: (k, m, m), in
+    the precision ``real``."""
     if len(matrix) == 1:
-        return matrix[0].index_select(0, dof[0]).to(real).index_select(1, dof[0])[None]
-    touch = torch.arange(len(matrix), device=matrix.device)[:, None, None]
-    return matrix[touch, dof[:, :, None], dof[:, None, :]].to(real)
+        out = matrix[0].index_select(0, dof[0]).to(real).index_select(1, dof[0])[None]
+    else:
+        touch = torch.arange(len(matrix), device=matrix.device)[:, None, None]
+        out = matrix[touch, dof[:, :, None], dof[:, None, :]].to(real)
+    if series is None:
+        return out
+    g = series.gather(1, dof).to(real)
+    return out + g[:, :, None] * g[:, None, :]
 
 
 def assemble(points: torch.Tensor, columns: torch.Tensor, active: torch.Tensor, stiff: torch.Tensor,

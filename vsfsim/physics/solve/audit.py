@@ -62,6 +62,8 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
         final = np.isin(reason, _FINAL)
         reason[(out["residual"] <= accept) & ~final] = Reason.NONE
     wrong = {Reason.WRONG_SIDE: state["wrong_side"] > 0, Reason.INTRUSION: contact.intruded(every)}
+    if isinstance(contact, RigidContact) and contact.springs is not None:
+        wrong[Reason.MOUNT] = contact.springs.unbalanced(on_object)
     if not linear:  # small strain has no det F
         wrong[Reason.INVERTED] = state["det"] <= 0.0
         wrong[Reason.CRUSHED] = state["det"] < CRUSHED

@@ -143,10 +143,10 @@ class Branch:
         return out
 
     def _stored(self, columns: torch.Tensor) -> torch.Tensor:
-        """Energy of object and weight in the states that were evaluated last (k,) [J]."""
+        """Energy of object, weight and springs in the states that were evaluated last (k,) [J]."""
         balance = self._balance
         energy = wp.to_torch(balance.elasticity.energy)[columns].to(torch.float64)
-        return energy - (balance.load * balance.u[:, columns]).sum(dim=0)
+        return energy + balance.contact.carried(columns) - (balance.load * balance.u[:, columns]).sum(dim=0)
 
 
 class _SmoothForce:

@@ -21,6 +21,7 @@ _RENEWALS, RENEWED = 60, 5e-4
 # of the tolerance, with friction: contact is so stiff that displacements known to 1e-4 leave forces open by 3 %, and
 # friction limits renewed from such forces jump about (130 renewals in 8 frames of a dragged plate, 30 with this)
 _CLOSER = 1e-2
+_FOLLOWED = 8  # times that the local indentation may follow bodies that springs carry
 _GROWTHS = 12  # times that the patch may grow in a frame
 # times that a way without friction may be halved: of a thin wall the inner face lies in a body that has come a long way
 _HALVINGS = 4
@@ -107,6 +108,10 @@ class LinearTier:
             old = list(contact.patches)
             with clock.measure("contact"):
                 force, error = self._solve(start, deadline)
+                for _ in range(_FOLLOWED):
+                    if not contact.follow() or clock.now() > deadline:
+                        break
+                    force, error = self._solve(force, deadline)
             arrived = bool((error <= self.accept).all())
             if not arrived and halvings and clock.now() <= deadline:
                 middle = path.between(before, pose, 0.5)
@@ -136,9 +141,9 @@ class LinearTier:
                                            tolerance=tolerance, start=start, deadline=deadline)
             if contact.has_friction:
                 moved = sag + (contact.compliance @ force[:, :, None])[:, :, 0]
-                contact.evaluate(every, moved)
+                contact.evaluate(every, moved, force)
                 contact.update_friction(every)
-                contact.evaluate(every, moved)
+                contact.evaluate(every, moved, force)
                 off = ((contact.nodal(every) - force).norm(dim=1)
                        + contact.friction_residual(every)) / force.norm(dim=1).clamp(min=balance.floor)
                 error, start = torch.maximum(error, off), force

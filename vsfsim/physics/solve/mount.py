@@ -1,113 +1,175 @@
 """A rigid probe that a spring along its press carries: the mount is where the plan says, the probe where the spring
 lets it.
 
-In each frame the probe gives way by w against the press, and the contact's force along the press F(w) is that of the
-spring, F(w) = k w. F falls with w, so that one root is sought for each touch by Newton's method on w with the slope of
-the last two equilibria (the secant method), held in a bracket. Every trial is an equilibrium of the object.
+The probe gives way by w against the press, and the contact's force along the press is that of the spring, k w. Of every
+state of the object one w is in balance, so that w is eliminated: the contact's potential is the least over w of
+that of the bodies and k w^2 / 2, its forces are those at that w, and its stiffness is
+
+    C - (C e) (C e)^T / (k + e^T C e) = (C^-1 + e e^T / k)^-1,
+
+e being the translation of all nodes along the press: the mount's compliance is in series with that of the body.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
+import torch
 
-from vsfsim.physics.solve.audit import Rows, mark
-from vsfsim.physics.solve.frames import Reason
+from vsfsim.physics.contact.stiffness_block import SparseStiffness
 
 BALANCED = 1e-3
-"""Difference between the contact's force and the spring's, over the force, at which a frame is in equilibrium [-]: the
-tolerance of the tiers for a body's own balance. Where the contact is as stiff as the spring, the force of the frame
-is then that of a mount 0.05 % of its travel away."""
-TRIALS = 12
-"""Equilibria of one frame that are tried before it is marked; three are usual."""
-# slope of a first contact: that of a ball on a half-space over force / travel of its frame, which is mostly free, and
-# at least this part of the spring's, so that the next trial does not lose contact
-_FIRST, _LIKE = 1.5, 0.5
+"""Difference between the contact's force and the spring's, over the force, at which a frame is in equilibrium [-]."""
+TRIALS = 40
+"""Places of the probe that are tried for one state of the object; two to four are usual."""
+_EXACT = 1e-7  # the same difference that ends the search: what is left must not show in differences of potentials
+_FAR = 0.5  # of that difference over the spring's force: from here on the force goes with the square of the depth
+_TOUCH = 1e-7  # how far the probe goes in past its first contact [m]
+_FOLLOWED = 2e-4  # change of w over w after which the local indentation is that of another place
 
 
-@dataclass
+class Pressed(Protocol):
+    """What is asked of the contact, see `rigid_contact.RigidContact`."""
+
+    gap: torch.Tensor
+    """Gap of each Gauss point (B, q) [m]."""
+    force: torch.Tensor
+    """Contact force at each Gauss point (B, q, 3) [N]."""
+
+    def press(self, columns: torch.Tensor) -> None:
+        """Evaluate the contact of ``columns`` (k,) with the bodies where the springs let them."""
+
+    def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
+        """Stiffness of the contact points (k, q, 3, 3) [N/m]."""
+
+
+@dataclass(frozen=True)
 class Mount:
-    """The springs of a batch of B touches, in the frames of one run."""
+    """The springs of a batch of B touches."""
 
     stiffness: float
     """k [N/m]."""
     axis: np.ndarray
     """Unit directions of the presses (B, 3) [-]."""
-    give: np.ndarray = field(init=False)
-    """How far each probe has given way in the trial at hand, w (B,) [m]."""
-    _slope: np.ndarray = field(init=False)  # -dF/dw (B,) [N/m]
-    _spent: dict[str, np.ndarray] = field(init=False)  # iterations of the trials before
-    _last: tuple[np.ndarray, np.ndarray] = field(init=False)  # travel and force of the frame before (B,) [m], [N]
 
-    def __post_init__(self) -> None:
-        self.give, self._slope = np.zeros(len(self.axis)), np.zeros(len(self.axis))
-        self._last = np.full(len(self.axis), np.nan), np.zeros(len(self.axis))
 
-    def begin(self, plan: np.ndarray) -> np.ndarray:
-        """Poses (B, K, 4, 4) of the first trial of a frame whose mounts are at ``plan`` (B, K, 4, 4): with the force of
-        the frame before, which grows with the slope that was met last."""
-        self._plan, self._low, self._high = plan, np.zeros(len(self.axis)), np.full(len(self.axis), np.inf)
-        travel = np.einsum("bi,bi->b", plan[:, 0, :3, 3], self.axis)
-        probe, force = self._last
-        ahead = np.nan_to_num(travel - probe)  # of the probe, if it gave way no further
-        self._step, self._before = np.abs(ahead), travel - probe
-        self.give = np.maximum((force + self._slope * ahead) / (self.stiffness + self._slope), 0.0)
-        self._trials: list[tuple[np.ndarray, np.ndarray]] = []
-        self._failed = np.zeros(len(self.axis), bool)
-        return self._placed()
+class Springs:
+    """How far the springs of a run have given way.
 
-    def correct(self, out: Rows) -> np.ndarray | None:
-        """Poses (B, K, 4, 4) of the next trial, or None where the springs balance, or `TRIALS` have been made.
+    Args:
+        mount: the springs.
+        device: torch device.
+    """
 
-        Args:
-            out: of this trial. One without an equilibrium is tried once more, half as far. What is open after the last
-                is marked.
-        """
-        force, converged = out["force"], out["converged"]
-        self._spent = {key: out[key] for key in ("iterations", "cg_iterations")}
-        along = np.where(converged, -np.einsum("bi,bi->b", np.nan_to_num(force), self.axis), np.nan)
-        w, k = self.give, self.stiffness
-        excess = along - k * w
-        size = np.maximum(np.abs(along), k * w)
-        open_ = converged & (np.abs(excess) > BALANCED * size)
-        again = ~converged & ~self._failed & (self._before > w)
-        self._failed |= ~converged
-        if self._trials:
-            moved = w - self._trials[-1][0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                met = -(along - self._trials[-1][1]) / moved
-            self._slope = np.where(np.isfinite(met) & (met > 0.0), met, self._slope)
-        else:  # the force since the frame before as a parabola whose slope there is known: its slope here
-            known = self._last[1]
-            chord = (along - known) / np.where(self._before > w, self._before - w, np.nan)
-            bent = np.clip(2.0 * chord - self._slope, 0.5 * chord, 2.0 * chord)
-            self._slope = np.where((known > 0.0) & (self._slope > 0.0) & (chord > 0.0), bent, self._slope)
-        first = (self._slope <= 0.0) & (along > 0.0)
-        least = np.maximum(_FIRST * along / np.maximum(self._step, 1e-9), _LIKE * k)
-        self._slope = np.where(first, least, self._slope)
-        self._low = np.where(open_ & (excess > 0.0), np.maximum(self._low, w), self._low)
-        self._high = np.where(open_ & (excess < 0.0), np.minimum(self._high, w), self._high)
-        self._trials.append((w.copy(), along))
-        # no force without contact: the slope there says nothing, and the bracket halves what is between
-        step = np.where(along > 0.0, w + excess / (k + self._slope), np.inf)
-        middle = 0.5 * (self._low + np.where(np.isfinite(self._high), self._high, w))
-        step = np.where((step > self._low) & (step < self._high), step, middle)
-        if not (open_ | again).any() or len(self._trials) >= TRIALS:
-            probe = np.einsum("bi,bi->b", self._plan[:, 0, :3, 3], self.axis) - w
-            self._last = (np.where(converged, probe, self._last[0]),
-                          np.where(converged, along, self._last[1]))
-            self._slope = np.where(np.nan_to_num(along) > 0.0, self._slope, 0.0)
-            mark(out, open_, Reason.MOUNT)
-            return None
-        self.give = np.where(open_, step, np.where(again, 0.5 * (w + self._before), w))
-        return self._placed()
+    give: torch.Tensor
+    """w of each touch (B,) [m]."""
+    excess: torch.Tensor
+    """Force of the contact over that of the spring at the last evaluation (B,) [N]."""
 
-    def counted(self, out: Rows) -> Rows:
-        """A trial with the iterations of those before it."""
-        return out | {key: out[key] + before for key, before in self._spent.items()}
+    def __init__(self, mount: Mount, device: str):
+        self.stiffness = mount.stiffness
+        self.axis = torch.as_tensor(np.asarray(mount.axis, float), device=device)
+        self.give, self.excess = self.axis.new_zeros(len(self.axis)), self.axis.new_zeros(len(self.axis))
+        self._seen = self.give.clone()  # where the bodies were when the local indentation was set
 
-    def _placed(self) -> np.ndarray:
-        out = self._plan.copy()
-        out[..., :3, 3] -= (self.give[:, None] * self.axis)[:, None]
+    def placed(self, origin: torch.Tensor) -> torch.Tensor:
+        """Where bodies are (B, K, 3) [m] that their mounts carry to ``origin`` (B, K, 3) [m]."""
+        return origin - (self.give[:, None] * self.axis)[:, None]
+
+    def poses(self, plan: np.ndarray) -> np.ndarray:
+        """The same of poses (B, K, 4, 4)."""
+        out = plan.copy()
+        out[..., :3, 3] = self.placed(torch.as_tensor(plan[..., :3, 3], device=self.axis.device)).cpu().numpy()
         return out
+
+    def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Of the springs of ``columns`` (k,): (k,) [J]."""
+        return 0.5 * self.stiffness * self.give[columns] ** 2
+
+    def along(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Sum along the presses (k,) [N] of forces on the object (k, 3 n) [N]."""
+        return (force.view(len(columns), -1, 3).sum(dim=1) * self.axis[columns]).sum(dim=1)
+
+    def series(self, columns: torch.Tensor, nodes: int) -> torch.Tensor:
+        """e / sqrt(k) on patches of s = ``nodes`` (k, 3 s): with A the compliance of the body, A + g g^T is that of
+        the body and the mount [m/N]."""
+        return (self.axis[columns] / self.stiffness**0.5).repeat(1, nodes)
+
+    def pushed(self, columns: torch.Tensor, force: torch.Tensor) -> None:
+        """Let the springs give way to forces of the contact (k, 3 s) [N] on the object."""
+        self.give[columns] = self.along(columns, force) / self.stiffness
+
+    def settle(self, contact: Pressed, columns: torch.Tensor) -> None:
+        """Evaluate the contact of ``columns`` (k,) at w in balance.
+
+        Newton's method in a bracket, with the slope of the contact points. Far from the root the force goes with the
+        square of the depth, as under a ball; a probe that has lost contact goes in by its gap.
+        """
+        k, at = self.stiffness, columns
+        low, high = (torch.full_like(self.give, bound) for bound in (-float("inf"), float("inf")))
+        for trial in range(TRIALS):
+            contact.press(at)
+            w, along = self.give[at], self.along(at, contact.force[at].flatten(1))
+            self.excess[at] = excess = along - k * w
+            size = torch.maximum(along.abs(), k * w.abs())
+            left = (excess.abs() > _EXACT * size).nonzero()[:, 0]
+            if not len(left) or trial == TRIALS - 1:
+                return
+            at, w, along, excess = at[left], w[left], along[left], excess[left]
+            low[at] = torch.where(excess > 0.0, w, low[at])
+            high[at] = torch.where(excess < 0.0, w, high[at])
+            slope = self._slope(contact.own_stiffness(at), at)
+            far = (excess.abs() > _FAR * k * w.abs()) & (along > 0.0)
+            square = torch.where(far, slope**2 / along.clamp(min=1e-300), 0.0)
+            both = slope + k
+            step = 2.0 * excess / (both + (both**2 - square * excess).clamp(min=0.0).sqrt())
+            apart = contact.gap[at].amin(dim=1)
+            home = torch.where(w > 0.0, torch.maximum(-apart - _TOUCH, -w), -w)
+            new = w + torch.where(apart < 0.0, step, home)
+            middle = 0.5 * (low[at] + high[at])
+            self.give[at] = torch.where(((new > low[at]) & (new < high[at])) | ~middle.isfinite(), new, middle)
+
+    def _slope(self, own: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        axis = self.axis[columns][:, None, :, None]
+        return (axis.mT @ own @ axis)[..., 0, 0].sum(dim=1)
+
+    def soften(self, stiffness: Any, toward: torch.Tensor, back: torch.Tensor, own: torch.Tensor,
+               columns: torch.Tensor) -> YieldingStiffness:
+        """The stiffness of the patches with the mounts, from that without; ``toward`` and ``back`` are C e and C^T e
+        (k, 3 s) [N/m], ``own`` the stiffness of the points (k, q, 3, 3) [N/m]."""
+        return YieldingStiffness(stiffness, toward / (self.stiffness + self._slope(own, columns))[:, None], back)
+
+    def moved_on(self) -> bool:
+        """Whether the bodies are elsewhere than where the local indentation was set."""
+        return bool(((self.give - self._seen).abs() > _FOLLOWED * self.give.abs()).any())
+
+    def seen(self) -> None:
+        """The local indentation is set where the bodies are."""
+        self._seen = self.give.clone()
+
+    def unbalanced(self, force: torch.Tensor) -> torch.Tensor:
+        """Which springs are out of balance (B,) bool, under forces on the object (B, 3) [N]."""
+        return self.excess.abs() > BALANCED * (force * self.axis).sum(dim=1).abs()
+
+
+@dataclass(frozen=True)
+class YieldingStiffness:
+    """Stiffness of contact with bodies that springs carry, as an operator: ``stiffness @ v`` for v (k, 3 s, 1)."""
+
+    fixed: torch.Tensor | SparseStiffness
+    """That of bodies that do not give way (k, 3 s, 3 s) [N/m]."""
+    toward: torch.Tensor
+    """Forces per way that the bodies would give way (k, 3 s) [N/m]."""
+    back: torch.Tensor
+    """That way's factor per displacement (k, 3 s) [-]."""
+
+    def __getitem__(self, which: torch.Tensor) -> YieldingStiffness:
+        return YieldingStiffness(self.fixed[which], self.toward[which], self.back[which])
+
+    def __setitem__(self, which: torch.Tensor, other: YieldingStiffness) -> None:
+        self.fixed[which], self.toward[which], self.back[which] = other.fixed, other.toward, other.back
+
+    def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
+        return self.fixed @ v - self.toward[:, :, None] * (self.back[:, None] @ v)

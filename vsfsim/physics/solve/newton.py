@@ -93,6 +93,9 @@ class Equilibrium:
     def evaluate(self, columns: torch.Tensor) -> State:
         """Forces, potential and residual of ``columns`` (k,) at the present displacements."""
         self._strain(columns)
+        return self._again(columns)
+
+    def _again(self, columns: torch.Tensor) -> State:
         moved = self.u[:, columns]
         self.evaluate_contact(columns, moved)
         return self._state(columns, moved)
@@ -112,14 +115,10 @@ class Equilibrium:
         self.contact.evaluate(columns,
                               moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.contact.mask[columns])
 
-    def renew_friction(self, columns: torch.Tensor, state: State) -> State:
-        """The state with the friction limits and tangent planes renewed; the measure counts Coulomb's residual, too."""
-        if not self.contact.has_friction:
-            return state
+    def renew_friction(self, columns: torch.Tensor) -> State:
+        """The state after renewing friction limits and tangent planes; the measure counts Coulomb's residual, too."""
         self.contact.update_friction(columns)
-        moved = self.u[:, columns]
-        self.evaluate_contact(columns, moved)
-        out = self._state(columns, moved)
+        out = self._again(columns)
         out["measure"] = out["measure"] + self.contact.friction_residual(columns) / self._acting(out["contact"])
         return out
 
@@ -127,7 +126,8 @@ class Equilibrium:
         internal = wp.to_torch(self.elasticity.internal)[:, columns].to(torch.float64)
         contact = spread(self.contact.dof[columns], self.contact.nodal(columns), len(internal))
         energy = wp.to_torch(self.elasticity.energy)[columns]
-        potential = energy + self.contact.energy(columns) - (self.load * moved).sum(dim=0)
+        bodies = self.contact.energy(columns) + self.contact.carried(columns)
+        potential = energy + bodies - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
         self._acts[columns] = self._acting(contact)
         return {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
@@ -168,12 +168,14 @@ class Equilibrium:
         self._deadline = self.contact.deadline = deadline
         self._aim = tolerance
         for _ in range(self.options.newton * (1 + has_friction)):
+            if self.contact.follow():
+                state.update(self._again(columns))
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
             if has_friction and bool(ready.any()):
                 at = ready.nonzero()[:, 0]
                 follow = at[~apart[at] & (renewed[at] <= self.contact.follows_below)]
                 self.contact.coulomb[columns[follow]] = 1.0
-                for key, value in self.renew_friction(columns[at], state).items():
+                for key, value in self.renew_friction(columns[at]).items():
                     state[key][..., at] = value
                 present = state["measure"][at]
                 # in equilibrium under the renewed limit: done. If not, the measure must fall to a tenth before the

@@ -239,7 +239,8 @@ def touched_unknowns(contact: Contact, stiffness: Any, entry: int, touch: int) -
 
 
 def _entries(stiffness: Any, entry: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and values of contact's stiffness of one touch."""
+    """Rows, columns and values of contact's stiffness of one touch, with bodies that do not give way."""
+    stiffness = getattr(stiffness, "fixed", stiffness)
     if hasattr(stiffness, "matrices"):
         matrix = stiffness.matrices[entry].tocoo()
         return matrix.row, matrix.col, matrix.data

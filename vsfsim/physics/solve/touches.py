@@ -106,7 +106,7 @@ class Solver:
 
     def _run(self, poses: np.ndarray, start: np.ndarray | None, mount: Mount | None, keep: bool,
              progress: Callable[[int], None] | None) -> Frames:
-        frames, batch = poses.shape[:2]
+        frames, batch, self._mount = *poses.shape[:2], mount
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
         options, accept = limits(self.options, single=self.elasticity.real is wp.float32)
@@ -125,12 +125,7 @@ class Solver:
         self._at = previous  # where the bodies are, each touch in equilibrium
         for t in range(frames):
             began, deadline = time.perf_counter(), clock.now() + self.options.seconds * batch
-            trial = poses[t] if mount is None else mount.begin(poses[t])
-            begun = self._at, self._balance.u.clone(), self.contact.friction_state()
-            out = self._frame(trial, deadline)
-            while mount is not None and (trial := mount.correct(out)) is not None:
-                self._return(*begun)
-                out = mount.counted(self._frame(trial, deadline))
+            out = self._frame(poses[t], deadline)
             if keep:
                 self._record(out["converged"])
             out["seconds"] = np.full(batch, time.perf_counter() - began)
@@ -174,17 +169,10 @@ class Solver:
             self._at = self._resume(self._at, pose, begin, friction, state["measure"])
         return out
 
-    def _return(self, before: np.ndarray, begin: torch.Tensor, friction: Any) -> None:
-        """Take a frame back whose path counts: with friction to where it began, arguments as of `_resume`."""
-        del self._equilibria[-1:]
-        if self.contact.has_friction:
-            self._balance.reason[:] = Reason.PATH
-            self._at = self._resume(before, self._at, begin, friction, None)
-
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
-                                 exact=self.linear, **self.options.indentation)
+                                 mount=self._mount, exact=self.linear, **self.options.indentation)
         contact, first, self._stride = path.begin(make, self.bodies, self.model, poses, start)
         return contact, first
 
@@ -310,6 +298,7 @@ class Solver:
         if contact.shifts and not contact.has_friction:  # points that the failed step met have forces where it began
             contact.begin_step(before, begin)
             contact.move(before, failed)
+            contact.evaluate(failed, contact.gather(balance.u)[failed])
             contact.extend_patch(failed, before, balance.u)
         contact.restore_friction(failed, friction)
         self._branch.bar(failed, before, middle)

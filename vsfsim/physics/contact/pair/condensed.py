@@ -19,8 +19,8 @@ from typing import Protocol
 import torch
 
 from vsfsim.physics import clock
-from vsfsim.physics.contact import complementarity
 from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.pair import complementarity
 from vsfsim.physics.contact.pair.links import Links, times
 
 _MOST_ITERATIONS = 8  # what has not converged by then cycles over facets

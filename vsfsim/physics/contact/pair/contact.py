@@ -223,6 +223,14 @@ class PairContact:
         """See `Contact`."""
         return self._sum("energy", columns)
 
+    def carried(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`; there are none."""
+        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
+
+    def follow(self) -> bool:
+        """See `Contact`; nothing does."""
+        return False
+
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`; there is none."""
         return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
