@@ -78,7 +78,7 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
                 "cli": {"rich"},
-                "robot": {"mujoco_menagerie"}}
+                "robot": {"mujoco_menagerie"}, "generate": {"yaml"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`; Menagerie's arm is an option, not a
 dependency."""
 

@@ -84,7 +84,13 @@ def _pressure_change(touch: Touch) -> np.ndarray | None:
     return touch.pressure - touch.rest_pressure
 
 
-FORCE = Channel("contact force", "any sensor", lambda touch: touch.force, _noisy_force)
+def _read_force(touch: Touch) -> np.ndarray | None:
+    """The contact force; None where no sensor read it, as in recordings of real objects."""
+    unread = touch.converged.any() and np.isnan(touch.force[touch.converged]).all()
+    return None if unread else touch.force
+
+
+FORCE = Channel("contact force", "a force sensor", _read_force, _noisy_force)
 PRESSURE = Channel("pressure", "a bubble, a [sensor] in the scene", _pressure_change, noisy_pressure)
 TORQUE = Channel("joint torques", "an arm, an [arm] in the scene", lambda touch: touch.torque, noisy_torque,
                  lambda touch: {"q": touch.q})

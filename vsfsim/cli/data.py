@@ -1,4 +1,4 @@
-"""Commands on datasets: verify, export."""
+"""Commands on datasets: verify, export, import."""
 
 from __future__ import annotations
 
@@ -52,3 +52,33 @@ def export(folder: Annotated[str, typer.Argument(metavar="DATASET", help="Folder
     size = sum(path.stat().st_size for path in files)
     report(f"{made}: {to}, {len(files)} files, {size / 1e6:.1f} MB",
            {"out": str(made), "format": to, "files": len(files), "bytes": size}, json)
+
+
+@app.command("import")
+def import_(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Of one recorded object, or of several.")],
+            origin: Annotated[str, typer.Option("--from", help="Its layout: openvsf.")],
+            out: Annotated[Path | None, typer.Option("--out", help="New folder; default: FOLDER-dataset.")] = None,
+            assets: Annotated[Path | None, typer.Option(metavar="FOLDER",
+                                                        help="Cloud and box of each object, where they do not lie "
+                                                             "beside its sequences.")] = None,
+            bubble: Annotated[Path | None, typer.Option(metavar="FILE", help="Mesh of the free bubble.")] = None,
+            pressure_unit: Annotated[str, typer.Option(help="Of recorded pressures: hPa or Pa.")] = "hPa",
+            tare: Annotated[int | None, typer.Option(min=0, help="Frames without contact at the start of a sequence; "
+                                                                 "default: 20 of torques, 10 of pressures.")] = None,
+            every: Annotated[int, typer.Option(min=1, help="Keep each so many-th frame.")] = 1,
+            json: JsonFile = None) -> None:
+    """Make a dataset without truth from recordings of a real robot, on which methods run and tasks score readings.
+
+    The new folder appears when it is whole. Stiffness is unknown there, so that no metric of stiffness is given.
+    """
+    from vsfsim.core.errors import VsfsimError, did_you_mean
+
+    if origin != "openvsf":
+        raise VsfsimError(f"--from is '{origin}'. {did_you_mean(origin, ('openvsf',))}")
+    from vsfsim.generate.recorded.openvsf import Options, import_openvsf
+
+    made = import_openvsf(folder, out or Path(f"{folder.resolve().name}-dataset"),
+                          Options(assets, bubble, pressure_unit, tare, every))
+    touches, frames = (sum(getattr(e, key) for e in made.entries) for key in ("touches", "frames"))
+    report(f"{made.path}: {len(made)} recorded objects, {touches} touches, {frames} frames, no truth",
+           {"out": str(made.path), "objects": len(made), "touches": touches, "frames": frames}, json)

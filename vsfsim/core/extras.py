@@ -13,7 +13,7 @@ from vsfsim.core.errors import VsfsimError
 EXTRA_OF = {
     "warp": "sim", "mujoco": "sim", "trimesh": "sim", "cholespy": "sim", "pytetwild": "sim", "pyvista": "sim",
     "torch": "methods", "sklearn": "methods", "safetensors": "methods",
-    "fsspec": "cloud", "s3fs": "cloud", "ray": "ray", "submitit": "slurm", "pyarrow": "export",
+    "fsspec": "cloud", "s3fs": "cloud", "ray": "ray", "submitit": "slurm", "pyarrow": "export", "yaml": "export",
     "matplotlib": "render", "PIL": "render", "pyrender": "render",
 }
 """The extra that a message names, by the name that is imported. `pyproject.toml` may list a package in several."""

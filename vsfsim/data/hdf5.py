@@ -58,6 +58,7 @@ def encode_view(object_view: ObjectView) -> bytes:
                   "split": object_view.split, "probe": json.dumps(probe_table(object_view.probe))}
         for key in ATTRIBUTES:
             file.attrs[key] = values[key]
+        recorded = not len(object_view.truth.points)
         _write_group(file, "view", "view", object_view.view, object_view.name, None)
         touches = file.create_group("touches", track_order=True)
         if len(object_view.touches) > 1000:
@@ -65,14 +66,14 @@ def encode_view(object_view: ObjectView) -> bytes:
                                f"at most 1000. Use more views.")
         for index, touch in enumerate(object_view.touches):
             _write_group(touches, f"{index:03d}", "touches/*", touch, f"{object_view.name} touches/{index:03d}",
-                         touch.converged)
+                         touch.converged, recorded=recorded)
         _write_group(file, "truth", "truth", object_view.truth, object_view.name, None)
         file.flush()
         return file.id.get_file_image()
 
 
 def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch | Truth, where: str,
-                 converged: np.ndarray | None) -> None:
+                 converged: np.ndarray | None, *, recorded: bool = False) -> None:
     group = parent.create_group(name, track_order=True)
     lengths: dict[str, int] = {}
     if isinstance(record, Touch):
@@ -89,7 +90,7 @@ def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch 
                 raise DatasetError(f"{spot} is missing; the schema requires it.")
             continue
         array = check_array(field, value, spot, lengths)
-        bad = first_bad(field, array, converged)
+        bad = first_bad(field, array, converged, recorded=recorded)
         if bad is not None:
             frame = f" in frame {bad[0]}, which is marked converged" if field.masked else f" at index {bad}"
             raise DatasetError(f"{spot} is not finite{frame}. Mark the frame as not converged, or mend the simulation; "

@@ -244,18 +244,22 @@ def check_shape(field: Field, shape: tuple[int, ...], where: str, lengths: dict[
                                f"{dim} = {want} here.")
 
 
-def first_bad(field: Field, array: np.ndarray, converged: np.ndarray | None) -> tuple[int, ...] | None:
+def first_bad(field: Field, array: np.ndarray, converged: np.ndarray | None, *,
+              recorded: bool = False) -> tuple[int, ...] | None:
     """Index of the first number that must be finite and is not, or None.
 
     Args:
         field: the row of the table; ``masked`` rows may be NaN in frames that did not converge.
         array: its values.
         converged: (T,) bool of the touch; None outside touches.
+        recorded: whether a real sensor made it, which reads some of the masked fields and leaves others NaN throughout.
     """
     if array.dtype.kind != "f":
         return None
     bad = ~np.isfinite(array)
     if field.masked and converged is not None:
+        if recorded and np.isnan(array).all():
+            return None
         bad[~np.asarray(converged, bool)] = False
     where = np.argwhere(bad)
     return tuple(int(i) for i in where[0]) if len(where) else None
@@ -282,7 +286,8 @@ def schema_markdown() -> str:
         "triangles; h, w of the inside image; L links of the arm; Q reasons; M elements, R regions, P probed "
         "points and n",
         "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and "
-        "nowhere else.", "",
+        "nowhere else; in a recording of a real object (M = 0: nothing of its truth is known) those that no sensor "
+        "read are NaN throughout.", "",
         "A frame whose `resolved` is False and whose `converged` is True is an equilibrium of the mesh, with a "
         "force that",
         "the mesh makes wrong by more than an estimated tenth, or with parts inside that it does not hold. It keeps "

@@ -98,4 +98,5 @@ def summary_rows(path: str | Path) -> list[tuple[str, str]]:
 
 
 def _span(values: np.ndarray) -> str:
+    values = values[np.isfinite(values)]  # NaN: no sensor of a recording read it
     return f"{values.min() + 0.0:.3g} to {values.max():.3g}" if values.size else "none"

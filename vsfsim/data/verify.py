@@ -217,13 +217,13 @@ def _check_schema(path: Path) -> list[Problem]:
                 if name not in file:
                     wrong(f"has no group '{name}'.")
                 else:
-                    _check_group(file[name], kind, wrong)
+                    _check_group(file[name], kind, wrong, recorded=not len(file["truth/points"]))
     except (OSError, KeyError, RuntimeError, ValueError, TypeError, DatasetError) as error:
         wrong(f"cannot be read: {error}")
     return problems
 
 
-def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None]) -> None:
+def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None], *, recorded: bool) -> None:
     names = {f.name: f for f in fields_of(kind)}
     inside: list[str] = []
     group.visititems(lambda name, item: inside.append(name) if isinstance(item, h5py.Dataset) else None)
@@ -237,11 +237,11 @@ def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None]) -> 
             if f.required:
                 wrong(f"{group.name}/{name} is missing.")
             continue
-        _check_dataset(group[name], f, converged, lengths, wrong)
+        _check_dataset(group[name], f, converged, lengths, wrong, recorded)
 
 
 def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None, lengths: dict[str, int],
-                   wrong: Callable[[str], None]) -> None:
+                   wrong: Callable[[str], None], recorded: bool) -> None:
     for key, want in (("units", f.unit), ("dims", f.dims_text)):
         if dataset.attrs.get(key) != want:
             wrong(f"{dataset.name} has @{key} {dataset.attrs.get(key)!r}; the schema says {want!r}.")
@@ -253,6 +253,6 @@ def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None
     except DatasetError as error:
         wrong(str(error))
         return
-    bad = first_bad(f, array, converged)
+    bad = first_bad(f, array, converged, recorded=recorded)
     if bad is not None:
         wrong(f"{dataset.name}{list(bad)} is not finite{' in a frame marked converged' if f.masked else ''}.")

@@ -1,0 +1,1 @@
+"""Datasets and touches from recordings of real robots."""
