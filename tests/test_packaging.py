@@ -148,7 +148,7 @@ def test_every_package_folder_is_declared():
 
 
 BASE = {"numpy", "scipy", "h5py", "typer", "rich"}
-IMPORTED_AS = {"warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn"}
+IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn"}
 """Distributions whose package has another name."""
 
 TASK = """

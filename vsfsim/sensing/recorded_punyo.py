@@ -1,6 +1,6 @@
 """Recorded sequences of a Punyo, as touches from which `vsfsim.sensing.bubble_touch.estimate_forces` estimates forces.
 
-    FOLDER/pc_K.npy         (H * W, 3) or (H, W, 3)  cloud of frame K, one point a pixel, camera's frame [m]; z = 0: none
+    FOLDER/pc_K.npy         (H * W, 3) or (H, W, 3)  cloud of frame K, a point a pixel, camera's frame [m]; z = 0: none
            rgb_K.npy        (H, W, 3) uint8          picture by the same pixels
            pressure_K.npy   ()                       absolute or gauge [hPa]
 
@@ -71,8 +71,8 @@ def read_sequence(folder: str | Path, vertices: np.ndarray, triangles: np.ndarra
                      if p.stem.removeprefix("pressure_").isdigit())
     chosen = tuple(n for n in numbers if n not in set(reference)) if frames is None else tuple(frames)
     if not chosen or not len(reference):
-        raise SensorError(f"recorded Punyo: {folder} has {len(numbers)} frames (pressure_K.npy), and none is left beside "
-                          f"the reference frames {list(reference)}.")
+        raise SensorError(f"recorded Punyo: {folder} has {len(numbers)} frames (pressure_K.npy), and none is left "
+                          f"beside the reference frames {list(reference)}.")
     first, cloud, _ = _frame(folder, reference[0])
     camera = _intrinsics(cloud, folder)
     pixels = rest[:, :2] / rest[:, 2:] * camera[0] + camera[1]
@@ -91,8 +91,8 @@ def read_sequence(folder: str | Path, vertices: np.ndarray, triangles: np.ndarra
         good[good] = np.linalg.norm(shift[good], axis=1) < REACH
         if good.sum() < 0.3 * (~rim).sum():
             raise SensorError(f"recorded Punyo: in frame {k} of {folder} the camera follows {int(good.sum())} of "
-                              f"{int((~rim).sum())} nodes inside the rim. Check that the vertices are those of the free "
-                              f"dome in the camera's frame, in metres.")
+                              f"{int((~rim).sum())} nodes inside the rim. Check that the vertices are those of the "
+                              f"free dome in the camera's frame, in metres.")
         position[t], seen[t], pressure[t] = rest + smooth.fill(shift, good), good, rest_pressure + read - tare
     count = len(chosen)
     unread, pose = np.full(count, np.nan), np.tile(np.eye(4), (count, 1, 1))
@@ -101,8 +101,8 @@ def read_sequence(folder: str | Path, vertices: np.ndarray, triangles: np.ndarra
     deepest = int(np.argmax(pressure))
     place = int(np.argmax(np.linalg.norm(position[deepest] - rest, axis=1)))
     reference_flat = None if flat is None else np.asarray(flat, float) / pre_stretch
-    touch = Touch(time=np.array(chosen, float), mount_pose=pose, axis=axis, target=position[deepest, place], normal=-axis,
-                  force=np.full((count, 3), np.nan), reaction=np.full((count, 3), np.nan),
+    touch = Touch(time=np.array(chosen, float), mount_pose=pose, axis=axis, target=position[deepest, place],
+                  normal=-axis, force=np.full((count, 3), np.nan), reaction=np.full((count, 3), np.nan),
                   converged=np.ones(count, bool), residual=unread, iterations=np.zeros(count, np.int64),
                   touched=bool(np.abs(pressure - rest_pressure).max() > 50.0), reason=np.zeros(count, np.int64),
                   pressure=pressure, rest_pressure=float(rest_pressure), node_position=position, node_rest=rest,
@@ -121,8 +121,8 @@ def _frame(folder: Path, k: int) -> tuple[np.ndarray, np.ndarray, float]:
             raise SensorError(f"recorded Punyo: {path} cannot be read: {error}.") from error
     picture, cloud, pressure = found
     if picture.ndim != 3 or picture.shape[2] != 3 or cloud.size != picture.size or np.size(pressure) != 1:
-        raise SensorError(f"recorded Punyo: frame {k} of {folder} has a picture {picture.shape}, a cloud {cloud.shape} and "
-                          f"a pressure {np.shape(pressure)}; (H, W, 3), as many points as pixels and one number are "
+        raise SensorError(f"recorded Punyo: frame {k} of {folder} has a picture {picture.shape}, a cloud "
+                          f"{cloud.shape} and a pressure {np.shape(pressure)}; (H, W, 3), as many points as pixels and one number are "
                           f"needed.")
     cloud = cloud.reshape(picture.shape).astype(float)
     cloud[~(cloud[..., 2] > 0.0)] = np.nan

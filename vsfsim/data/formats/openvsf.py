@@ -71,7 +71,7 @@ def export(dataset: Dataset, folder: Path) -> None:
         _write_picture(place, view.view)
         (place / "manifest.json").write_text(json.dumps({
             "torques": "contact", "frames_of_reference": "world: the arm's Base_Link, z up",
-            "made_from": {"scene": dataset.recipe.scene, "view": view.name, "sha256": dataset.sha256}}, indent=1) + "\n")
+            "made_from": {"scene": dataset.recipe.scene, "view": view.name, "sha256": dataset.sha256}}) + "\n")
         assert view.truth is not None
         points = np.asarray(view.truth.vsf_points, np.float64)
         for path, stiffness in ((place / "object" / "vsf_empty.npz", np.zeros(len(points))),
@@ -105,6 +105,6 @@ def pcd_bytes(points: np.ndarray, colours: np.ndarray) -> bytes:
         rows[axis] = points[:, k]
     r, g, b = np.asarray(colours, np.uint32).T
     rows["rgb"] = r << 16 | g << 8 | b
-    head = (f"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH {len(rows)}\n"
-            f"HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n")
+    head = (f"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
+            f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n")
     return head.encode() + rows.tobytes()

@@ -3,8 +3,8 @@
     FOLDER/OBJECT/seq*/kinova_state.npy or angles.npy               (T, 7)     joint angles of a Gen3 [rad]
                        kinova_joint_torques.npy or torques.npy      (T, 7)     [N m]; plants
                        punyo_pressure.npy or pressure.npy           (T, 1)     shoes
-                       punyo_state.npy or punyo_curr_pts.npy        (T, N, 3)  vertices, bubble's body frame [m]; optional
-                       punyo_force.npy                              (T, N, 3)  on the bubble, same frame [N]; optional
+                       punyo_state.npy or punyo_curr_pts.npy        (T, N, 3)  vertices, its body frame [m]; or none
+                       punyo_force.npy                              (T, N, 3)  on the bubble, same frame [N]; or none
     OBJECT/bg_pcd.pcd                coloured cloud, world [m]
     OBJECT/rgbd_factory_config.yaml  bbox [low, high] of the object and view.origin, the camera's centre, world [m]
     OBJECT/openvsf.yaml              optional: world.punyo, its mesh and its mount
@@ -113,8 +113,8 @@ def _objects(folder: Path) -> dict[Path, list[Path]]:
     out = {place: sorted(p for p in place.glob("seq*") if p.is_dir()) for place in places}
     out = {place: found for place, found in out.items() if found}
     if not out:
-        raise DatasetError(f"{folder} holds no sequence: neither it nor a folder in it has folders named seq*, each with "
-                           f"{_NAMES['q'][0]}.npy and {_NAMES['torque'][0]}.npy or {_NAMES['pressure'][0]}.npy.")
+        raise DatasetError(f"{folder} holds no sequence: neither it nor a folder in it has folders named seq*, each "
+                           f"with {_NAMES['q'][0]}.npy and {_NAMES['torque'][0]}.npy or {_NAMES['pressure'][0]}.npy.")
     return out
 
 
@@ -249,8 +249,8 @@ class _Bubble:
         points = found.vertices @ inward[:3, :3].T + inward[:3, 3]
         kept = found.faces[~(np.abs(points[found.faces][:, :, 2]) < 1e-3).all(axis=1)]  # a closed mesh has a base
         if not len(kept) or not 0.01 < points[:, 2].max() < 0.1:
-            raise DatasetError(f"{mesh} reaches {1e3 * points[:, 2].max():.1f} mm over the rim of a Punyo; it must be its "
-                               f"dome in the body's frame, in metres.")
+            raise DatasetError(f"{mesh} reaches {1e3 * points[:, 2].max():.1f} mm over the rim of a Punyo; it must be "
+                               f"its dome in the body's frame, in metres.")
         return cls(Dome.of(points, kept), inward, turn)
 
     def fields(self, sequence: Path, arm: Arm, q: np.ndarray, tare: int,
@@ -288,7 +288,7 @@ def _mount() -> np.ndarray:
 
 
 def _rim() -> np.ndarray:
-    """Pose of the mount's frame in the bubble's body: the middle of the rim, x along its long axis, z along the dome's."""
+    """Pose of the mount's frame in the bubble's body: middle of the rim, x along its long axis, z along the dome's."""
     z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
     x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
     x /= np.linalg.norm(x)
@@ -331,7 +331,7 @@ def _yaml(path: Path) -> dict[str, Any]:
 
     Loader.add_multi_constructor("!", lambda loader, _, node: loader.construct_scalar(node))
     try:
-        table = yaml.load(path.read_text(), Loader)  # noqa: S506 - a SafeLoader
+        table = yaml.load(path.read_text(), Loader)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise DatasetError(f"{path} cannot be read as YAML: {error}.") from error
     if not isinstance(table, dict):
