@@ -122,8 +122,8 @@ def _frame(folder: Path, k: int) -> tuple[np.ndarray, np.ndarray, float]:
     picture, cloud, pressure = found
     if picture.ndim != 3 or picture.shape[2] != 3 or cloud.size != picture.size or np.size(pressure) != 1:
         raise SensorError(f"recorded Punyo: frame {k} of {folder} has a picture {picture.shape}, a cloud "
-                          f"{cloud.shape} and a pressure {np.shape(pressure)}; (H, W, 3), as many points as pixels and one number are "
-                          f"needed.")
+                          f"{cloud.shape} and a pressure {np.shape(pressure)}; (H, W, 3), as many points as "
+                          f"pixels and one number are needed.")
     cloud = cloud.reshape(picture.shape).astype(float)
     cloud[~(cloud[..., 2] > 0.0)] = np.nan
     return picture.astype(float).mean(axis=2), cloud, float(np.reshape(pressure, -1)[0]) * _HPA
