@@ -1,4 +1,4 @@
-"""What holds for the numbers of any frames."""
+"""What holds for the numbers of any frames; where paths begin."""
 
 import dataclasses
 
@@ -18,3 +18,11 @@ def numbers_stand_for_equilibria(frames):
             continue  # not known of this kind of body
         assert np.isfinite(values).all(), f.name
     assert (frames.unbalanced_force[frames.converged] == 0.0).all()
+
+
+def from_above(poses):
+    """Where paths begin (B, K, 4, 4) that come straight down to the first of ``poses`` (T, B, K, 4, 4) or, for one
+    body, (T, B, 4, 4)."""
+    start = poses[0].copy()
+    start[..., 2, 3] += 0.06
+    return start

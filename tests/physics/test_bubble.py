@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from frame_checks import from_above
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
@@ -53,7 +54,7 @@ def pressed(model, shape, poses, *, device="cpu", friction=2.0, **limits):
         pressure.append(solver.elasticity.pressure.numpy().copy())
         volume.append(solver.elasticity.volume.numpy().copy())
 
-    frames = solver.run(poses, keep=True, progress=note)
+    frames = solver.run(poses, start=from_above(poses), keep=True, progress=note)
     return frames, solver, np.array(pressure), np.array(volume)
 
 

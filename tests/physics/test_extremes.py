@@ -4,7 +4,7 @@ converges or says why not."""
 
 import numpy as np
 import pytest
-from frame_checks import numbers_stand_for_equilibria
+from frame_checks import from_above, numbers_stand_for_equilibria
 from scipy.optimize import brentq
 
 from vsfsim.core.quality import worst_angle
@@ -51,7 +51,7 @@ def press(model, depths, device, *, linear=False, **limits):
     # off the planes of symmetry, so that nothing cancels
     poses[:, 0, :3, 3] = np.array([0.003, 0.001, SIZE[2] + 0.015]) - np.asarray(depths)[:, None] * [0.0, 0.0, SIZE[2]]
     options = SolverOptions(**{"seconds": 1e9, **limits})
-    frames = Solver(model, PROBE, device=device, linear=linear, options=options).run(poses)
+    frames = Solver(model, PROBE, device=device, linear=linear, options=options).run(poses, start=from_above(poses))
     good = frames.converged
     numbers_stand_for_equilibria(frames)
     assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
@@ -139,7 +139,7 @@ def test_a_tall_column_under_a_deep_ball(device):
     poses = np.tile(np.eye(4), (4, 1, 1, 1))
     poses[:, 0, 2, 3] = 0.128 - np.linspace(0.0045, 0.018, 4)
     options = SolverOptions(tolerance=1e-3, seconds=1e9, local_indentation=True)
-    frames = Solver(model, Sphere(0.008), device=device, options=options).run(poses)
+    frames = Solver(model, Sphere(0.008), device=device, options=options).run(poses, start=from_above(poses))
     assert frames.converged.all() and frames.cg_iterations.sum() < 450
 
 
@@ -357,8 +357,9 @@ def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
     within 0.5 mm and two kinds of processor the last push is 11.08 to 11.15 N, after 14 to 26 Newton steps."""
     model = block((0.04, 0.04, 0.12), 0.0101, poisson_ratio=0.45)
     ball = Sphere(0.008)
+    poses = line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball)
     frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(
-        line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball))
+        poses, start=from_above(poses))
     assert frames.converged.all() and frames.iterations[2, 0] <= 35
     assert np.isclose(frames.force[2, 0, 2], 11.12, rtol=0.01)
     assert (np.diff(frames.force[:, 0, 2]) > 3.0).all()

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from frame_checks import from_above
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
@@ -106,7 +107,8 @@ def test_a_ball_smaller_than_an_element_is_met_wherever_it_is(model, device):
     spots = [(0.0, 0.0), (0.005, 0.0), (0.0033, 0.0033), (0.0012, 0.0047), (0.0081, 0.0013)]
     depth = 0.0003 * np.arange(1, 4)
     poses = np.stack([at(*[(x, y, SIZE[2] + 0.001 - d) for x, y in spots]) for d in depth])
-    frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(poses)
+    frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(
+        poses, start=from_above(poses))
     assert frames.converged.all()
     force = frames.force[:, :, 2]
     assert (force[0] > 0.0).all() and (np.diff(force, axis=0) > 0.0).all()
@@ -123,7 +125,7 @@ def test_a_frame_with_a_body_inside_the_object_is_marked(model, device, line, mo
     ball = Sphere(0.003)
     poses = line([[0.0, 0.0, SIZE[2] + 0.003 - d] for d in (0.001, 0.003)] + [[0.0, 0.0, 0.06]], ball)
     frames = Solver(model, ball, device=device, linear=linear,
-                    options=SolverOptions(tolerance=1e-3, halvings=1)).run(poses)
+                    options=SolverOptions(tolerance=1e-3, halvings=1)).run(poses, start=from_above(poses))
     assert (frames.reason[:2, 0] == Reason.INTRUSION).all() and not frames.converged[:2].any()
     assert frames.converged[2, 0], "free again"
     assert frames.penetration[1, 0] == pytest.approx(0.003, rel=0.1)
@@ -135,13 +137,13 @@ def test_columns_are_pressed_past_the_nodes_inside_them_and_a_body_among_them_is
     ball = Sphere(0.02)
     poses = line([[0.0, 0.0, SIZE[2] + 0.02 - d] for d in (0.004, 0.008, 0.012)], ball)
     options = tiers.options("vsf")
-    frames = Solver(columns, ball, options=options, linear=True).run(poses)
+    frames = Solver(columns, ball, options=options, linear=True).run(poses, start=from_above(poses))
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
     assert (frames.penetration < DEEP * columns.element_size).all()
     make = RigidContact._patch
     monkeypatch.setattr(RigidContact, "_patch", lambda self, b, faces: dataclasses.replace(
         make(self, b, faces), stiffness=0.0 * make(self, b, faces).stiffness))
-    frames = Solver(columns, ball, options=options, linear=True).run(poses)
+    frames = Solver(columns, ball, options=options, linear=True).run(poses, start=from_above(poses))
     assert not frames.converged.any() and Reason.INTRUSION in frames.reason, frames.reason
 
 
@@ -181,7 +183,7 @@ def s1(shape, depths, *, poisson_ratio=0.3, tier="fem-coarse", spot=(0.0, 0.0), 
     poses[..., :3, :3] = turn
     solver = Solver(model, shape, friction=friction, linear=not tiers.TIERS[tier].nonlinear,
                     options=dataclasses.replace(tiers.options(tier), seconds=seconds))
-    return solver.run(poses, keep=True), model, solver
+    return solver.run(poses, start=from_above(poses), keep=True), model, solver
 
 
 def silent(frames, model):
@@ -293,7 +295,7 @@ def test_a_box_that_cuts_in_between_points_is_met_from_where_it_is(block, device
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, 2, 3] = 0.065 - np.array([0.0115, 0.015])
     model = block((0.1, 0.1, 0.05), 0.025, poisson_ratio=0.3)
-    frames = Solver(model, Box((0.03, 0.03, 0.03)), device=device).run(poses)
+    frames = Solver(model, Box((0.03, 0.03, 0.03)), device=device).run(poses, start=from_above(poses))
     assert frames.converged.all() and frames.iterations[1, 0] <= 11
     assert frames.penetration[1, 0] < 0.001
     assert np.abs(frames.force[:, 0, :2]).max() < 1e-3 * frames.force[1, 0, 2]

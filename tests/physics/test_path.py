@@ -4,12 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
+from frame_checks import from_above
 from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.solve import path
-from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
 USUAL = SolverOptions(tolerance=5e-4)
@@ -87,34 +88,37 @@ def test_a_thin_sheet_is_not_jumped_over(block, line, device):
     assert once.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=0.002)
 
 
-def test_a_first_pose_deep_inside_is_come_to_from_outside(block, line, device):
+def test_a_first_pose_deep_inside_is_come_to_from_its_start(block, line, device):
     model = block((0.06, 0.06, 0.03), 0.015)
     probe = Sphere(0.012)
-    deep = [0.004, 0.0, 0.03 + 0.012 - 0.006]
-    sudden = Solver(model, probe, device=device, options=USUAL).run(line([deep], probe))
+    deep = line([[0.004, 0.0, 0.03 + 0.012 - 0.006]], probe)
+    sudden = Solver(model, probe, device=device, options=USUAL).run(deep, start=from_above(deep))
     slow = Solver(model, probe, device=device,
                   options=USUAL).run(line([[0.004, 0.0, 0.03 + 0.012 - z] for z in np.linspace(0.0, 0.006, 7)], probe))
     assert sudden.converged.all()
     assert sudden.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=2e-3, abs=2e-3)
 
 
-@pytest.mark.parametrize("high", [0.5, 0.7])
-def test_no_first_pose_is_come_to_from_within_the_object(block, high):
-    """A ball whose middle is under the surface: the shortest way to where no surface node is in it leads further in."""
-    model = block((0.06, 0.06, 0.06), 0.015)
-    pose = np.eye(4)[None, None]
-    pose[0, 0, :3, 3] = 0.0, 0.0, high * 0.06
-    bodies = RigidBodies(Sphere(0.012))
-    start = path.outside(bodies, model, pose, np.array([-0.01]))[0, 0, :3, 3]
-    assert start[2] >= 0.072 or np.abs(start[:2]).max() >= 0.042
+@pytest.mark.parametrize("linear", [False, True])
+def test_a_path_that_begins_inside_the_object_is_marked(block, line, device, linear):
+    """From which side the ball came there is not known: of two touches the one that begins free has its force."""
+    model, probe = block((0.06, 0.06, 0.03), 0.015), Sphere(0.012)
+    both = np.concatenate([line([[x, 0.0, 0.04 - z] for z in (0.0, 0.004)], probe) for x in (0.0, 0.01)], axis=1)
+    start = from_above(both)
+    start[1, :3, 3] = 0.01, 0.0, 0.03
+    frames = Solver(model, probe, device=device, linear=linear, options=USUAL).run(both, start=start)
+    assert frames.converged[:, 0].all() and (frames.reason[:, 1] == Reason.PATH).all()
+    assert np.isnan(frames.force[:, 1]).all()
 
 
-def test_a_body_wholly_inside_has_no_gap_and_is_come_to_from_outside(block):
-    """No surface lies in it, so that its gap says nothing."""
-    model, bodies = block((0.06, 0.06, 0.06), 0.02), RigidBodies(Sphere(0.004))
-    start = path.outside(bodies, model, pose([0.003, 0.001, 0.03]), np.array([0.02]))[0, 0, :3, 3]
-    inside = (np.abs(start[:2]) < 0.03).all() and 0.0 < start[2] < 0.06
-    assert not inside and np.linalg.norm(start - [0.003, 0.001, 0.03]) < 0.06
+def test_what_is_inside(block):
+    """A ball that barely touches is not, one whose middle is under the surface, or that has no surface in it, is."""
+    model, bodies = block((0.06, 0.06, 0.06), 0.02), RigidBodies(Sphere(0.012))
+    height = [0.072, 0.071, 0.065, 0.06, 0.03]
+    poses = np.concatenate([pose([0.003, 0.001, z]) for z in height])
+    assert path.inside(bodies, model, poses).tolist() == [False, False, True, True, True]
+    assert path.inside(RigidBodies(Sphere(0.004)), model, pose([0.003, 0.001, 0.03])).all()
+    assert not path.inside(RigidBodies(Plane()), model, pose([0.0, 0.0, -0.001])).any()
 
 
 def test_weight_is_taken_up_in_parts_where_it_is_heavy(block, line, device):

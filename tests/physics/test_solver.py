@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from frame_checks import numbers_stand_for_equilibria
+from frame_checks import from_above, numbers_stand_for_equilibria
 
 from vsfsim.core.shape import Cylinder, Plane, Sphere
 from vsfsim.physics import clock
@@ -77,7 +77,8 @@ def test_unloading_retraces_loading(press, model, line, device):
     # at other depths on the way back: against a fresh press to those depths; no friction, so nothing may be lost
     between = np.array([0.0035, 0.0025, 0.0015])
     back = Solver(model, PROBE, device=device).run(down(line, [*DEPTHS, *between])).force[4:, 0, 2]
-    fresh = np.array([Solver(model, PROBE, device=device).run(down(line, [d])).force[0, 0, 2] for d in between])
+    fresh = [Solver(model, PROBE, device=device).run(poses, start=from_above(poses)).force[0, 0, 2]
+             for poses in (down(line, [d]) for d in between)]
     assert back == pytest.approx(fresh, rel=1e-3), "both are equilibria to 1e-4"
 
 
@@ -127,7 +128,8 @@ def test_weight_alone_is_carried_by_the_supports(block, line, device, linear):
 
 def test_an_impossible_limit_marks_frames_and_stays_finite(model, line, device):
     limited = SolverOptions(tolerance=1e-12, newton=1, halvings=0)
-    frames = Solver(model, PROBE, device=device, options=limited).run(down(line, [0.005, 0.01]))
+    poses = down(line, [0.005, 0.01])
+    frames = Solver(model, PROBE, device=device, options=limited).run(poses, start=from_above(poses))
     assert not frames.converged.any()
     assert (frames.residual > 1e-12).all() and (frames.iterations <= 4).all()
     numbers_stand_for_equilibria(frames)
@@ -136,7 +138,8 @@ def test_an_impossible_limit_marks_frames_and_stays_finite(model, line, device):
 def test_time_limit_is_honoured(model, line, device):
     """Without any time no frame takes an iteration; each is marked with the reason."""
     solver = Solver(model, PROBE, device=device, options=SolverOptions(tolerance=1e-14, seconds=0.0))
-    frames = solver.run(down(line, [0.005, 0.01, 0.012]))
+    poses = down(line, [0.005, 0.01, 0.012])
+    frames = solver.run(poses, start=from_above(poses))
     assert (frames.reason == Reason.TIME).all() and not frames.converged.any() and not frames.iterations.any()
     numbers_stand_for_equilibria(frames)
 
@@ -149,8 +152,9 @@ def test_the_linear_tier_has_a_time_limit(model, line, device, friction, monkeyp
     evaluate = RigidContact.evaluate
     monkeypatch.setattr(RigidContact, "evaluate", lambda *given: (count.append(1), evaluate(*given))[1])
     options = SolverOptions(tolerance=1e-12, seconds=0.0)
+    poses = down(line, [0.005, 0.012])
     frames = Solver(model, PROBE, device=device, linear=True, friction=friction,
-                    options=options).run(down(line, [0.005, 0.012]))
+                    options=options).run(poses, start=from_above(poses))
     assert (frames.reason == Reason.TIME).all() and len(count) <= 2 * 6
     numbers_stand_for_equilibria(frames)
 
@@ -203,7 +207,8 @@ def test_the_processor_time_of_a_frame_ends_it(model, line, device, monkeypatch)
         with monkeypatch.context() as m:
             m.setattr(clock, "now", lambda: float(next(seconds)))
             poses = np.repeat(down(line, [0.004]), count, axis=1)
-            frames = Solver(model, PROBE, device=device, options=SolverOptions(seconds=limit)).run(poses)
+            frames = Solver(model, PROBE, device=device, options=SolverOptions(seconds=limit)).run(
+                poses, start=from_above(poses))
         return frames.reason, next(seconds)
 
     reason, took = looks(1, 1e9)
@@ -345,11 +350,11 @@ def test_a_run_does_not_depend_on_the_run_before(model, line, device):
     """The same solver serves many touches: a failed frame must not fall back on what an earlier run left behind."""
     hard = SolverOptions(newton=2, halvings=2)
     poses = down(line, [0.006, 0.012])
-    fresh = Solver(model, PROBE, device=device, options=hard).run(poses)
+    fresh = Solver(model, PROBE, device=device, options=hard).run(poses, start=from_above(poses))
     assert (fresh.iterations[0] > 2).any(), "this press was meant to need halved steps"
     used = Solver(model, PROBE, device=device, options=hard)
     used.run(down(line, [0.002, 0.004], x=0.01))
-    assert same(fresh, used.run(poses))
+    assert same(fresh, used.run(poses, start=from_above(poses)))
 
 
 def test_a_plane_presses_the_whole_top(model, line, device):

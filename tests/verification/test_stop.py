@@ -53,8 +53,10 @@ def lowest(sensor, shape, place, heights, device):
     """Height of the lowest node of the membrane in every frame (T,) [m], and the frames."""
     poses = np.tile(np.eye(4), (len(heights), 1, 1))
     poses[:, :2, 3], poses[:, 2, 3] = place, heights
+    above = np.zeros((4, 4))
+    above[2, 3] = 0.03
     solver = Solver(sensor, shape, friction=0.3, device=device, options=SolverOptions(tolerance=5e-4, seconds=1e9))
-    frames = solver.run(poses[:, None], keep=True)
+    frames = solver.run(poses[:, None], start=poses[:1] + above, keep=True)
     return np.array([(sensor.mesh.points + u[:, 0].reshape(-1, 3))[:, 2].min() for u in solver.history]), frames
 
 
@@ -84,3 +86,37 @@ frames = 3
 """
     with pytest.raises(SceneError, match=r"in frame 2 of .press. obstacle 1 is .* mm behind the plane"):
         solve(parse_scene(text, "deep.toml").sample(0), PressRequest(cache=tmp_path))
+
+
+DRUM = """
+name = "drum"
+[sensor]
+kind = "bubble"
+nodes = 150
+gauge_pressure = 1.0
+chamber = {chamber}
+[[obstacles]]
+shape = {{ {shape} }}
+pose = [0.0, 0.0, 0.0]
+{more}
+[press]
+from = [0.0, 0.0, {start}]
+to = [0.0, 0.0, {stop}]
+frames = 3
+"""
+
+
+def test_a_flat_drum_is_pressed_into_its_chamber(tmp_path):
+    """A membrane without a dome, 3 mm deep in its middle; a plane wider than the rim meets the rim."""
+    def press(**text):
+        return solve(parse_scene(DRUM.format(**text), "drum.toml").sample(0), PressRequest(cache=tmp_path))
+
+    ball = {"shape": "sphere = 0.012", "more": "", "start": 0.013, "stop": 0.009}
+    solved = press(chamber=0.01, **ball)
+    push = solved.wrench[:, 2]
+    assert solved.frames.converged.all() and (push[1:] < push[:-1]).all() and push[-1] < -0.1
+    assert -0.0033 < solved.position[-1, :, 2].min() < -0.003
+    for case in ({"chamber": 0.002, **ball}, {"chamber": 0.01, "shape": "plane = true", "more": "", "start": 0.001,
+                                              "stop": -0.002}):
+        with pytest.raises(SceneError, match="behind the plane of the sensor's rim or the floor of its chamber"):
+            press(**case)

@@ -37,6 +37,8 @@ class Bubble:
     """Of the free dome [Pa]."""
     gas_volume: float = 150e-6
     """Volume of the enclosed air, dome and chamber together, with the dome free [m^3]."""
+    chamber: float = 0.0
+    """Depth of the chamber behind the plane of the rim, at whose rigid floor membrane and obstacles end [m]."""
     gamma: float = 1.4
     """Exponent of p V^gamma, from 1 (isothermal) to 1.4 (adiabatic) [-]."""
     ambient_pressure: float = ATMOSPHERE
@@ -103,6 +105,7 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
         pre_stretch=t.number("pre_stretch", real.pre_stretch, 1.0, 3.0),
         gauge_pressure=t.number("gauge_pressure", real.gauge_pressure, 1.0, 1e8, "Pa"),
         gas_volume=t.number("gas_volume", real.gas_volume, 1e-12, 10.0, "m^3"),
+        chamber=t.number("chamber", real.chamber, 0.0, 1.0, "m"),
         gamma=t.number("gamma", real.gamma, 1.0, 1.67),
         ambient_pressure=t.number("ambient_pressure", real.ambient_pressure, 0.0, 1e8, "Pa"),
         sealed=t.flag("sealed", real.sealed),

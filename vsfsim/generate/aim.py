@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -222,6 +222,14 @@ def _over_depth(depth: np.ndarray, force: np.ndarray, found: np.ndarray) -> np.n
     at, known = np.append(0.0, depth[1:][found[1:]]), np.append(0.0, force[1:][found[1:]])
     slope = (known[-1] - known[-2]) / (at[-1] - at[-2])
     return np.where(depth > at[-1], known[-1] + slope * (depth - at[-1]), np.interp(depth, at, known))
+
+
+def starts(spec: TouchSpec, aims: Sequence[Aim], poses: np.ndarray) -> np.ndarray:
+    """Where the paths of touches begin (B, 4, 4): turned as their first ``poses`` (B, 4, 4), at their approach."""
+    out = poses.copy()
+    for pose, a in zip(out, aims, strict=True):
+        pose[:3, 3] = a.contact - (spec.approach if a.approach is None else a.approach) * a.axis
+    return out
 
 
 def probe_pose(probe: ProbeShape, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from frame_checks import from_above
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stability.damaged_mesh import write_pyramid
@@ -78,8 +79,9 @@ def test_the_force_of_a_flat_punch_does_not_depend_on_the_number_of_frames(block
     last = []
     for count in (1, 2, 8):
         depths = 0.003 * np.arange(1, count + 1) / count
+        poses = down(np.eye(3), 0.01, SPOTS[:1], depths)
         frames = Solver(model, shape, device=device, linear=linear, options=SolverOptions(tolerance=1e-3)).run(
-            down(np.eye(3), 0.01, SPOTS[:1], depths))
+            poses, start=from_above(poses))
         assert frames.converged.all(), frames.reason
         last.append(frames.force[-1, 0, 2])
     assert last == pytest.approx([last[0]] * 3, rel=0.01)

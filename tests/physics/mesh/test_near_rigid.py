@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from frame_checks import from_above
 
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
@@ -67,7 +68,8 @@ def test_the_force_of_a_turning_part_has_a_limit(block, line, device):
     force = []
     for contrast in (1e3, 1e8):
         model = block(SIZE, 0.01, young_modulus=part(contrast))
-        frames = Solver(model, probe, device=device, options=SolverOptions(tolerance=1e-4)).run(poses)
+        frames = Solver(model, probe, device=device, options=SolverOptions(tolerance=1e-4)).run(
+            poses, start=from_above(poses))
         assert frames.converged.all()
         force.append(frames.force[:, 0, 2])
     stiff, rigid = force

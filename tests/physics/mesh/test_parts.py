@@ -80,3 +80,14 @@ def test_a_part_like_its_surroundings_and_one_outside_are_no_matter():
     assert solid.parts == 0.0
     solid, _ = body("{ sphere = [0.0, 0.0, 0.5, 0.002], value = 1e7 }")
     assert solid.parts == 0.0
+
+
+def test_a_thin_skin_around_an_inclusion_is_told():
+    """2 mm of a stiff ball around a soft core: the core is off by 11 %, the skin by more than half."""
+    core = "{ sphere = [0.0, 0.0, 0.03, 0.028], value = 1e1 }"
+    solid, _ = body(core, shape="sphere = 0.03")
+    assert solid.parts > 0.5 and any("around the inclusions" in n for n in solid.notes)
+    finer, _ = body(core, shape="sphere = 0.03", more="resolution = 0.004")
+    assert finer.parts < solid.parts
+    thick, _ = body("{ sphere = [0.0, 0.0, 0.03, 0.01], value = 1e1 }", shape="sphere = 0.03")
+    assert not any("around the inclusions" in n for n in thick.notes)

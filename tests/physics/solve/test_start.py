@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from vsfsim.core.shape import Capsule, Cylinder, Sphere
+from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.solve import path
 from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.touches import Solver
 
 POST = (0.01, 0.01, 0.06)
+TURN = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # a capsule's axis along y
 
 
 def way(start, stop, frames, turn=None):
@@ -38,11 +40,42 @@ def test_a_post_is_pushed_away_by_a_ball_that_comes_from_the_side(block):
 def test_a_capsule_does_not_pass_through_a_cantilever_in_one_frame(block):
     """12 mm down onto a plate of 4 mm it ended below, and read 0 N."""
     model = block((0.08, 0.02, 0.004), 0.01, young_modulus=1e6, fixed=(-0.041, -1, -1, -0.039, 1, 1))
-    turn = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # its axis across the plate
-    one, many = (press(model, Capsule(0.004, 0.03), (0.02, 0.0, 0.012), (0.02, 0.0, 0.0), n, turn) for n in (1, 6))
+    one, many = (press(model, Capsule(0.004, 0.03), (0.02, 0.0, 0.012), (0.02, 0.0, 0.0), n, TURN) for n in (1, 6))
     assert one.converged.all() and many.converged.all()
     assert many.force[-1, 0, 2] > 0.01
     assert one.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 2], rel=0.02)
+
+
+def test_a_box_that_turns_pushes_a_post_in_one_frame_as_in_six(block):
+    """It stands beside the post and turns by 40 degrees about its own middle: an end of it sweeps through the post."""
+    model = block(POST, 0.01, young_modulus=1e5, poisson_ratio=0.3)
+    last = []
+    for count in (1, 6):
+        poses = np.tile(np.eye(4), (count + 1, 1, 1, 1))
+        poses[:, 0, :3, 3] = -0.02, 0.02, 0.05
+        poses[:, 0, :3, :3] = Rotation.from_euler("z", np.linspace(0.0, 40.0, count + 1)[:, None],
+                                                       degrees=True).as_matrix()
+        frames = Solver(model, Box((0.006, 0.06, 0.01))).run(poses[1:], start=poses[0])
+        assert frames.converged.all()
+        last.append(frames.force[-1, 0])
+    assert np.linalg.norm(last[-1]) > 0.01
+    assert last[0] == pytest.approx(last[1], rel=0.02, abs=0.02 * np.linalg.norm(last[1]))
+
+
+def test_an_obstacle_in_the_way_holds_the_post(block):
+    """A ball pushes a post against a rigid rod behind it, which bears most of the push, in one frame as in four."""
+    model = block(POST, 0.01, young_modulus=1e5, poisson_ratio=0.3)
+    last = []
+    for count in (1, 4):
+        poses = np.tile(np.eye(4), (count + 1, 1, 2, 1, 1))
+        poses[:, 0, 0, :3, 3] = np.linspace([-0.012, 0.0, 0.05], [-0.007, 0.0, 0.05], count + 1)
+        poses[:, 0, 1, :3, 3] = 0.009, 0.0, 0.045  # a millimetre from the post
+        poses[:, 0, 1, :3, :3] = TURN
+        frames = Solver(model, [Sphere(0.004), Capsule(0.003, 0.03)]).run(poses[1:], start=poses[0])
+        assert frames.converged.all()
+        last.append(frames.body_force[-1, 0])
+    assert last[1][1, 0] > 0.5 * -last[1][0, 0] > 0.0
+    assert last[0] == pytest.approx(last[1], rel=0.02, abs=0.02 * np.abs(last[1]).max())
 
 
 def test_a_way_with_nothing_in_it_is_one_step_and_another_stops_before_the_object(block):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import torch
+from frame_checks import from_above
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Sphere
@@ -70,7 +71,7 @@ def test_a_factor_that_would_come_too_late_is_not_begun(block, monkeypatch):
     poses[0, 0, :3, 3] = 0.003, 0.001, 0.045 - 0.35 * 0.03
     monkeypatch.setattr(tangent_factor.TangentFactors, "_duration", lambda self: 1e9)
     monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: pytest.fail("begun"))
-    Solver(model, Sphere(0.015), options=SolverOptions(seconds=100.0)).run(poses)
+    Solver(model, Sphere(0.015), options=SolverOptions(seconds=100.0)).run(poses, start=from_above(poses))
 
 
 def test_a_local_factor_takes_fewer_iterations_to_the_same_equilibrium(block, monkeypatch):

@@ -22,7 +22,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile, TouchSpec
 from vsfsim.core.shape import Plane
 from vsfsim.data.records import ObjectView, Touch, View
-from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, surface_samples, tilted
+from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, starts, surface_samples, tilted
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
@@ -320,7 +320,8 @@ def touch_all(scene: Scene, model: Model, sensor: BubbleModel, aims: list[Aim], 
         poses = np.stack([mount_path(scene.required_touches, a) for a in part], axis=1)
         solver = CoupledSolver(model, sensor, friction=spec.friction, device=device, options=options)
         width = len(part)
-        frames = solver.run(poses, keep=True, progress=None if progress is None else lambda _, k=width: progress(k))
+        frames = solver.run(poses, start=starts(scene.required_touches, part, poses[0]), keep=True,
+                            progress=None if progress is None else lambda _, k=width: progress(k))
         for k, a in enumerate(part):
             position, force = (np.stack([x[..., k] for x in frame])
                                for frame in (solver.sensor_position, solver.sensor_force))

@@ -15,7 +15,7 @@ import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, ObjectView, Touch
-from vsfsim.generate.aim import Aim, aim_probe
+from vsfsim.generate.aim import Aim, aim_probe, starts
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
@@ -118,10 +118,7 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
                         options=options or tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
-        start = poses[0].copy()
-        for pose, a in zip(start, part, strict=True):
-            pose[:3, 3] = a.contact - (spec.approach if a.approach is None else a.approach) * a.axis
-        frames = solver.run(poses, start=start, mount=mount,
+        frames = solver.run(poses, start=starts(spec, part, poses[0]), mount=mount,
                             progress=None if progress is None else lambda _, k=width: progress(k))
         out += [dataclasses.replace(_record(a, poses[:, k], frames, k, model.solid.parts), mount_stiffness=spring)
                 for k, a in enumerate(part)]

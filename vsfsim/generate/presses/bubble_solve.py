@@ -6,7 +6,6 @@ the obstacles move; with an object both bodies find one equilibrium (`CoupledSol
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from dataclasses import dataclass
 
@@ -153,42 +152,42 @@ def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.n
         pressure.append(float(solver.elasticity.pressure.numpy()[0]))
         volume.append(float(solver.elasticity.volume.numpy()[0]))
         if request.progress is not None:
-            request.progress(max(1, frames - 1), len(poses), "frames")
+            request.progress(frames, len(poses), "frames")
 
-    # the start of the path is a frame of its own: a small body may be behind the membrane in the first of the others
-    whole = solver.run(np.concatenate([begin, poses])[:, None], keep=True, progress=done)
-    frames = Frames(**{f.name: getattr(whole, f.name)[1:] for f in dataclasses.fields(Frames)})
+    frames = solver.run(poses[:, None], start=begin, keep=True, progress=done)
 
     def world(force: np.ndarray) -> np.ndarray:
         return np.einsum("tij,t...j->t...i", mount[:, :3, :3], force)
 
     return Solved(scene, path, model, mount, frames, gap,
-                  model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history[1:]]),
-                  np.stack([f[..., 0] for f in solver.surface_force[1:]]), np.array(pressure[1:]), np.array(volume[1:]),
+                  model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history]),
+                  np.stack([f[..., 0] for f in solver.surface_force]), np.array(pressure), np.array(volume),
                   world(frames.reaction[:, 0]), world(frames.body_force[:, 0]),
                   tuple(f"obstacle {i + 1}" for i in range(len(scene.obstacles))), scene.frictions, OPTIONS.tolerance,
                   notes, build_seconds=built)
 
 
 def _before_housing(scene: Scene, model: BubbleModel, poses: np.ndarray) -> None:
-    """Refuse obstacles that reach into the housing, a rigid plate in the plane of the rim.
+    """Refuse obstacles that reach into the housing: the rim, and a rigid floor `Bubble.chamber` behind its plane.
 
     Args:
         poses: of the obstacles in the mount frame (T, K, 4, 4).
 
     Raises:
-        SceneError: an obstacle is behind the plate, within the rim.
+        SceneError: an obstacle is behind the rim, or behind the floor within it.
     """
-    bodies = RigidBodies(scene.bodies)
-    plate = np.column_stack([model.flat, np.zeros(len(model.flat))])
+    bodies, chamber = RigidBodies(scene.bodies), model.spec.chamber
+    plate = np.column_stack([model.flat, np.full(len(model.flat), -chamber)])
+    plate[model.mesh.rim, 2] = 0.0
     for t, frame in enumerate(poses):
         for k, pose in enumerate(frame):
             depth = -float(bodies.distance(k, (plate - pose[:3, 3]) @ pose[:3, :3]).min())
             if depth > _INTO_HOUSING:
                 raise SceneError(f"{scene.source}: in frame {t} of [press] obstacle {k + 1} is {1e3 * depth:.2g} mm "
-                                 f"behind the plane of the sensor's rim, where its housing is. The free dome is "
-                                 f"{1e3 * float(model.mesh.points[:, 2].max()):.1f} mm high; let the path end before "
-                                 f"the plate.")
+                                 f"behind the plane of the sensor's rim or the floor of its chamber, "
+                                 f"{1e3 * chamber:g} mm behind it. The free dome is "
+                                 f"{1e3 * float(model.mesh.points[:, 2].max()):.1f} mm high; let the path end before, "
+                                 f"or give the depth of the chamber, chamber in [sensor].")
 
 
 def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, request: PressRequest,

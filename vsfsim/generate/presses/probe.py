@@ -49,6 +49,7 @@ from vsfsim.physics.mesh.resolved import in_words, resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.kernels import solver_kernels
+from vsfsim.physics.solve.path import inside
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import body_poses, pose_at, press_path
 from vsfsim.sensing.camera import fitting_camera
@@ -187,7 +188,6 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     assert spec is not None
     poses = press_path(spec, scene.probe)
     first = pose_at(spec, scene.probe, 0)
-    inside = overlap(model, scene.probe, first, str(scene.source))
     compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
                     progress=request.progress)
     axis = direction(spec)
@@ -197,8 +197,9 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     linear, options = not tiers.TIERS[tier].nonlinear, request.limited(tiers.options(tier))
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
                     options=options, linear=linear)
-    placed = body_poses(scene, poses)
-    frames = solver.run(placed[:, None], start=body_poses(scene, first[None]), keep=request.keep,
+    placed, start = body_poses(scene, poses), body_poses(scene, first[None])
+    begun = overlap(model, solver.bodies, start[0], str(scene.source))
+    frames = solver.run(placed[:, None], start=start, keep=request.keep,
                         progress=None if request.progress is None
                         else lambda done: request.progress(done, len(poses), "frames"))
     body_force = frames.body_force[:, 0]
@@ -211,7 +212,7 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     names = ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))),
              *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
     fields, more = solved(frames)
-    notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), inside),
+    notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), begun),
              *edge_notes(names, scene.bodies, body_force),
              *(["Single precision could not balance a frame: it and those after it were solved in double."]
                if solver.went_double else []))
@@ -318,24 +319,21 @@ def edge_at(model: Model, point: np.ndarray) -> float:
     return float(np.linalg.norm(corners[near] - np.roll(corners[near], 1, axis=1), axis=2).mean())
 
 
-def overlap(model: Model, probe: ProbeShape, pose: np.ndarray, where: str) -> float:
-    """How deep the body's surface at rest lies inside a probe at ``pose`` (4, 4) [m]; 0 if they are apart.
+def overlap(model: Model, bodies: RigidBodies, pose: np.ndarray, where: str) -> float:
+    """How deep the body's surface at rest lies inside the probe, the first of ``bodies`` (K), where the path begins at
+    ``pose`` (K, 4, 4) [m]; 0 if they are apart.
 
     Raises:
-        SceneError: the whole probe is inside the body. ``where`` is the scene file.
+        SceneError: a rigid body begins inside the object, see `path.inside`. ``where`` is the scene file.
     """
-    centre = pose[:3, 3]
-    corners = model.mesh.points[model.mesh.tets[:, :4]]
-    weights = np.linalg.solve(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2),
-                              (centre - corners[:, 0])[..., None])[..., 0]
-    inside = (weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)
-    points = (model.mesh.points[np.unique(model.mesh.faces)] - centre) @ pose[:3, :3]
-    nearest = float(sdf.distance(probe, points).min())
-    if inside.any() and nearest > 0.0:
-        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in centre.tolist()]} puts the whole probe "
-                         f"inside the body, where it touches nothing; start outside (world coordinates of the probe's "
-                         f"centre, in metres).")
-    return max(0.0, -nearest)
+    surface = model.mesh.points[model.mesh.surface_nodes()]
+    depth = [-float(bodies.distance(k, (surface - at[:3, 3]) @ at[:3, :3]).min()) for k, at in enumerate(pose)]
+    if inside(bodies, model, pose[None]).any():
+        much = f"{1e3 * max(depth):.2g} mm of a rigid body" if max(depth) > 0.0 else "the whole probe"
+        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in pose[0, :3, 3].tolist()]} puts {much} inside "
+                         f"the body, and from which side it came is not known; start outside (world coordinates of the "
+                         f"probe's centre, in metres).")
+    return max(0.0, depth[0])
 
 
 def tip(scene: Scene, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:

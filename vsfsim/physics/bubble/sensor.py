@@ -250,9 +250,9 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma,
                     ambient=spec.ambient_pressure, dead_volume=dead, sealed=spec.sealed)
     free = _free(len(points), rim)
-    # the housing: a plate in the plane of the rim, before every node that is not clamped
-    stopped = np.flatnonzero((free[2::3] > 0.0) & (points[:, 2] >= 0.0))
-    plate = stop.block(stopped, int(rim[0]), points, _STOP * spec.modulus)
+    # the housing: a plate at the floor of the chamber, before every node that is not clamped
+    stopped = np.flatnonzero((free[2::3] > 0.0) & (points[:, 2] >= -spec.chamber))
+    plate = stop.block(stopped, int(rim[0]), points, _STOP * spec.modulus, below=spec.chamber)
     blocks = (*elastic_blocks(spec, points, flat, faces), air, plate)
     factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(),
                                *gas.rest_coupling(air, len(points)))

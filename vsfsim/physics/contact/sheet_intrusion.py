@@ -1,8 +1,8 @@
 """Whether a rigid body lies behind a sheet that it cannot have passed: a check by geometry for membranes with a rim.
 
-The sheet and the flat disk in its rim close a volume. A point of a body's surface that lies in that volume is as deep
-behind the sheet as it is far from it. A body in contact dents the sheet and stays outside; one that went through
-between two equilibria is inside, where no contact point feels it.
+The sheet and a cone from its rim to a point far behind it close a volume. A point of a body's surface that lies in that
+volume is as deep behind the sheet as it is far from it. A body in contact dents the sheet, past the plane of the rim
+perhaps, and stays outside; one that went through between two equilibria is inside, where no contact point feels it.
 """
 
 import functools
@@ -20,6 +20,7 @@ from vsfsim.physics.contact.body_samples import body_samples, inner_radius
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 _SPACING = 0.5  # of the samples over the inner radius of their body: a body that went through has most of them inside
+_FAR = 2.0  # way of that point behind the rim, over the rim's width
 _DEEP = (0.1, 0.25)  # depth above which a body has gone through, over the element size and over its inner radius
 
 
@@ -47,9 +48,9 @@ class SheetIntrusion:
         self._owner = wp.array(np.repeat(np.arange(len(samples)), list(map(len, samples))), dtype=wp.int32,
                                device=device)
         self._sheet = len(faces)
-        self._closed = wp.array(np.concatenate([faces, rim_disk(faces)]).astype(np.int32), dtype=wp.int32,
-                                device=device)
-        self._rest = torch.as_tensor(mesh.points, device=device)
+        cone, tip = rim_cone(faces, mesh.points)
+        self._closed = wp.array(np.concatenate([faces, cone]).astype(np.int32), dtype=wp.int32, device=device)
+        self._rest, self._tip = (torch.as_tensor(p, device=device) for p in (mesh.points, tip))
 
     def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:
         """How deep the bodies lie behind the sheet (k,) [m] in the touches ``columns`` (k,), at poses (B, K, 4, 4) and
@@ -59,6 +60,7 @@ class SheetIntrusion:
         if self._count:
             host = columns.cpu().numpy()
             at = self._rest + u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+            at = torch.cat([at, self._tip.expand(count, 1, 3)], dim=1)
             box = (wp.from_torch(v.contiguous(), dtype=k.vec3) for v in (at.amin(dim=1), at.amax(dim=1)))
             wp.launch(k.behind, dim=(count, self._count), device=self.device, inputs=[
                 self._closed, self._sheet, self._samples, self._owner,
@@ -66,6 +68,18 @@ class SheetIntrusion:
                 wp.array(pose[host][..., :3, :3], dtype=k.mat33, device=self.device),
                 wp.from_torch(at.contiguous(), dtype=k.vec3), *box, wp.from_torch(depth)])
         return depth.amax(dim=1)
+
+
+def rim_cone(faces: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (d, 3) that close a sheet of triangles (f, 3) at ``points`` (n, 3) [m] behind its rim, none if it has
+    no rim, and their common point (3,) [m], which has the number n."""
+    disk = rim_disk(faces)
+    ring = points[disk[:, 1]] if len(disk) else points[:1]
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    outward = np.cross(b - a, c - a).sum(axis=0)
+    far = _FAR * np.linalg.norm(np.ptp(ring, axis=0)) / max(float(np.linalg.norm(outward)), 1e-300)
+    disk[:, 0] = len(points)
+    return disk, ring.mean(axis=0) - far * outward
 
 
 def rim_disk(faces: np.ndarray) -> np.ndarray:

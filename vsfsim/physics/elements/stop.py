@@ -22,7 +22,7 @@ HARD = 2e-4
 """h, the penetration at which the penalty hardens [m]."""
 
 
-def block(nodes: np.ndarray, support: int, points: np.ndarray, stiffness: float) -> Block:
+def block(nodes: np.ndarray, support: int, points: np.ndarray, stiffness: float, *, below: float = 0.0) -> Block:
     """A block of stops.
 
     Args:
@@ -30,8 +30,9 @@ def block(nodes: np.ndarray, support: int, points: np.ndarray, stiffness: float)
         support: node of the plate.
         points: rest positions (n, 3) [m].
         stiffness: k [N/m], positive.
+        below: how far the plate is under its node [m].
     """
-    height = points[nodes, 2] - points[support, 2]
+    height = points[nodes, 2] - points[support, 2] + below
     assert stiffness > 0.0 and (height >= 0.0).all()
     return Block("stop", np.column_stack([nodes, np.full(len(nodes), support)]).astype(np.int32),
                  {"height": height, "stiffness": np.full(len(nodes), float(stiffness))})

@@ -60,10 +60,12 @@ def snap_to_inclusions(solid: Solid, field: MaterialField, *,
 
 
 def held_stiffness(solid: Solid, field: MaterialField, modulus: np.ndarray | None, values: np.ndarray) -> np.ndarray:
-    """What the mesh holds of each part's stiffness over its own (k,) [-]; 1 of a part like its surroundings.
+    """What the mesh holds of each part's stiffness over its own, and of what is around them (k + 1,) [-]; 1 of a part
+    like its surroundings.
 
     It is the volume integral of what a part adds to Young's modulus: under 1, a stiff part is too soft or too small in
-    the mesh; over 1, a soft part is too large.
+    the mesh; over 1, a soft part is too large. What is around the parts, a skin or a wall perhaps, lacks the volume
+    that they are off by.
 
     Args:
         solid: the mesh, in the object's frame.
@@ -71,7 +73,8 @@ def held_stiffness(solid: Solid, field: MaterialField, modulus: np.ndarray | Non
         modulus: of each region (R,) [Pa], see `MaterialField.evaluate`.
         values: modulus of each tetrahedron (m,) [Pa].
     """
-    out, volume = np.ones(len(field.inclusions)), tet_volumes(solid.vertices, solid.tets)
+    count = len(field.inclusions)
+    out, own, volume = np.ones(count + 1), np.zeros(count), tet_volumes(solid.vertices, solid.tets)
     corners = solid.vertices[solid.tets]
     centre = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
@@ -83,11 +86,13 @@ def held_stiffness(solid: Solid, field: MaterialField, modulus: np.ndarray | Non
         points = np.einsum("sk,mkc->msc", bary, corners[near])
         region = np.broadcast_to(np.asarray(solid.region)[near, None], points.shape[:2])
         whole, without = (f.evaluate(points, region, modulus) for f in (field, others))
-        added = volume[near] @ (whole - without).mean(axis=1)
+        added, own[k] = volume[near] @ (whole - without).mean(axis=1), volume[near] @ (whole != without).mean(axis=1)
         if abs(added) > 1e-9 * float(volume[near] @ without.mean(axis=1)):
             out[k] = volume[near] @ (values[near] - 1.0 / (1.0 / without).mean(axis=1)) / added
         elif part.young_modulus != field.base:
             out[k] = 0.0 if len(near) and not _hidden(part, field, k) else 1.0
+    lacks, around = float(np.abs(out[:count] - 1.0) @ own), float(volume.sum() - own.sum())
+    out[count] = 1.0 - min(1.0, lacks / max(around, 1e-12 * float(volume.sum()))) if lacks else 1.0
     return out
 
 
@@ -105,15 +110,18 @@ def _hidden(part: Inclusion, field: MaterialField, k: int) -> bool:
 
 
 def part_notes(field: MaterialField, share: np.ndarray) -> list[str]:
-    """A sentence for each part whose stiffness in the mesh is off by more than `TOLD`; ``share`` (k,) [-] of
-    `held_stiffness`."""
+    """A sentence for each part whose stiffness in the mesh is off by more than `TOLD`, and for what is around them;
+    ``share`` (k + 1,) [-] of `held_stiffness`."""
     notes = []
-    for number, (part, held) in enumerate(zip(field.inclusions, share.tolist(), strict=True), start=1):
+    for number, (part, held) in enumerate(zip(field.inclusions, share.tolist(), strict=False), start=1):
         if abs(held - 1.0) > TOLD:
             off = f"{100 * abs(held - 1.0):.0f} %"
             notes.append(f"Inclusion {number} ({part.kind}, {1e3 * part.thickness:.3g} mm thick, "
                          f"{part.young_modulus:.3g} Pa) is {off} too {'small or soft' if held < 1.0 else 'large'} in "
                          f"the mesh; give a smaller resolution in [object].")
+    if 1.0 - share[-1] > TOLD:
+        notes.append(f"What is around the inclusions is off by {100 * (1.0 - share[-1]):.0f} % of its volume in the "
+                     f"mesh, for it is thin; give a smaller resolution in [object].")
     return notes
 
 

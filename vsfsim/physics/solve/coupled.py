@@ -32,8 +32,6 @@ from vsfsim.physics.solve.prediction import Known
 from vsfsim.physics.solve.touches import FAR, Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
-_BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
-_TRIES = 60
 _ENOUGH = 200  # nodes of the sensor that are looked at
 
 
@@ -170,7 +168,9 @@ class CoupledSolver(Solver):
         way = _along_the_way(np.concatenate([start[None], poses])[:, :, 0], scale(self.sensor))
         contact = PairContact(self.object, self.sensor, float(self.friction[0]), way, device=self.device,
                               stride=self._stride)
-        first = self._outside(contact, start)
+        first, meets = start.copy(), self._meets(contact, start)
+        first[meets, :, :3, 3] -= self._stride * first[meets, :, :3, 2]  # a stride back where it barely touches
+        self._inside = meets & self._meets(contact, first)
         for pose in path.pieces(first, poses[0], self._stride, self.bodies):
             if self._meets(contact, pose).any():
                 break
@@ -186,17 +186,6 @@ class CoupledSolver(Solver):
         contact.evaluate(every, contact.gather(u))
         inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy()
         return inside | self._within_sensor(pose) | self._within_object(pose)
-
-    def _outside(self, contact: PairContact, pose: np.ndarray) -> np.ndarray:
-        """First poses (B, 1, 4, 4) to come in from: drawn back along the sensor's axis until nothing touches."""
-        out = pose.copy()
-        step = _BACK * self.bodies.reach(0)
-        for _ in range(_TRIES):
-            inside = self._meets(contact, out)
-            if not inside.any():
-                break
-            out[inside, :, :3, 3] -= step * out[inside, :, :3, 2]
-        return out
 
     def _within_sensor(self, pose: np.ndarray) -> np.ndarray:
         """Whether any surface node of the object at rest is between the sensor's surface and its base (B,) bool: the

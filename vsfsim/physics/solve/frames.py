@@ -37,7 +37,7 @@ class Reason(IntEnum):
                 "an element is inside out (det F <= 0)",
                 "a body lies inside another where no contact point feels it",
                 "an element is compressed below a tenth of its volume (det F < 0.1)",
-                "the frame itself is in equilibrium, but a step on the way to it was not",
+                "the frame itself is in equilibrium, but the way to it was not followed from its start",
                 "the object snapped to another equilibrium, and which one depends on its motion",
                 "a joint of the arm was at its stop or a motor at its limit: its sensors do not read the contact",
                 "the spring of the mount and the contact do not balance")[self]

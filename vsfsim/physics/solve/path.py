@@ -17,7 +17,7 @@ _PART = 0.5  # longest step over the thinnest body's inner radius: a wall is the
 _MOST = 400  # pieces of one frame
 _ADVANCES, _SHORT = 50, 0.01  # most steps to the first pose that may touch; the shortest, of the whole way
 _RAYS = 200  # faces whose thickness is measured
-_DEEP = 0.2  # depth over the same radius above which a first pose is approached from outside
+_DEEP = 0.2  # depth over the same radius from which on a path begins inside the object
 _SAMPLES = 4000  # random points for the inner radius
 
 
@@ -50,8 +50,9 @@ def _inner_ball(bodies: RigidBodies, k: int) -> tuple[float, np.ndarray]:
 
 
 def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, poses: np.ndarray,
-          start: np.ndarray | None) -> tuple[RigidContact, np.ndarray, float]:
-    """The contact of a run, the poses (B, K, 4, 4) that its steps begin at, and the longest of them [m].
+          start: np.ndarray | None) -> tuple[RigidContact, np.ndarray, float, np.ndarray]:
+    """The contact of a run, the poses (B, K, 4, 4) that its steps begin at, the longest of them [m], and which touches
+    begin `inside` the object (B,) bool.
 
     Args:
         make: makes the contact for ``poses`` (T', B, K, 4, 4).
@@ -60,16 +61,12 @@ def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, 
         poses: of all frames (T, B, K, 4, 4).
         start: where the path begins, see `touches.Solver.run`.
     """
-    contact, longest = None, stride(bodies, mean_thickness(model))
-    if start is None:
-        contact = make(poses=poses)
-        first = outside(bodies, model, poses[0], contact.first_gap)
-    else:
-        first = clear(start.reshape(poses.shape[1:]), poses[0], bodies, model)
-    if contact is None or not np.array_equal(first, poses[0]):  # what they reach on their way in
-        contact = make(poses=np.stack([*pieces(first, poses[0], longest, bodies), *poses]))
-    return contact, first, stride(bodies, min(mean_thickness(model), thinnest(model, [
-        patch.faces for patch in contact.patches])))
+    start = poses[0] if start is None else start.reshape(poses.shape[1:])
+    first = clear(start, poses[0], bodies, model)
+    reached = pieces(first, poses[0], stride(bodies, mean_thickness(model)), bodies)  # on their way in
+    contact = make(poses=poses if np.array_equal(first, poses[0]) else np.stack([*reached, *poses]))
+    longest = stride(bodies, min(mean_thickness(model), thinnest(model, [patch.faces for patch in contact.patches])))
+    return contact, first, longest, inside(bodies, model, start)
 
 
 def clear(start: np.ndarray, end: np.ndarray, bodies: RigidBodies, model: Model) -> np.ndarray:
@@ -173,55 +170,27 @@ def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarra
     return np.minimum(np.where(((now * last).sum(axis=1) > 0.0) & (size > 0.0), even, 0.0), 2.0)
 
 
-def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """First poses (B, K, 4, 4) to approach from: ``pose`` where it is clear of the object at rest or barely in it, else
-    a pose moved straight out of it.
+def inside(bodies: RigidBodies, model: Model, pose: np.ndarray) -> np.ndarray:
+    """Which touches begin with a body inside the object at rest (B,) bool: what brought it there is not known.
+
+    An overlap of a fifth of the body's inner radius and of the wall is none: the surface gives way on the side that
+    is met, whatever came before.
 
     Args:
         bodies: the rigid bodies (K).
         model: the object.
-        pose: poses (B, K, 4, 4).
-        gap: least gap of each touch there (B,) [m].
+        pose: where the paths begin (B, K, 4, 4).
     """
-    out, mesh = pose.copy(), model.mesh
+    out, mesh = np.zeros(len(pose), bool), model.mesh
     surface, solid = mesh.points[mesh.surface_nodes()], mesh.faces.shape[1] == 6
     for k in range(len(bodies)):
         inner, centre = _inner_ball(bodies, k)
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
         if solid:  # of a thin wall both faces may lie in a large body that is barely in it
             deep = min(deep, mean_thickness(model))
-        within = np.zeros(len(pose), bool)
+        turn, at = pose[:, k, :3, :3], pose[:, k, :3, 3]
+        for b in range(len(pose)):
+            out[b] |= float(bodies.distance(k, (surface - at[b]) @ turn[b]).min()) < -deep
         if solid and np.isfinite(inner):  # a body wholly inside has no surface in it
-            middle = pose[:, k, :3, 3] + pose[:, k, :3, :3] @ centre
-            within = winding_number(mesh.points, mesh.faces[:, :3], middle) > 0.5
-        for b in np.flatnonzero((gap < -deep) | within):
-            turn, at = pose[b, k, :3, :3], pose[b, k, :3, 3]
-
-            def depth(shift: np.ndarray, k: int = k, turn: np.ndarray = turn, at: np.ndarray = at,
-                      centre: np.ndarray = centre) -> float:
-                """Of the deepest surface node in the body; infinite where the whole body is within the object."""
-                deepest = -float(bodies.distance(k, (surface - at - shift) @ turn).min())
-                within = solid and deepest <= 0.0 and winding_number(
-                    mesh.points, mesh.faces[:, :3], (at + shift + turn @ centre)[None])[0] > 0.5
-                return float("inf") if within else deepest
-
-            if depth(np.zeros(3)) > deep:
-                out[b, k, :3, 3] = at + _way_out(depth, turn, bodies, k, (surface - at) @ turn,
-                                                 np.ptp(surface, axis=0).max())
+            out |= winding_number(mesh.points, mesh.faces[:, :3], at + turn @ centre) > 0.5
     return out
-
-
-def _way_out(depth: Callable[[np.ndarray], float], turn: np.ndarray, bodies: RigidBodies, k: int, local: np.ndarray,
-             size: float) -> np.ndarray:
-    """The shortest straight shift (3,) [m] that frees a body, among the axes (not down) and away from its deepest
-    point."""
-    deepest = local[bodies.distance(k, local).argmin()]
-    h = 1e-6
-    slope = np.array([bodies.distance(k, deepest + h * e) - bodies.distance(k, deepest - h * e) for e in np.eye(3)])
-    normal = turn @ (slope / max(float(np.linalg.norm(slope)), 1e-12))
-    ways = [np.array(w, float) for w in ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))] + [-normal]
-    for length in size * np.linspace(0.02, 2.0, 100):
-        for way in ways:
-            if depth(length * way) <= 0.0:
-                return length * way
-    return np.zeros(3)

@@ -89,7 +89,8 @@ class Solver:
 
         Args:
             poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch.
-            start: where the path begins, likewise (B, ...); None for the first pose, come to by the shortest way.
+            start: where the path begins, likewise (B, ...); None for the first pose. A touch that
+                begins inside the object is marked in every frame.
             mount: springs that carry the bodies; ``poses`` are then those of the mounts.
             keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
                 contact force on every surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as
@@ -140,10 +141,10 @@ class Solver:
         """Bring all touches into equilibrium with the bodies at ``pose`` (B, K, 4, 4), and look at what was found."""
         balance, contact, late = self._balance, self.contact, False
         way = list(path.pieces(self._at, pose, self._stride, self.bodies))
+        self._unknown = self._inside | path.too_far(self._at, pose, self._stride, self.bodies)
         if self.linear:
             before, self._at = self._at, pose
             return self._linear_frame(before, way, deadline)
-        leap = path.too_far(self._at, pose, self._stride, self.bodies)
         balance.reset_counts()
         contact.deadline = deadline
         for part in way:
@@ -161,7 +162,6 @@ class Solver:
                 break
         # the anchors move after the report: the forces balance with the old ones
         state = balance.evaluate(balance.every)
-        balance.reason[leap & (balance.reason == Reason.NONE)] = Reason.PATH
         out = self._report(state)
         if not late:
             contact.end_step(balance.every)
@@ -173,7 +173,7 @@ class Solver:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
                                  mount=self._mount, exact=self.linear, **self.options.indentation)
-        contact, first, self._stride = path.begin(make, self.bodies, self.model, poses, start)
+        contact, first, self._stride, self._inside = path.begin(make, self.bodies, self.model, poses, start)
         return contact, first
 
     def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any,
@@ -382,4 +382,5 @@ class Solver:
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
         accept = (self._linear_tier if self.linear else self._balance).accept
+        self._balance.reason[self._unknown & (self._balance.reason == Reason.NONE)] = Reason.PATH
         return audit.report(self._balance, state, self._grounding, linear=self.linear, accept=accept)
