@@ -46,11 +46,11 @@ def test_a_capsule_does_not_pass_through_a_cantilever_in_one_frame(block):
     assert one.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 2], rel=0.02)
 
 
-def test_a_box_that_turns_pushes_a_post_in_one_frame_as_in_six(block):
+def test_a_box_that_turns_pushes_a_post_in_one_frame_as_in_four(block):
     """It stands beside the post and turns by 40 degrees about its own middle: an end of it sweeps through the post."""
     model = block(POST, 0.01, young_modulus=1e5, poisson_ratio=0.3)
     last = []
-    for count in (1, 6):
+    for count in (1, 4):
         poses = np.tile(np.eye(4), (count + 1, 1, 1, 1))
         poses[:, 0, :3, 3] = -0.02, 0.02, 0.05
         poses[:, 0, :3, :3] = Rotation.from_euler("z", np.linspace(0.0, 40.0, count + 1)[:, None],
