@@ -357,9 +357,8 @@ def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
     within 0.5 mm and two kinds of processor the last push is 11.08 to 11.15 N, after 14 to 26 Newton steps."""
     model = block((0.04, 0.04, 0.12), 0.0101, poisson_ratio=0.45)
     ball = Sphere(0.008)
-    poses = line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball)
-    frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(
-        poses, start=from_above(poses))
+    at = line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball)
+    frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(at, start=from_above(at))
     assert frames.converged.all() and frames.iterations[2, 0] <= 35
     assert np.isclose(frames.force[2, 0, 2], 11.12, rtol=0.01)
     assert (np.diff(frames.force[:, 0, 2]) > 3.0).all()
