@@ -19,6 +19,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 
 _MAP = ((0.0, (68, 1, 84)), (0.25, (59, 82, 139)), (0.5, (33, 145, 140)), (0.75, (94, 201, 98)), (1.0, (253, 231, 37)))
 """Viridis (van der Walt and Smith 2015) at five places."""
+_LEVELS = 31  # colours of a map, less one
 
 
 @dataclass(frozen=True)
@@ -150,11 +151,13 @@ def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: f
     x = margin + scale * (places[:, first] - places[:, first].min())
     y = margin + scale * (places[:, second].max() - places[:, second])
     radius = min(14.0, max(2.0, 0.4 * size / math.sqrt(max(len(places), 1))))
-    span = math.log10(high) - math.log10(low)
+    share = np.log(np.maximum(values, low) / low) / math.log(high / low)
+    level = np.rint(_LEVELS * np.minimum(share, 1.0)).astype(int)
     out = []
-    for k in np.argsort(values, kind="stable"):
-        share = (math.log10(max(float(values[k]), low)) - math.log10(low)) / span
-        out.append(f'<circle cx="{x[k]:.1f}" cy="{y[k]:.1f}" r="{radius:.1f}" fill="{colour_of(share)}"/>')
+    for one in np.unique(level):  # a path a colour: a point is then 8 letters of the page and not 60
+        dots = "".join(f"M{a} {b}h0" for a, b in np.rint(np.column_stack([x, y])[level == one]).astype(int))
+        out.append(f'<path class="dots" stroke-width="{2.0 * radius:.1f}" stroke="{colour_of(one / _LEVELS)}" '
+                   f'd="{dots}"/>')
     tall = float(2 * margin + scale * spread[second]) + 26.0
     axes = "xyz"
     out.append(_text(margin, tall - 8.0, f"{name} ({axes[first]} right, {axes[second]} up)"))

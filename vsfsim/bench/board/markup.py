@@ -1,7 +1,13 @@
-"""The frame of the leaderboard's pages: plain HTML without scripts, fonts or links to other machines."""
+"""The frame of the leaderboard's pages: plain HTML without fonts or links to other machines, and one short script.
+
+The script sorts a table by the heading that is clicked and filters its rows by the words typed above it. The page's
+policy names the script by its digest, so that no other runs, and without it the page is whole.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import re
 from collections.abc import Iterable, Sequence
@@ -27,10 +33,45 @@ th.text, td.text { text-align: left; } td.long { white-space: normal; min-width:
 figure { margin: 0.6rem 0; } svg { max-width: 100%; height: auto; display: block; }
 svg text { font: 12px system-ui, Arial, sans-serif; fill: var(--ink); } svg .soft { fill: var(--soft); }
 svg .over { paint-order: stroke; stroke: var(--back); stroke-width: 4px; }
+svg .dots { fill: none; stroke-linecap: round; }
 svg .truth { stroke: var(--ink); }
 svg .axis { stroke: var(--soft); } svg .grid { stroke: var(--line); }
 .pair { display: flex; flex-wrap: wrap; gap: 1.2rem; }
+th.sortable { cursor: pointer; } th.sortable:hover { color: var(--link); }
+input { font: inherit; padding: 0.2rem 0.5rem; margin: 0.3rem 0; color: inherit; background: var(--band);
+  border: 1px solid var(--line); }
+footer { margin-top: 3rem; border-top: 1px solid var(--line); }
 """
+SCRIPT = """
+document.querySelectorAll("table").forEach(table => {
+  const body = table.tBodies[0], rows = [...body.rows];
+  if (rows.length < 2) return;
+  [...table.tHead.rows[0].cells].forEach((head, k) => {
+    const text = row => row.cells[k].textContent.trim(), value = row => parseFloat(text(row));
+    let up = false;
+    head.classList.add("sortable");
+    head.title = "sort";
+    head.addEventListener("click", () => {
+      up = !up;
+      const words = rows.every(row => isNaN(value(row)));
+      const order = (a, b) => words ? text(a).localeCompare(text(b))
+        : isNaN(value(a)) ? 1 : isNaN(value(b)) ? -1 : value(a) - value(b);
+      [...rows].sort((a, b) => up || (!words && (isNaN(value(a)) || isNaN(value(b)))) ? order(a, b) : order(b, a))
+        .forEach(row => body.append(row));
+    });
+  });
+  if (rows.length < 6) return;
+  const field = document.createElement("input");
+  field.placeholder = "filter";
+  field.setAttribute("aria-label", "filter the rows of this table");
+  field.addEventListener("input", () => {
+    const words = field.value.toLowerCase().split(" ");
+    rows.forEach(row => row.hidden = !words.every(word => row.textContent.toLowerCase().includes(word)));
+  });
+  table.parentElement.before(field);
+});
+"""
+_DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
 
 
 @dataclass(frozen=True)
@@ -59,19 +100,20 @@ def link(target: str, text: object) -> Raw:
     return Raw(f'<a href="{html.escape(target)}">{escape(text)}</a>')
 
 
-def page(title: str, body: Iterable[str], *, trail: Sequence[Raw] = ()) -> str:
+def page(title: str, body: Iterable[str], *, trail: Sequence[Raw] = (), foot: str = "") -> str:
     """A whole page.
 
     Args:
-        title: its heading, plain text. body: HTML, part by part. trail: links to the pages above it.
+        title: its heading, plain text. body: HTML, part by part. trail: links to the pages above it. foot: HTML below.
     """
     way = "<nav>" + " / ".join(part.text for part in trail) + "</nav>" if trail else ""
-    policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+    policy = f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{_DIGEST}'"
+    below = f"\n<footer>{foot}</footer>" if foot else ""
     return ("<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
             f"<meta http-equiv=\"Content-Security-Policy\" content=\"{policy}\">\n"
             "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
             f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{way}\n"
-            f"<h1>{escape(title)}</h1>\n" + "\n".join(body) + "\n</body>\n</html>\n")
+            f"<h1>{escape(title)}</h1>\n" + "\n".join(body) + f"{below}\n<script>{SCRIPT}</script>\n</body>\n</html>\n")
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[Cell]], *, text: Sequence[int] = (0,), long: Sequence[int] = (),

@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
-from vsfsim.bench.board.markup import Cell, figure, file_name, link, page, paragraph, table
+from vsfsim.bench.board.markup import Cell, escape, figure, file_name, link, page, paragraph, table
 from vsfsim.bench.commands.submit import command_of
 from vsfsim.bench.leaderboard import Board, Row, labels_of, on_other_bits, over_objects, superseded, unit_of
+from vsfsim.bench.metrics import Answer
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
 from vsfsim.bench.task import Task
@@ -28,6 +30,7 @@ from vsfsim.core.shelf import scenes
 from vsfsim.core.table import read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
+from vsfsim.data.provenance import made_by
 
 _COLUMNS = ("stiffness: Spearman's rank correlation of the estimate with the true probe stiffness where touched. 50 % "
             "and 90 %: fraction of readings within the central interval that the method gives; right are 0.5 and 0.9.")
@@ -88,12 +91,28 @@ def _index(boards: Sequence[Board]) -> str:
     head = ["task", "what is predicted", "reading", "rows", "first"]
     current = [board for board in boards if not board.task.superseded_by]
     old = [board for board in boards if board.task.superseded_by]
-    body.append(table(head, [_index_row(b) for b in sorted(current, key=lambda b: (not b.rows, b.task.name))],
-                      text=(0, 2), long=(1, 4), caption="Tasks without rows come last."))
+    questions = {_question(board.task) for board in current}
+    for question in sorted(questions, key=lambda q: (not q.startswith("Readings"), q)):
+        asked = [board for board in current if _question(board.task) == question]
+        rows = [_index_row(b) for b in sorted(asked, key=lambda b: ("-mini" in b.task.name, not b.rows, b.task.name))]
+        body += [f"<h2>{escape(question)}</h2>", table(head, rows, text=(0, 2), long=(1, 4))]
     if old:
         rows = [[*_index_row(b), b.task.superseded_by or ""] for b in sorted(old, key=lambda b: b.task.name)]
         body += ["<h2>Superseded tasks</h2>", table([*head, "superseded by"], rows, text=(0, 2, 5), long=(1, 4))]
-    return page("vsfsim leaderboard", body)
+    return page("vsfsim leaderboard", body, foot=_foot())
+
+
+def _question(task: Task) -> str:
+    """What a task asks, as a heading of the first page."""
+    answer = task.metric.answer
+    return f"{answer.capitalize()}: {task.observation.name}" if answer == Answer.READINGS else answer.capitalize()
+
+
+def _foot() -> str:
+    """Date, version, how to put a row here, licence and citation."""
+    return paragraph(f"Made on {date.today()} with vsfsim {made_by()['vsfsim']}. A row of your own: evaluate --method "
+                     f"NAME --task TASK, then vsfsim submit RESULT. Results are under the licence of the repository, "
+                     f"Apache 2.0. Please cite it (CITATION.cff) and the papers of the methods.", note=True)
 
 
 def _index_row(board: Board) -> list[Cell]:
@@ -134,7 +153,7 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
     objects = _objects(board)
     if objects:
         body += ["<h2>Objects</h2>", _object_table(board, names, objects)]
-    return page(task.name, body, trail=[link("index.html", "leaderboard")])
+    return page(task.name, body, trail=[link("index.html", "leaderboard")], foot=_foot())
 
 
 def _method_page(board: Board, row: Row, name: str) -> str:
@@ -166,7 +185,8 @@ def _method_page(board: Board, row: Row, name: str) -> str:
                                    ["sandbox", result.isolation or "not run here"],
                                    ["command", command_of(result)]], text=(0,), long=(1,))]
     body += [paragraph(f"Note: {note}.", note=True) for note in result.notes]
-    return page(f"{name}", body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
+    return page(f"{name}", body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)],
+                foot=_foot())
 
 
 def _object_page(board: Board, names: Sequence[str], name: str, estimates: ByView) -> str:
@@ -186,7 +206,8 @@ def _object_page(board: Board, names: Sequence[str], name: str, estimates: ByVie
                  paragraph("Every point is a place where a small cone measured the true stiffness and that some touch "
                            "reached. The truth comes first; an estimate is scaled by one factor an object.", note=True),
                  *maps]
-    return page(_called(task, name), body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
+    return page(_called(task, name), body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)],
+                foot=_foot())
 
 
 # ---------------------------------------------------------------------- parts of pages
