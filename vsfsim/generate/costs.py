@@ -34,9 +34,9 @@ class Cost:
     touches: int
     """Touches of all of them."""
     cpu_seconds: float
-    """CPU time of all of them."""
+    """CPU time of all of them [s]."""
     bytes: float
-    """On disk."""
+    """On disk [bytes]."""
     seen: int
     """Views that the figures rest on."""
     spread: float

@@ -39,7 +39,7 @@ class Share:
     ray: str = ""
     """Address of the Ray cluster that makes the views, "" for this machine."""
     gpus: float = 0.0
-    """Of each task of the cluster."""
+    """Of each task of the cluster [1]."""
 
 
 @dataclass(frozen=True)
