@@ -13,7 +13,6 @@ from vsfsim.generate import workers
 from vsfsim.generate.effectors import probe
 from vsfsim.generate.recipe import files_of, make_recipe
 from vsfsim.generate.run import generate
-from vsfsim.generate.workers import write
 
 SCENE = """
 [object]
@@ -51,9 +50,9 @@ def ball(scene):
 
 def in_this_process(monkeypatch):
     """Views are made one after the other, here."""
-    def make_each(jobs, *, device, workers):
+    def make_each(jobs, *, device, **_):
         for job in jobs:
-            write(job, probe.EFFECTOR.make_view(job, device=device))
+            workers.write(job, probe.EFFECTOR.make_view(job, device=device), device)
             yield 3, job.name
 
     monkeypatch.setattr(probe, "make_each", make_each)
@@ -62,15 +61,15 @@ def in_this_process(monkeypatch):
 def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     with monkeypatch.context() as patch:
-        written, original = [], workers.write_view
+        written, original = [], workers.write
 
-        def write_view(path, view):
+        def write(job, view, device):
             if written:
                 raise KeyboardInterrupt
-            written.append(path)
-            original(path, view)
+            written.append(job.name)
+            return original(job, view, device)
 
-        patch.setattr(workers, "write_view", write_view)
+        patch.setattr(workers, "write", write)
         with pytest.raises(KeyboardInterrupt):
             generate(scene, tmp_path / "data", workers=1)
     assert (tmp_path / "data" / "dataset.part.json").exists()
@@ -86,13 +85,14 @@ def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_pat
 
 def test_a_mesh_that_is_replaced_while_the_dataset_is_made_is_told(scene, tmp_path, monkeypatch):
     in_this_process(monkeypatch)
-    original = workers.write_view
+    original = workers.write
 
-    def write_view(path, view):
-        original(path, view)
+    def write(job, view, device):
+        entry = original(job, view, device)
         ball(scene)
+        return entry
 
-    monkeypatch.setattr(workers, "write_view", write_view)
+    monkeypatch.setattr(workers, "write", write)
     with pytest.raises(DatasetError, match=r"cannot go on, because while it was made thing\.stl has another content"):
         generate(scene, tmp_path / "data", workers=1)
     assert not (tmp_path / "data" / "dataset.json").exists()
