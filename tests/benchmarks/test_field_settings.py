@@ -25,6 +25,7 @@ def made(folder, task, seed, touches=12):
         return writer.finish()
 
 
+@pytest.mark.slow
 def test_each_object_is_fitted_to_some_touches_and_asked_about_others(tmp_path, monkeypatch):
     task = load_task("fewshot-shoes-v2-mini-v3")
     dataset = made(tmp_path / "other", task, seed=task.dataset.seed + 1)

@@ -225,6 +225,7 @@ def test_slurm_by_processes_of_this_machine(scene, made, tmp_path):
     assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()
 
 
+@pytest.mark.slow
 def test_a_dry_run_is_within_a_quarter_of_the_run(scene, tmp_path, here, monkeypatch):
     """On CPU time, from two small runs of other sizes."""
     monkeypatch.setenv("VSFSIM_COSTS", str(tmp_path / "costs.jsonl"))

@@ -133,7 +133,7 @@ def test_frames_of_columns_arrive(key, count, tmp_path):
     assert frames.converged[:count].all() and (np.diff(frames.push[:count]) > 0.0).all()
 
 
-@pytest.mark.parametrize("thickness", [0.0005, 0.001])
+@pytest.mark.parametrize("thickness", [pytest.param(0.0005, marks=pytest.mark.slow), 0.001])
 def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line, thickness):
     """After a step of several times its thickness both faces lie in the ball: frames were lost, or called converged
     with 4 to 25 times the force."""

@@ -106,6 +106,7 @@ def test_a_smaller_ball_and_other_poisson_ratios(device):
             assert errors[False] > 0.2
 
 
+@pytest.mark.slow
 def test_the_energy_of_a_shallow_press_is_its_work(device):
     """Observed on elements of 12.5 mm: within 10 % from 0.5 mm on, where half of the energy is that of the local
     indentation, 4.3 % from 1.5 mm on and 2 % from 2.5 mm on."""

@@ -146,6 +146,7 @@ def test_wide_priors_at_size(var):
     assert np.linalg.norm(w @ result.mean - z) < np.linalg.norm(w @ narrow.mean - z)
 
 
+@pytest.mark.slow
 def test_a_very_weak_prior_at_size_converges():
     w, z = presses(3_000, 20, 12, 3)
     result = map_estimate(w, z, noise_std=1e-3, prior_mean=20.0, prior_var=1e12)

@@ -51,6 +51,7 @@ def test_a_ball_that_the_mesh_resolves_is_not_marked():
     assert (result.more["mesh_error"] < 0.06).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "offset"), [(0.0015, (0.026, 0.004, -0.0185)), (0.002, (-0.03, 0.0, -0.018)),
                                                 (0.001, (0.0, 0.024, -0.019))])
 def test_a_nub_beside_a_ball_gets_elements_of_its_own(radius, offset):
