@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from vsfsim.baselines.posterior import Posterior
 from vsfsim.baselines.sbml import Sbml
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
+from vsfsim.vsf.meta.composition import GaussianPrior
 
 SETTINGS = {"spacing": 0.005, "friction": 0.0, "noise_std": 1.0, "margin": 0.01, "table_height": 0.0, "device": "cpu"}
 
@@ -93,3 +95,13 @@ def test_every_particle_method_takes_both_and_refuses_what_is_none(method):
     assert (made.shelf.settings.noise_share, made.shelf.settings.band) == (0.5, 0.015)
     with pytest.raises(MethodError, match="band is -1"):
         method(band=-1.0)
+
+
+def test_the_stiffness_at_a_point_is_the_mean_of_the_particles_within_two_spacings():
+    """Three particles 4, 8 and 30 mm from a point, 5 mm apart by their settings; and far from all, the nearest one."""
+    model = SimpleNamespace(settings=SimpleNamespace(spacing=0.005, noise_std=1.0), cell=1e-6,
+                            particles=np.array([[0.004, 0.0, 0.0], [0.0, 0.008, 0.0], [0.0, 0.0, 0.03]]))
+    found = Posterior(model, np.array([1.0, 3.0, 7.0]), sparse.csr_matrix((0, 3)),
+                      GaussianPrior.plain(0.0, 4.0, 3)).density(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]))
+    np.testing.assert_allclose(found.mean, [2e6, 7e6])
+    np.testing.assert_allclose(found.std, [2e6, 2e6])

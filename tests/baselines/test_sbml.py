@@ -231,3 +231,11 @@ def test_noise_in_proportion_to_a_touch(task):
                                                         * stds[1][0]), "no reading is foretold better than the model is"
     with pytest.raises(VsfsimError, match="noise_share -1"):
         Sbml(noise_share=-1.0)
+
+
+def test_what_is_held_out_of_a_training_is_a_share_of_the_objects_and_a_part_for_each_network():
+    names = [f"shoe-{k}" for k in range(8) for _ in range(2)]  # two views each
+    (quarter,) = Sbml(networks=1, validation=0.25)._held_out(names)
+    assert len(quarter) == 4 and len({names[i] for i in quarter}) == 2
+    parts = Sbml(networks=3, validation=0.25)._held_out(names)
+    assert sorted(i for part in parts for i in part) == list(range(16)) and [len(p) for p in parts] == [6, 6, 4]

@@ -182,6 +182,21 @@ def test_readings_of_several_numbers_are_refused(make, task, train):
         make().meta_fit(wide)
 
 
+@pytest.mark.parametrize("make", METHODS)
+def test_what_was_learned_is_saved_and_loaded(make, task, train, tmp_path):
+    view, action = mock_view(9), train[0].touches[0].action
+    learned, other = make(), make()
+    learned.meta_fit(train[:2])
+    learned.save(tmp_path)
+    other.load(tmp_path)
+    answers = []
+    for method in (learned, other):
+        method.adapt(view.view, train[1].touches[:2])
+        answers.append(method.predict([action])[0])
+    np.testing.assert_array_equal(*answers)
+    assert np.abs(answers[0]).max() > 0.0
+
+
 def test_one_frame_in_contact_is_enough(train):
     view = SurfaceView(train[0].view)
     touch = train[0].touches[0]

@@ -9,7 +9,7 @@ from scipy import sparse
 from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.baselines.point_vsf import PointVsf
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.mock import mock_view
+from vsfsim.bench.mock import SPACING, mock_view
 from vsfsim.bench.noise import stream
 from vsfsim.bench.observations import OBSERVATIONS, Channel, Observation, observation
 from vsfsim.bench.protocol import record
@@ -108,3 +108,9 @@ def test_methods_predict_a_new_observation(plate_task, thirty_touches, method):
     # deviation of 0.05, and the coverage 0.90 to 0.98 with 0.025. With 8 touches of support the ratio was up to 0.84.
     assert result.scores["rmse_ratio"]["all"].mean < 0.35, "of predicting nothing"
     assert result.scores["coverage90"]["all"].mean > 0.85
+
+
+def test_the_mock_object_has_the_modulus_of_its_springs():
+    """A spring on a grid stands for E times the spacing."""
+    truth = mock_view(0).truth
+    np.testing.assert_allclose(truth.young_modulus * SPACING, truth.vsf_stiffness, rtol=1e-12)

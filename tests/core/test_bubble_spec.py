@@ -56,3 +56,12 @@ def test_what_moves_and_what_it_meets():
         scene('kind = "bubble"', "")
     with pytest.raises(SceneError, match=r"there is no \[object\]"):
         parse_scene(PLACE, "none.toml")
+
+
+def test_the_camera_inside_is_on_or_has_two_numbers_of_pixels():
+    assert scene('kind = "bubble"').sensor.camera is None
+    assert scene('kind = "bubble"\ncamera = true').sensor.camera == (640, 480)
+    assert scene('kind = "bubble"\ncamera = [8, 4096]').sensor.camera == (8, 4096)
+    for wrong in ("[7, 240]", "[320, 4097]", "[320]", "[320.0, 240]", "[true, 240]", '"large"'):
+        with pytest.raises(SceneError, match="camera is"):
+            scene(f'kind = "bubble"\ncamera = {wrong}')

@@ -4,13 +4,14 @@ import dataclasses
 import itertools
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
-from vsfsim.core.shape import Sphere
+from vsfsim.core.shape import Box, Sphere
 from vsfsim.generate.aim import aim_probe, clearance, probe_pose, surface_samples
 from vsfsim.generate.cloud import voxel_sample
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness
@@ -217,3 +218,18 @@ def test_voxel_sample_takes_one_point_a_voxel():
     assert len(found) == len(np.unique(np.floor(cloud / 0.01),
                                        axis=0)) == len(np.unique(np.floor(found / 0.01), axis=0))
     assert all((cloud == p).all(axis=1).any() for p in found)
+
+
+def test_a_corner_of_a_box_meets_a_tilted_plane_where_geometry_says():
+    """The plane z = x / 10 of two triangles, and a box of 40 mm whose base is 50 mm up: the corner at x = 20 mm is
+    first, after 48 mm, whichever corner of a triangle is its first."""
+    square = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    mesh = SimpleNamespace(points=np.column_stack([square, 0.1 * square[:, 0]]), faces=np.array([[1, 2, 0], [2, 3, 0]]))
+    pose = np.eye(4)
+    pose[2, 3] = 0.07
+    far = np.array([[0.0, 0.0, -100.0]])
+    for faces in (mesh.faces, np.roll(mesh.faces, 1, axis=1)):
+        mesh.faces = faces
+        found = clearance(SimpleNamespace(mesh=mesh, element_size=0.02), Box((0.04, 0.04, 0.04)), pose,
+                          np.array([0.0, 0.0, -1.0]), samples=far)
+        assert found == pytest.approx(0.048, abs=1e-9)

@@ -54,6 +54,15 @@ def test_inside_is_inside():
     assert np.min(np.abs(np.abs(known.surface) - [0.02, 0.03, 0.05]), axis=1).min() < 1e-9
 
 
+def test_the_surface_of_parts_that_overlap_is_that_of_their_union():
+    x, triangles = box((-0.02, -0.03, 0.0), (0.02, 0.03, 0.05))
+    assert len(KnownObject.of(x, triangles, samples=300).surface) == 300, "all of one part is outside"
+    both = KnownObject.of(np.concatenate([x, x + [0.02, 0.0, 0.0]]), np.concatenate([triangles, triangles + 8]),
+                          samples=600)
+    inside = (np.abs(both.surface[:, 0] - 0.01) < 0.0099) & (np.abs(both.surface[:, 1]) < 0.0299)
+    assert not (inside & (np.abs(both.surface[:, 2] - 0.025) < 0.0249)).any() and 300 < len(both.surface) < 560
+
+
 def test_registration_recovers_a_rigid_motion(trial_seed):
     known = KnownObject.of(*wedge())
     truth = pose(2.1 + 2.4 * trial_seed, [0.03, -0.02, 0.01], tilt=0.4)

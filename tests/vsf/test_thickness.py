@@ -95,3 +95,17 @@ def test_a_leaf_that_hangs_far_below_the_foot_has_finite_features():
     assert place(view)[:, 2].min() < -0.06
     found = particle_features("place", view, view.points()[::50], spacing=0.01)
     assert np.isfinite(found).all() and np.isfinite(view_token("place", view)).all()
+
+
+def test_parts_that_join_only_one_another_are_as_far_as_ten_times_the_straight_line():
+    """A stem with a leaf beside it, and two leaves far from both whose nearest part is the other."""
+    depth = np.zeros((300, 400))
+    depth[20:290, 10:60] = 1.0
+    depth[180:260, 90:150] = 1.0
+    depth[60:140, 240:300] = 1.0
+    depth[60:140, 320:380] = 1.0
+    view = picture(depth)
+    where = np.full(depth.shape + (3,), np.nan)
+    where[view.mask] = place(view)
+    straight = np.hypot(0.260 - 0.035, 0.275 - 0.100)
+    assert where[100, 260, 0] == pytest.approx(10.0 * straight, rel=0.05)
