@@ -12,7 +12,7 @@ from pathlib import Path
 
 import typer
 
-from vsfsim.cli.console import report
+from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import JsonFile
 from vsfsim.core.errors import VsfsimError
 
@@ -38,7 +38,11 @@ class Fact:
 @app.command()
 def info(json: JsonFile = None) -> None:
     """Versions, devices, renderers, caches, weights and datasets of this machine, and what to do about each."""
-    facts = [fact for group in GROUPS for fact in group()]
+    facts: list[Fact] = []
+    with Progress("info") as progress:
+        for number, group in enumerate(GROUPS):
+            progress(number, len(GROUPS), group.__name__)
+            facts += group()
     width = max(len(fact.name) for fact in facts) + 2
     lines: list[str] = []
     for fact in facts:

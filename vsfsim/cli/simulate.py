@@ -109,7 +109,8 @@ def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE|RESULT",
         return
     from vsfsim.generate import inspect as look
 
-    lines, numbers = look.inspect(what, out, seed=seed, device=device)
+    with Progress("inspect") as progress:
+        lines, numbers = look.inspect(what, out, seed=seed, device=device, progress=progress)
     report("\n".join(lines), numbers, json)
 
 

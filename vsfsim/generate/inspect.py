@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,12 @@ if TYPE_CHECKING:
     from vsfsim.generate.effector import Drawing
 
 
-def inspect(what: str, out: Path | None, *, seed: int, device: str) -> tuple[list[str], dict[str, Any]]:
+Progress = Callable[[int, int, str], None]
+"""(what is done, of how many, and what is next)."""
+
+
+def inspect(what: str, out: Path | None, *, seed: int, device: str,
+            progress: Progress = lambda done, total, what: None) -> tuple[list[str], dict[str, Any]]:
     """Draw the picture of a dataset folder or of a scene.
 
     Returns:
@@ -20,7 +26,8 @@ def inspect(what: str, out: Path | None, *, seed: int, device: str) -> tuple[lis
     Raises:
         DatasetError, SceneError: neither a dataset nor a scene, or one that is damaged.
     """
-    return _dataset(Path(what), out) if is_dataset(what) else _scene(what, out, seed=seed, device=device)
+    return (_dataset(Path(what), out, progress) if is_dataset(what)
+            else _scene(what, out, seed=seed, device=device, progress=progress))
 
 
 def is_dataset(what: str) -> bool:
@@ -52,14 +59,18 @@ def draw_scene(name: str, seed: int) -> tuple[str, Drawing]:
     return loaded.name, effector_of(scene).draw(scene, stream(seed, Stream.BODY, 0))
 
 
-def _dataset(folder: Path, out: Path | None) -> tuple[list[str], dict[str, Any]]:
+def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[str], dict[str, Any]]:
     from vsfsim.data.contact_sheet import contact_sheet
     from vsfsim.data.dataset import Dataset
     from vsfsim.data.summary import summary_rows
 
     data = Dataset.open(folder)
     path = out or Path(f"{folder.resolve().name}.png")
-    views = [data.load(name) for name in data.names()[:24]]
+    names, views = data.names()[:24], []
+    for number, name in enumerate(names):
+        progress(number, len(names) + 1, name)
+        views.append(data.load(name))
+    progress(len(names), len(names) + 1, "contact sheet")
     contact_sheet(views, path, title=f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}")
     more = f" (the first {len(views)} of {len(data)} object views)" if len(views) < len(data) else ""
     rows = summary_rows(folder)
@@ -67,10 +78,13 @@ def _dataset(folder: Path, out: Path | None) -> tuple[list[str], dict[str, Any]]
             {**{key.strip(): value for key, value in rows}, "picture": str(path)})
 
 
-def _scene(name: str, out: Path | None, *, seed: int, device: str) -> tuple[list[str], dict[str, Any]]:
+def _scene(name: str, out: Path | None, *, seed: int, device: str,
+           progress: Progress) -> tuple[list[str], dict[str, Any]]:
     from vsfsim.sensing.turntable import turntable
 
+    progress(0, 2, "the object is built")
     name, drawing = draw_scene(name, seed)
+    progress(1, 2, "its pictures are drawn")
     path = out or Path(f"{name}.png")
     turntable(drawing.surface, path, young_modulus=drawing.young_modulus,
               title=f"{name}, {drawing.subtitle or f'seed {seed}'}", device=device)
