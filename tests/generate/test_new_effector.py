@@ -1,11 +1,15 @@
-"""Proof by addition: a new sensor is one file of effectors and its rows in two tables.
+"""Proof by addition: a new sensor is a package with an effector, a row of the schema and an observation.
 
-The file below, a load cell behind a rigid probe, is found through an entry point as a shipped one is found in its
-folder. `generate`, `press`, `evaluate` and the baselines take it as it is.
+The package below, a load cell behind a rigid probe, is installed by pip and found through its entry points.
+`generate`, `verify`, `load`, `press`, `evaluate` and the baselines take it as it is.
 """
 
 import importlib
+import importlib.metadata
+import json
 import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -16,32 +20,29 @@ from test_layers import ROOT, files, imports, module_name
 
 import vsfsim
 from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.task import parse_task
-from vsfsim.core.errors import DatasetError, SceneError
+from vsfsim.core.errors import DatasetError, SceneError, VsfsimError
 from vsfsim.core.scene import load_scene, parse_scene
-from vsfsim.core.shelf import effectors
+from vsfsim.core.shelf import Registry, effectors
 from vsfsim.data import schema
-from vsfsim.data.verify import verify
+from vsfsim.data.hdf5 import read_view
+from vsfsim.data.verify import _check_schema, verify
 from vsfsim.generate.effector import find_effector
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import generate
 from vsfsim.press.command import press
 
-LOAD_CELL = '''
-"""A flat load cell behind a rigid probe: it reads the force along its axis in steps, up to its range."""
-
-import dataclasses
+READING = '''
+"""What a load cell reads, and what a task asks of it; scoring needs no more."""
 
 import numpy as np
 
+from vsfsim.bench.metrics import Answer, Metric
 from vsfsim.bench.noise import noisy_force
-from vsfsim.bench.observations import OBSERVATIONS, Channel, Observation
-from vsfsim.core.errors import SceneError
-from vsfsim.core.table import Table
+from vsfsim.bench.observations import Channel, Observation
 from vsfsim.data import schema
-from vsfsim.generate.effectors.probe import Probe
-from vsfsim.generate.press_result import Column, Curves
 
 schema.FIELDS.append(schema.Field("touches/*/channels/cell_force", "float64", ("T",), "N",
                                   "Force along the axis of the load cell.", required=False, masked=True))
@@ -51,11 +52,28 @@ def noise(values, time, force, noise, **touch):
     return noisy_force(np.tile(values[:, None], 3), noise, time=time, **touch)[:, 0]
 
 
-OBSERVATIONS["cell-force"] = Observation(
+OBSERVATION = Observation(
     "cell-force", "N", 1,
     Channel("load cell", "a load cell, a [sensor]", lambda touch: touch.channel("cell_force"), noise),
     lambda force, axis: force[:, None], "vsfsim.vsf.observations:normal_force", "Force along the load cell's axis.",
     along_press=True)
+WORST = Metric("worst_touch", Answer.READINGS,
+               lambda touches: max((touch["sse"] / touch["n"]) ** 0.5 for touch in touches),
+               "Largest root mean square error of a touch.", unit=None, ranks=True)
+'''
+
+LOAD_CELL = '''
+"""A flat load cell behind a rigid probe: it reads the force along its axis in steps, up to its range."""
+
+import dataclasses
+
+import numpy as np
+
+import cell_reading  # noqa: F401  (its row of the schema)
+from vsfsim.core.errors import SceneError
+from vsfsim.core.table import Table
+from vsfsim.generate.effectors.probe import Probe
+from vsfsim.generate.press_result import Column, Curves
 
 
 class LoadCell(Probe):
@@ -93,6 +111,23 @@ class LoadCell(Probe):
 
 EFFECTOR = LoadCell()
 '''
+
+PACKAGE = """
+[build-system]
+requires = ["setuptools"]
+build-backend = "setuptools.build_meta"
+[project]
+name = "load-cell"
+version = "1.0"
+[tool.setuptools]
+py-modules = ["load_cell", "cell_reading"]
+[project.entry-points."vsfsim.effectors"]
+load-cell = "load_cell:EFFECTOR"
+[project.entry-points."vsfsim.observations"]
+cell-force = "cell_reading:OBSERVATION"
+[project.entry-points."vsfsim.metrics"]
+worst_touch = "cell_reading:WORST"
+"""
 
 SCENE = """
 name = "weighed"
@@ -139,22 +174,20 @@ metrics = { primary = "rmse", ranking_shot = 3 }
 
 @pytest.fixture(scope="module")
 def load_cell(tmp_path_factory):
-    """The effector, installed the way `pip` installs one: a module and its entry point on the path."""
-    folder, name = tmp_path_factory.mktemp("site"), "load_cell_of_a_test"
-    (folder / f"{name}.py").write_text(LOAD_CELL)
-    # a method runs in a process of its own, which learns of the observation from what the method's module imports
-    (folder / "weighing.py").write_text(f"import {name}\nfrom vsfsim.baselines.gaussian import *\n"
-                                        "from vsfsim.baselines.point_vsf import PointVsf\n")
-    metadata = folder / f"{name}-1.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
-    (metadata / "entry_points.txt").write_text(f"[vsfsim.effectors]\nload-cell = {name}:EFFECTOR\n")
+    """The package, built and installed by pip into a folder of the path, and its effector's module."""
+    source, folder = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("site")
+    for name, text in (("pyproject.toml", PACKAGE), ("load_cell.py", LOAD_CELL), ("cell_reading.py", READING)):
+        (source / name).write_text(text)
+    subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation",
+                    "--target", str(folder), str(source)], check=True, timeout=300)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)  # processes that are spawned have the same path
         patch.setattr(schema, "FIELDS", [*schema.FIELDS])
-        yield importlib.import_module(name)
-    OBSERVATIONS.pop("cell-force")
-    sys.modules.pop(name)
+        yield importlib.import_module("load_cell")
+        for table, name in ((OBSERVATIONS, "cell-force"), (METRICS, "worst_touch")):
+            table.pop(name)
+    for name in ("load_cell", "cell_reading"):
+        sys.modules.pop(name)
 
 
 @pytest.fixture(scope="module")
@@ -176,15 +209,64 @@ def test_a_dataset_has_what_the_sensor_reads(made):
             clipped += int((cell == 2.0).sum())
     assert clipped > 0, "the range was meant to be met"
     with h5py.File(made.path / made.entries[0].file, "r") as file:
-        assert file["touches/000/channels/cell_force"].attrs["units"] == "N"
+        said = dict(file["touches/000/channels/cell_force"].attrs)
+    assert said == {"units": "N", "dims": "T", "doc": "Force along the axis of the load cell.", "masked": True}
 
 
 def test_methods_are_scored_on_it(made):
     task = parse_task(TASK, "weighed-v1.toml")
-    scores = {name: evaluate(f"weighing:{name}", task, made, check=False).scores["rmse_ratio"]
-              for name in ("GaussianAverage", "PointVsf")}
-    print({name: {shot: f"{row.mean:.3f}" for shot, row in score.items()} for name, score in scores.items()})
-    assert all(score["3"].mean < 0.9 for score in scores.values()), "of predicting nothing"
+    results = {name: evaluate(name, task, made, check=False) for name in ("gaussian", "point-vsf")}
+    print({name: {shot: f"{row.mean:.3f}" for shot, row in result.scores["rmse_ratio"].items()}
+           for name, result in results.items()})
+    for result in results.values():
+        assert result.scores["rmse_ratio"]["3"].mean < 0.9, "of predicting nothing"
+        worst = max(sse / n for shot, run, n, sse in zip(*(result.queries[k] for k in ("shot", "seed", "n", "sse")))
+                    if (shot, run) == ("3", 0))
+        assert result.scores["worst_touch"]["3"].per_seed[0] == pytest.approx(worst**0.5)
+
+
+def test_the_dataset_is_read_and_verified_without_the_package(made):
+    """In a Python that does not have it; the task that asks for its reading needs it and says so."""
+    code = (f"import vsfsim; from vsfsim.data.verify import verify; report = verify({str(made.path)!r});"
+            f"assert report.ok, report.text(); view = vsfsim.load({str(made.path)!r})[0];"
+            f"print(view.touches[0].channels['cell_force'].tolist());"
+            f"from vsfsim.bench.task import parse_task; parse_task({TASK!r}, 'weighed-v1.toml')")
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert json.loads(out.stdout) == made[0].touches[0].channels["cell_force"].tolist(), out.stderr
+    assert "observation 'cell-force' is unknown" in out.stderr and "once that is installed" in out.stderr
+
+
+@pytest.mark.parametrize(("key", "value", "message"), [
+    ("doc", None, "its attributes do not describe it"), ("dims", "T; rm", "its attributes do not describe it"),
+    ("masked", 7, "its attributes do not describe it"), ("dims", "T 3", "has shape"), ("units", "kg", None)])
+def test_a_channel_that_is_described_badly_is_refused(made, tmp_path, monkeypatch, key, value, message):
+    monkeypatch.setattr(schema, "FIELDS", [field for field in schema.FIELDS if "cell_force" not in field.path])
+    file = tmp_path / made.entries[0].file
+    shutil.copy(made.path / made.entries[0].file, file)
+    with h5py.File(file, "r+") as opened:
+        attributes = opened["touches/000/channels/cell_force"].attrs
+        del attributes[key]
+        if value is not None:
+            attributes[key] = value
+    found = _check_schema(file)
+    if message is None:  # another unit is the file's own affair while nobody else knows the channel
+        assert not found and read_view(file).touches[0].channels["cell_force"].shape == (4,)
+        return
+    assert len(found) == 1 and message in str(found[0]), found
+    with pytest.raises(DatasetError, match=message):
+        read_view(file)
+
+
+def test_a_row_that_cannot_be_loaded_is_named(monkeypatch):
+    table = Registry("vsfsim.tests", {})
+    entries = {name: importlib.metadata.EntryPoint(name, value, "vsfsim.tests") for name, value in (
+        ("gone", "no_such_module:ROW"), ("other", "vsfsim.bench.observations:PRESSURE"))}
+    monkeypatch.setattr("vsfsim.core.shelf._entries", lambda group, path: entries)
+    assert list(table) == ["gone", "other"] and "gone" in table and "third" not in table and table.get("third") is None
+    with pytest.raises(VsfsimError, match=r"'gone' \(no_such_module:ROW, entry point of vsfsim.tests\) cannot be"):
+        table["gone"]
+    with pytest.raises(VsfsimError, match="is the row 'pressure'; the name of the entry point must be"):
+        table["other"]
 
 
 def test_it_is_pressed_printed_drawn_and_saved(load_cell, tmp_path):

@@ -21,7 +21,7 @@ from vsfsim.bench.trials.rows import Score
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown as escaped
 from vsfsim.core.plain_text import plain
-from vsfsim.core.shelf import folder, methods
+from vsfsim.core.shelf import ceilings, folder, methods
 from vsfsim.core.text_table import text_table
 
 SAME_READINGS = 1e-3
@@ -29,6 +29,8 @@ SAME_READINGS = 1e-3
 other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
 has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
 _ROUNDING = 1e-8  # of the nine digits of a score that ships
+CEILING = "a ceiling, which knows the true object"
+"""Why the row of a ceiling is not ranked."""
 _SAME_SCORE = 1e-4
 """Relative difference below which two scores on such datasets count as one result."""
 
@@ -114,13 +116,14 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         else:
             admission = admit(result, task, record)
             scores, other = admission.scores, result.dataset_sha256 != reference
-            mark = admission.reason or (_far_apart(result, known) if other and record is None else "")
+            mark = admission.reason or (_far_apart(result, known) if other and record is None else "") or (
+                CEILING if is_ceiling(result) else "")
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if mark else good
         same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
         if same is None:
             objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
-                       } if over_objects(task) and not mark else {}
+                       } if over_objects(task) and mark in ("", CEILING) else {}
             rows.append(Row(None, mark, result, scores, path, other and not mark, objects, origin[path]))
         elif rows[same].origin != origin[path]:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
@@ -193,7 +196,9 @@ def ship(board: Board, path: Path) -> None:
 def table(board: Board) -> dict[str, Any]:
     """The board for JSON."""
     task = board.task
-    rows = [{"rank": row.rank, "method": row.result.method, "parameters": dict(row.result.parameters),
+    ceiling = possible(board)
+    rows = [{"rank": row.rank, "share_of_possible": {shot: share_of_possible(row, ceiling, shot) for shot in ceiling},
+             "method": row.result.method, "parameters": dict(row.result.parameters),
              "origin": row.origin, "file": str(row.path), "not_ranked_because": row.mark,
              "objects": {shot: dict(values) for shot, values in row.objects.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
@@ -267,7 +272,9 @@ def _title(board: Board) -> str:
 def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
     task = board.task
     labels = task.protocol.labels
-    head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "sandbox", "vsfsim"]
+    ceiling = possible(board)
+    head = ["#", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []), "rank corr.",
+            "adapt", "sandbox", "vsfsim"]
     rows, names = [], labels_of([row.result for row in board.rows])
     for row, label in zip(board.rows, names):
         by_shot = row.scores.get(task.primary, {})
@@ -277,9 +284,31 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
         rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
                      *(_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
-                       for shot in labels), _number(stiffness), f"{adapt:.2f} s",
+                       for shot in labels), *([_share(row, ceiling, task.ranking_shot)] if ceiling else []),
+                     _number(stiffness), f"{adapt:.2f} s",
                      shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
+
+
+def is_ceiling(result: Result) -> bool:
+    """Whether a result is of a ceiling (`vsfsim.bench.commands.ceiling`)."""
+    entry = ceilings().get(result.method)
+    return entry is not None and entry.value == result.entry
+
+
+def possible(board: Board) -> dict[str, float]:
+    """By shot, the mean ratio of the ceiling that ran at the data's own tier; {} where the board has none, or does not
+    rank by the error over that of predicting zero."""
+    found = [row for row in board.rows if row.mark == CEILING and not row.result.parameters.get("tier")]
+    if not found or board.task.primary != "rmse_ratio":
+        return {}
+    return {shot: score.mean for shot, score in found[0].scores["rmse_ratio"].items()}
+
+
+def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> float | None:
+    """(zero - e) / (zero - ceiling) of a row's mean e at a shot [-]: 0 predicts zero, 1 is the true object."""
+    score = row.scores.get("rmse_ratio", {}).get(shot)
+    return None if score is None or shot not in ceiling else (1.0 - score.mean) / (1.0 - ceiling[shot])
 
 
 def claimed(result: Result) -> bool:
@@ -310,6 +339,9 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     if over_objects(board.task) and board.rows:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")
+    if possible(board):
+        lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
+                     f"predicts zero, 1 is the true object asked again")
     lines += on_other_bits(board)
     if board.rows and not board.has_record:
         lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
@@ -340,6 +372,11 @@ def _paper(board: Board) -> list[list[str]]:
 
 def _number(score: Score | None) -> str:
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
+
+
+def _share(row: Row, ceiling: Mapping[str, float], shot: str) -> str:
+    share = share_of_possible(row, ceiling, shot)
+    return "" if share is None else f"{share:.2f}"
 
 
 def _over(values: ByObject) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from vsfsim.bench import reading_metrics as readings
 from vsfsim.bench import stiffness_metrics as stiffness
 from vsfsim.bench.inclusions import mask_f1, mask_precision, mask_recall, rotation_error, translation_error
+from vsfsim.core.shelf import Registry
 
 Record = Mapping[str, Any]
 
@@ -83,7 +84,7 @@ def _of_mask(name: str, score: Callable[..., float], doc: str) -> Metric:
                   ranks=True)
 
 
-METRICS: dict[str, Metric] = {
+METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
     m.name: m for m in (
         _reading("rmse", readings.rmse, "Root mean square error of a touch's readings, averaged over touches."),
         _reading("rmse_pooled", readings.rmse_pooled, "Root mean square error over all readings."),
@@ -127,8 +128,9 @@ METRICS: dict[str, Metric] = {
         Metric("rotation_error", Answer.POSE, _mean_over_objects(rotation_error, "estimate", "truth"),
                "Angle of the rotation between the estimated and the true object.", unit="deg", ranks=True),
     )
-}
-"""The table, by name, in the order in which results list them."""
+})
+"""The table, by name, in the order in which results list them; a package adds rows by entry points of the group
+``vsfsim.metrics``."""
 
 
 def metrics_of(answer: Answer) -> tuple[Metric, ...]:

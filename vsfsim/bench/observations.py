@@ -17,6 +17,7 @@ from vsfsim.bench.noise import Noise, noisy_force
 from vsfsim.bench.noise_bubble import noisy_pressure
 from vsfsim.bench.noise_torque import noisy_torque
 from vsfsim.core.errors import TaskError, did_you_mean
+from vsfsim.core.shelf import Registry
 from vsfsim.data.records import Touch
 
 
@@ -99,7 +100,7 @@ PUNYO_RIM_AREA = 7.18e-3
 """Area inside the rim of a Punyo [m^2]: pi times its semi-axes. It converts a pressure to a force. The stiffness
 absorbs what the gas adds to this law (SBML eq. 8)."""
 
-OBSERVATIONS: dict[str, Observation] = {
+OBSERVATIONS: Registry[Observation] = Registry("vsfsim.observations", {
     o.name: o for o in (
         Observation("normal-force", "N", 1, FORCE, lambda force, axis: (0.0 - force @ axis)[:, None],
                     "vsfsim.vsf.observations:normal_force",
@@ -117,8 +118,8 @@ OBSERVATIONS: dict[str, Observation] = {
                     "Torques of the contact on the seven joints of the arm, without those of the arm's weight "
                     "(SBML eq. 7)."),
     )
-}
-"""The table, by name."""
+})
+"""The table, by name; a package adds rows by entry points of the group ``vsfsim.observations``."""
 
 
 def observation(name: str, where: str) -> Observation:
@@ -128,5 +129,6 @@ def observation(name: str, where: str) -> Observation:
         TaskError: there is none; ``where`` begins the message.
     """
     if name not in OBSERVATIONS:
-        raise TaskError(f"{where}: observation '{name}' is unknown. {did_you_mean(name, OBSERVATIONS)}")
+        raise TaskError(f"{where}: observation '{name}' is unknown. {did_you_mean(name, OBSERVATIONS)} One of another "
+                        f"package is known once that is installed.")
     return OBSERVATIONS[name]

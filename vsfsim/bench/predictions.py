@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import lzma
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
@@ -99,23 +99,34 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
             if key not in asked:
                 raise MethodError(f"predictions {path} have '{plain(key, longest=100)}', which the task does not ask. "
                                   f"Keys are <object>/<shot>/<seed>/<touch>.")
+    every = [one for mine in answers.values() for one in mine]
+    return result_of(every, task, dataset, method=plain(name), entry="predictions file",
+                     notes=("scored from a file of predictions",), data=data)
+
+
+def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, **said: Any) -> Result:
+    """The result of readings that were predicted outside the harness; the truth is read here.
+
+    Args:
+        answers: of every object, shot and draw of the task. task, dataset: of the questions. said: further fields of
+        `Result`, at least ``method`` and ``entry``.
+    """
     rows: list[dict[str, Any]] = []
     readings: dict[str, list] = {}
-    for subject, mine in answers.items():
-        found, summary = rows_of(subject, mine, task, dataset)
+    for subject in dict.fromkeys(one.trial.subject for one in answers):
+        found, summary = rows_of(subject, [one for one in answers if one.trial.subject == subject], task, dataset)
         rows += found[Answer.READINGS]
         for column, values in summary.items():
             readings.setdefault(column, []).extend(values)
     seeds = task.protocol.runs(seeded=False)
+    fields: dict[str, Any] = {"parameters": {}, "timing": {}, **said}
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
-        method=plain(name), entry="predictions file", parameters={}, observation=task.observation.name,
-        unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
+        observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
         scores=scores_of(Answer.READINGS, beside_zero(rows, readings, task.observation.size), task.protocol.labels,
                          seeds),
-        queries=as_columns(Answer.READINGS, rows), timing={},
-        peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(),
-        notes=("scored from a file of predictions",), readings=readings, data=data)
+        queries=as_columns(Answer.READINGS, rows), peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(),
+        made_by=made_by(), versions=versions(), readings=readings, **fields)
 
 
 class PredictionFile:

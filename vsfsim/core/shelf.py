@@ -1,4 +1,5 @@
-"""Where named things lie: scenes, tasks and leaderboard rows are files, methods are entry points."""
+"""Where named things lie: scenes, tasks and leaderboard rows are files, methods are entry points, and tables have rows
+of both kinds."""
 
 from __future__ import annotations
 
@@ -6,15 +7,19 @@ import hashlib
 import importlib.metadata
 import importlib.resources
 import os
+import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, MutableMapping
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file
+from vsfsim.core.plain_text import plain
 
 METHOD_GROUP = "vsfsim.methods"
+CEILING_GROUP = "vsfsim.ceilings"
 EFFECTOR_GROUP = "vsfsim.effectors"
 FAMILY_GROUP = "vsfsim.families"
 
@@ -147,6 +152,13 @@ def methods() -> dict[str, importlib.metadata.EntryPoint]:
     return {ep.name: ep for ep in importlib.metadata.entry_points(group=METHOD_GROUP)}
 
 
+def ceilings() -> dict[str, importlib.metadata.EntryPoint]:
+    """What knows the true object, by name: `vsfsim.generate.resim.again`, and the entry points of the group
+    ``vsfsim.ceilings``, each a function like it."""
+    shipped = importlib.metadata.EntryPoint("resim", "vsfsim.generate.resim:again", CEILING_GROUP)
+    return {ep.name: ep for ep in (*importlib.metadata.entry_points(group=CEILING_GROUP), shipped)}
+
+
 def effectors() -> list[str]:
     """Names of the effectors, of what can touch an object: the files of ``vsfsim/generate/effectors/`` (a ``_`` stands
     for a ``-`` of the name), and the entry points of the group ``vsfsim.effectors``."""
@@ -176,3 +188,59 @@ def dataset_folder(scene: str, *, text: str, **recipe: Any) -> Path:
         if all(want.get(key) in (value, None, "", "auto") for key, value in asked.items()):
             return datasets() / want["folder"]
     return datasets() / scene
+
+
+Row = TypeVar("Row")
+
+
+class Registry(MutableMapping[str, Row], Generic[Row]):
+    """Rows by name. A row of another package is loaded when it is asked for.
+
+    Args:
+        group: of the entry points, e.g. "vsfsim.observations". Each is a row, with its ``name``.
+        shipped: the rows of this package.
+
+    Raises:
+        VsfsimError: from an access, where an entry point cannot be loaded or names another row.
+    """
+
+    def __init__(self, group: str, shipped: Mapping[str, Row]):
+        self.group, self._rows = group, dict(shipped)
+
+    def __getitem__(self, name: str) -> Row:
+        if name not in self._rows:
+            self._rows[name] = self._load(_entries(self.group, tuple(sys.path))[name])
+        return self._rows[name]
+
+    def __setitem__(self, name: str, row: Row) -> None:
+        self._rows[name] = row
+
+    def __delitem__(self, name: str) -> None:
+        del self._rows[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._rows or name in _entries(self.group, tuple(sys.path))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys([*self._rows, *_entries(self.group, tuple(sys.path))]))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def _load(self, entry: importlib.metadata.EntryPoint) -> Row:
+        where = f"'{plain(entry.name)}' ({plain(entry.value)}, entry point of {self.group})"
+        try:
+            row = entry.load()
+        except Exception as error:  # a module may raise anything while it is imported
+            raise VsfsimError(f"{where} cannot be loaded: {type(error).__name__}: {plain(error)}. Install its package "
+                              f"again, or remove it.") from error
+        if getattr(row, "name", None) != entry.name:
+            raise VsfsimError(f"{where} is the row {plain(getattr(row, 'name', row), longest=80)!r}; the name of the "
+                              f"entry point must be that of its row.")
+        return row
+
+
+@lru_cache(maxsize=64)
+def _entries(group: str, path: tuple[str, ...]) -> dict[str, importlib.metadata.EntryPoint]:
+    """Of a group, as long as the path is ``path``: the metadata of every package are read for it."""
+    return {entry.name: entry for entry in importlib.metadata.entry_points(group=group)}

@@ -20,6 +20,7 @@ from vsfsim.data.records import ObjectView, Touch, Truth, View
 from vsfsim.data.safety import check_name, check_tree, whole_number
 from vsfsim.data.schema import (
     ATTRIBUTES,
+    CHANNELS,
     FIELDS,
     FORMAT,
     SCHEMA_VERSION,
@@ -110,8 +111,8 @@ def _write_array(group: h5py.Group, field: Field, array: np.ndarray) -> None:
         array = np.array(encoded, dtype=h5py.string_dtype("utf-8", max(longest, 1)))
     options = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if array.nbytes >= _COMPRESS_FROM else {}
     dataset = group.create_dataset(field.name, data=array, track_times=False, **options)
-    dataset.attrs["units"] = field.unit
-    dataset.attrs["dims"] = field.dims_text
+    for key, text in field.attributes.items():
+        dataset.attrs[key] = text
 
 
 def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
@@ -252,7 +253,7 @@ def _read_group(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, kind:
         raise KeyError(f"there is no group '{name}'")
     values: dict[str, Any] = {}
     lengths: dict[str, int] = {}
-    for field in fields_of(kind):
+    for field in (*fields_of(kind), *further_fields(items[name], kind, where)):
         item = items.get(f"{name}/{field.name}")
         if item is None:
             if field.required:
@@ -268,6 +269,20 @@ def _read_group(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, kind:
         if field.dtype == TEXT:
             values[field.name] = tuple(array)
     return values
+
+
+def further_fields(group: h5py.Group, kind: str, where: str) -> list[Field]:
+    """The channels of a touch that are not in the schema, by their own description.
+
+    Raises:
+        DatasetError: one does not describe itself.
+    """
+    inside = group.get(CHANNELS[:-1]) if kind == "touches/*" else None
+    if not isinstance(inside, h5py.Group):
+        return []
+    known = {field.name for field in fields_of(kind)}
+    return [Field.of_channel(CHANNELS + name, str(getattr(item, "dtype", "")), item.attrs, f"{where}/{CHANNELS}{name}")
+            for name, item in inside.items() if CHANNELS + name not in known]
 
 
 def read_array(dataset: h5py.Dataset, field: Field) -> np.ndarray:

@@ -6,6 +6,7 @@ number, or a letter whose length must agree wherever it occurs within the view, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +16,8 @@ from vsfsim.core.errors import DatasetError
 
 FORMAT = "vsfsim-object-view"
 SCHEMA_VERSION = 1
+CHANNELS = "channels/"
+"""What the names of a touch's readings begin with that have no field of their own."""
 TEXT = "text"
 """dtype of a row of strings: UTF-8, padded with zero bytes to the longest."""
 
@@ -37,6 +40,35 @@ class Field:
     """False where the record may hold None."""
     masked: bool = False
     """Along T, only the rows of converged frames must be finite."""
+
+    @classmethod
+    def of_channel(cls, name: str, dtype: str, attributes: Mapping[str, object], where: str) -> Field:
+        """The row of a channel that another package recorded, from what its file says of it.
+
+        Args:
+            name: within a touch, "channels/NAME". dtype: NumPy name. attributes: of the HDF5 dataset. where: file and
+            path, for the message.
+
+        Raises:
+            DatasetError: it is not described.
+        """
+        short = name.removeprefix(CHANNELS)
+        said = {key: attributes.get(key) for key in ("units", "dims", "doc", "masked")}
+        units, dims, doc = said["units"], said["dims"], said["doc"]
+        words = dims.split() if isinstance(dims, str) and dims != "scalar" else []
+        if not (re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", short) and isinstance(units, str) and isinstance(doc, str)
+                and isinstance(dims, str) and dims and said["masked"] in (0, 1)
+                and all(re.fullmatch(r"[A-Za-z]|[0-9]{1,9}", word) for word in words)):
+            raise DatasetError(f"{where} is not in the schema, and its attributes do not describe it: a channel of "
+                               f"another package has units, dims, doc and masked. Install that package, or generate "
+                               f"the dataset again with one that gives its channel a row.")
+        return cls(f"touches/*/{name}", dtype, tuple(words), units, doc, False, bool(said["masked"]))
+
+    @property
+    def attributes(self) -> dict[str, str | bool]:
+        """What an HDF5 dataset says of itself; a channel says enough for `of_channel`."""
+        own: dict[str, str | bool] = {"doc": self.doc, "masked": self.masked} if self.name.startswith(CHANNELS) else {}
+        return {"units": self.unit, "dims": self.dims_text, **own}
 
     @property
     def group(self) -> str:
@@ -171,7 +203,7 @@ FIELDS: list[Field] = [
     _truth("vsf_touched", "bool", "n", "1", "The particle was displaced by at least one touch of the oracle's fit."),
 ]
 """The table. A sensor that is not part of this package appends its rows, ``touches/*/channels/NAME``, when it is
-imported."""
+imported; a file describes them, so that it is read without that package (`Field.of_channel`)."""
 
 ATTRIBUTES: Mapping[str, tuple[str, str]] = {
     "format": ("text", f"always {FORMAT!r}"),
@@ -296,6 +328,10 @@ def schema_markdown() -> str:
         "light",
         "first contact is often such a frame, and its force is small. Leave such frames out where a tenth matters;",
         "`touch.resolved` is None in data that do not measure it.", "",
+        "A sensor of another package records `touches/*/channels/NAME`. Such a dataset has the attributes `doc` (one "
+        "sentence)",
+        "and `masked` besides `units` and `dims`; with them it is read and verified where that package is not "
+        "installed.", "",
         "| root attribute | type | meaning |", "|---|---|---|",
     ]
     lines += [f"| `{name}` | {kind} | {doc} |" for name, (kind, doc) in ATTRIBUTES.items()]

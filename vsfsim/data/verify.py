@@ -14,7 +14,7 @@ import numpy as np
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
-from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, in_use, read_array, read_view
+from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, further_fields, in_use, read_array, read_view
 from vsfsim.data.manifest import CARD, MANIFEST, Entry
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.safety import check_tree
@@ -224,7 +224,7 @@ def _check_schema(path: Path) -> list[Problem]:
 
 
 def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None], *, recorded: bool) -> None:
-    names = {f.name: f for f in fields_of(kind)}
+    names = {f.name: f for f in (*fields_of(kind), *further_fields(group, kind, group.name))}
     inside: list[str] = []
     group.visititems(lambda name, item: inside.append(name) if isinstance(item, h5py.Dataset) else None)
     for name in inside:
@@ -242,7 +242,7 @@ def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None], *, 
 
 def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None, lengths: dict[str, int],
                    wrong: Callable[[str], None], recorded: bool) -> None:
-    for key, want in (("units", f.unit), ("dims", f.dims_text)):
+    for key, want in f.attributes.items():
         if dataset.attrs.get(key) != want:
             wrong(f"{dataset.name} has @{key} {dataset.attrs.get(key)!r}; the schema says {want!r}.")
     if f.dtype != TEXT and dataset.dtype != np.dtype(f.dtype):

@@ -9,8 +9,10 @@ A new effector, say ``[sensor] kind = "load-cell"``, is
 1. a file ``load_cell.py`` in ``vsfsim/generate/effectors/`` (in another package, an entry point ``load-cell`` of the
    group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has the methods of `Effector`. It reads its settings from
    `Scene.effector_table`. One that differs from another effector in a few methods inherits or calls the others.
-2. a row ``touches/*/channels/NAME`` in `vsfsim.data.schema` for every new quantity that it records in `Touch.channels`,
-3. a row in `vsfsim.bench.observations` for every quantity that a task may ask for.
+2. a row ``touches/*/channels/NAME`` in `vsfsim.data.schema` for every new quantity that it records in `Touch.channels`;
+   files describe it, so that they are read without the package,
+3. a row in `vsfsim.bench.observations` for every quantity that a task may ask for; in another package an entry point of
+   the group ``vsfsim.observations``.
 
 ``tests/generate/test_new_effector.py`` adds one.
 """
@@ -51,8 +53,24 @@ class Drawing:
     drawn."""
 
 
+class Planned(Protocol):
+    """A touch before it is made, as a method is asked for it."""
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Planned poses of the mount (T, 4, 4) [m]."""
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Unit direction of the press (3,) [-]."""
+
+
 class Effector(Protocol):
-    """What touches: how it is checked, how it makes touches, what it records."""
+    """What touches: how it is checked, how it makes touches, what it records.
+
+    One that can also make touches of given plans has a function ``touch_along(subject, plans, *, device)``, which gives
+    one `vsfsim.data.records.Touch` a `Planned`; `vsfsim.generate.resim` asks it.
+    """
 
     table: str
     """The scene's table that describes it: "probe", "sensor" or "arm"."""

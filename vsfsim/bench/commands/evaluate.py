@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.commands.ceiling import evaluate_ceiling
 from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.commands.side_by_side import Evaluation, gather, make
@@ -19,6 +20,7 @@ from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.bench.trials import curves
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import MethodError, TaskError, did_you_mean
+from vsfsim.core.shelf import ceilings
 from vsfsim.data.dataset import Dataset
 
 
@@ -31,7 +33,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
 
     Args:
         method: name of an installed method, module:attribute, or a class of an importable module. It runs in a process
-            of its own.
+            of its own. "resim" is the ceiling (`vsfsim.bench.commands.ceiling`).
         task: name of a shipped task, path of a .toml file, or a loaded task.
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
         parameters: of the method's constructor, over its defaults.
@@ -54,13 +56,17 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         VsfsimError: the method, the task or the dataset is unknown or does not fit, or the method raised.
     """
     name = method if isinstance(method, str) else name_of(method)
-    isolation = Isolation(sandbox, timeout, memory, workers)
-    check_name(name)
+    if name not in ceilings():
+        check_name(name)
     if keep not in ("", "predictions") or (keep and out is None):
         raise MethodError(f"keep is '{keep}' and out is {out}; keep is '' or 'predictions', which are written beside "
                           f"the result file of out.")
     wanted = on_objects(task if isinstance(task, Task) else load_task(task), on)
     data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
+    if name in ceilings():
+        return evaluate_ceiling(name, wanted, data, parameters=parameters, processes=processes, progress=progress,
+                                out=None if out is None else Path(out), keep=keep)
+    isolation = Isolation(sandbox, timeout, memory, workers)
     if preset:
         parameters = {**chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters,
                       **(parameters or {})}

@@ -62,7 +62,7 @@ def touch_arrays(touch: Touch) -> dict[str, np.ndarray]:
         value = getattr(touch, table).get(name) if table else getattr(touch, name)
         if value is not None and field.dtype != TEXT:
             out[field.name.replace("/", ".")] = np.asarray(value)
-    return out
+    return out | {f"channels.{name}": np.asarray(value) for name, value in touch.channels.items()}
 
 
 def packed(arrays: dict[str, np.ndarray]) -> bytes:

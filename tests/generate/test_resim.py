@@ -1,0 +1,133 @@
+"""The ceiling `resim`: the true object asked again, its row, and scores as a share of what is possible."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.inspect_result import inspect_result
+from vsfsim.bench.protocol import record
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import MethodError, SceneError
+from vsfsim.core.scene import load_scene
+from vsfsim.generate.resim import again
+from vsfsim.generate.run import generate
+
+SCENE = """
+name = "sprung"
+needs = ["normal-force"]
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+resolution = 0.03
+tier = "linear"
+young_modulus = { loguniform = [2e4, 2e5] }
+[probe]
+shape = { sphere = 0.01 }
+mount_stiffness = 500.0
+[touches]
+count = 5
+depth = 0.004
+frames = { free = 1, in = 3, hold = 0, out = 0 }
+[camera]
+width = 64
+height = 48
+distance = 0.25
+[dataset]
+objects = 3
+splits = { test = 3 }
+"""
+TASK = """
+name = "sprung-v1"
+description = "Predict a probe on a spring."
+dataset = { folder = "sprung", scene = "sprung", seed = 0, objects = 3, views = 1, touches = 5, tier = "linear" }
+protocol = { folds = 3, shots = [0, 1], draws = 2, trainings = 1, query = 3, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.15, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
+metrics = { primary = "rmse_ratio", ranking_shot = 1 }
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sprung")
+    (folder / "sprung.toml").write_text(SCENE)
+    return generate(load_scene(folder / "sprung.toml"), folder / "data", workers=1)
+
+
+@pytest.fixture(scope="module")
+def board(made, tmp_path_factory):
+    """Of near-springs and the ceiling, whose files are in a folder."""
+    folder, task = tmp_path_factory.mktemp("board"), parse_task(TASK, "sprung-v1.toml")
+    evaluate("near-springs", task, made, out=folder / "springs.json", sandbox="process")
+    evaluate("resim", task, made, out=folder / "resim.json", keep="predictions")
+    return leaderboard.collect(task, [folder]), folder
+
+
+def test_a_plan_made_again_is_the_touch(made):
+    task = parse_task(TASK, "sprung-v1.toml")
+    view = made.load(made.entries[1].name)
+    plans = [query.action for query in record(view, task).queries]
+    short = dataclasses.replace(plans[0], poses=plans[0].poses[:3], time=plans[0].time[:3])
+    found = again(made.recipe, view.name, [plans[3], short, plans[1]])
+    for touch, known in zip(found, (view.touches[3], view.touches[0], view.touches[1])):
+        frames = len(touch.force)
+        # what is solved together decides the steps of the way in: 5e-5 on these
+        np.testing.assert_allclose(touch.force, known.force[:frames], rtol=2e-4, atol=1e-7)
+        assert touch.mount_stiffness == 500.0 and touch.converged.all()
+    assert [len(touch.force) for touch in found] == [4, 3, 4]
+
+
+def test_the_ceiling_errs_by_nothing_and_is_not_ranked(board):
+    found, folder = board
+    springs, ceiling = found.rows
+    assert springs.rank == 1 and ceiling.rank is None and ceiling.mark == leaderboard.CEILING
+    assert all(score.mean < 1e-4 for score in ceiling.scores["rmse_ratio"].values())
+    assert set(ceiling.objects["1"]) == set(springs.objects["1"])
+    _, numbers = inspect_result(folder / "resim.json", None)
+    assert all(one["gain"] == pytest.approx(1.0, abs=1e-4) for one in numbers["touches"])
+
+
+def test_scores_are_a_share_of_the_possible(board, tmp_path):
+    found, _ = board
+    springs = found.rows[0].scores["rmse_ratio"]["1"].mean
+    rows = leaderboard.table(found)["rows"]
+    assert [row["share_of_possible"]["1"] for row in rows] == pytest.approx([1.0 - springs, 1.0], abs=1e-4)
+    head, first, second = (leaderboard.text(found).splitlines()[k] for k in (2, 4, 5))
+    assert "of possible" in head and f"{1.0 - springs:.2f}" in first and "1.00" in second and "resim *" in second
+    # a ceiling that errs itself: (1 - e) / (1 - c)
+    half = dataclasses.replace(found.rows[1].scores["rmse_ratio"]["1"], mean=0.5)
+    ceiling = dataclasses.replace(found.rows[1], scores={"rmse_ratio": {"1": half}})
+    assert leaderboard.share_of_possible(found.rows[0], leaderboard.possible(
+        dataclasses.replace(found, rows=(found.rows[0], ceiling))), "1") == pytest.approx((1.0 - springs) / 0.5)
+    assert leaderboard.possible(dataclasses.replace(found, rows=found.rows[:1])) == {}
+    leaderboard.ship(found, tmp_path / "sprung-v1.json")
+    assert [row.mark for row in read_rows(tmp_path / "sprung-v1.json")] == ["", leaderboard.CEILING]
+
+
+def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, tmp_path):
+    _, folder = board
+    task = parse_task(TASK, "sprung-v1.toml")
+    evaluate("resim", task, made, parameters={"tier": "fem-coarse"}, out=tmp_path / "finer.json")
+    (row,) = leaderboard.collect(task, [tmp_path / "finer.json"]).rows
+    assert row.mark == leaderboard.CEILING and 1e-4 < row.scores["rmse_ratio"]["1"].mean < 0.5
+    assert leaderboard.possible(leaderboard.collect(task, [tmp_path / "finer.json"])) == {}
+    table = json.loads((folder / "resim.json").read_text())
+    (tmp_path / "claimed.json").write_text(json.dumps({**table, "entry": "predictions file"}))
+    (row,) = leaderboard.collect(task, [tmp_path / "claimed.json"]).rows
+    assert row.rank == 1 and not leaderboard.is_ceiling(row.result)
+
+
+def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
+    task = parse_task(TASK, "sprung-v1.toml")
+    with pytest.raises(MethodError, match=r"no parameter 'teir'. Did you mean 'tier'"):
+        evaluate("resim", task, made, parameters={"teir": "fem"})
+    with pytest.raises(SceneError, match="fem-corse"):
+        again(made.recipe, made.entries[0].name, [], tier="fem-corse")
+    text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0",
+                                          '[sensor]\nkind = "bubble"')
+    with pytest.raises(SceneError, match="its effector has no function `touch_along`"):
+        again(dataclasses.replace(made.recipe, scene_text=text), made.entries[0].name, [])
