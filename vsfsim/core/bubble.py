@@ -49,7 +49,7 @@ class Bubble:
     """Number of nodes of the mesh."""
     contact_edge: float | None = None
     """Longest edge of the triangles where a rigid body touches, for which the mesh is refined there [m]; None: a
-    third of the radius of balls and capsules."""
+    third of the radius of balls and capsules, and three fifths of the membrane's edges under bodies with edges."""
     friction: float = 2.0
     """Coulomb coefficient against what it touches [-]."""
     fine: bool = False
