@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli.console import report
+from vsfsim.cli.console import report, step
 from vsfsim.cli.options import JsonFile
 
 app = typer.Typer(rich_markup_mode=None)
@@ -30,3 +30,17 @@ def loading(folder: Annotated[Path, typer.Argument(metavar="DATASET", help="Fold
 
     rows = measure(folder, workers or [0, 2, 8], item=item, shuffle=shuffle)
     report(text(rows), rows, json)
+
+
+@app.command()
+def faults(kills: Annotated[int, typer.Option(min=1, help="At random moments, of a run and of a worker.")] = 3,
+           seed: Annotated[int, typer.Option(help="Of the moments.")] = 0, json: JsonFile = None) -> None:
+    """Faults that making a dataset survives: kills, SIGTERM, a full disk, a read-only place, two writers, the clock.
+
+    Exit code 2 if one is not survived.
+    """
+    from benchmarks.datasets.faults import measure, text
+
+    rows = measure(kills=kills, seed=seed, progress=step)
+    report(text(rows), rows, json)
+    raise typer.Exit(0 if all(row["survived"] for row in rows) else 2)

@@ -241,3 +241,20 @@ def test_a_dry_run_is_within_a_quarter_of_the_run(scene, tmp_path, here, monkeyp
     assert said.touches == 15 and said.seen == 6 and len(rows) == 3
     assert abs(said.cpu_seconds / took - 1.0) < 0.25 and abs(said.bytes / size - 1.0) < 0.25
     assert said.hours(2, 2) == pytest.approx(said.cpu_seconds / 3 / 3600.0)
+
+
+def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
+    asked = []
+
+    def make(size, room=300, words="CUDA error 2: out of memory"):
+        asked.append(size)
+        if size > room:
+            raise RuntimeError(words)
+        return size
+
+    assert workers.largest(make, 4096, 17, "plants", "cuda:0") == 256 and asked == [4096, 2048, 1024, 512, 256]
+    with pytest.raises(DatasetError, match=r"plants: the memory of cuda:0 does not suffice.*--touches"):
+        workers.largest(lambda size: make(size, room=3), 4096, 17, "plants", "cuda:0")
+    assert asked[-2:] == [32, 17]
+    with pytest.raises(RuntimeError, match="another"):
+        workers.largest(lambda size: make(size, room=3, words="another"), 4096, 17, "plants", "cuda:0")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vsfsim.cli.cluster import ENGINES, Address, GpusPerTask, Printed, ShardOf, Shards, by_shards, fan_of
 from vsfsim.cli.console import Progress, report, write_json
 from vsfsim.cli.options import (
     DatasetFolder,
@@ -20,6 +21,8 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
+from vsfsim.core.engines.fan import HERE
+from vsfsim.core.errors import VsfsimError
 
 if TYPE_CHECKING:
     from vsfsim.bench.task import Task
@@ -134,8 +137,12 @@ def evaluate(task: TaskName,
                                                                 "default: no limit.")] = None,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
                                                                "[GiB]; default: no limit.")] = None,
-             on: Annotated[str, typer.Option(help="test, or development: the objects of the task for settings, whose "
-                                                  "results go to results/TASK-development.")] = "test",
+             on: Annotated[list[str] | None, typer.Option(
+                 help="test, or development: the objects of the task for settings, whose results go to "
+                      "results/TASK-development; and ray, slurm or k8s: where the trainings are made. May be given "
+                      "again.")] = None,
+             shard: ShardOf = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
+             printed: Printed = False,
              keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
                                                     "RESULT.predictions.npz, which `vsfsim inspect RESULT` draws.")
                              ] = "",
@@ -167,19 +174,29 @@ def evaluate(task: TaskName,
     for name in names:
         if name not in shelf.ceilings():
             check_name(name)
-    wanted = on_objects(load_task(task), on)
+    engine, objects = _split_on(on or [])
+    wanted = on_objects(load_task(task), objects)
+    fan = fan_of(engine, shard, printed, address, gpus_per_task)
+    if engine in ("slurm", "k8s") and not by_shards(engine, shards or 10, Path("slurm-logs"), printed,
+                                                    int(gpus_per_task)):
+        return
     shared: dict[str, Any] = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout,
                               "memory": memory, "sandbox": sandbox, "processes": processes, "keep": keep}
-    if every:
+    if not every and fan != HERE:
+        rows = [presets.preset(name, preset, wanted.observation.name, wanted.metric.answer.value) if preset
+                else presets.Choice(name, "", {}) for name in names]
+        rows = [presets.Choice(row.method, row.preset, {**row.parameters, **given}) for row in rows]
+    elif every:
         every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value)
         rows = [row for row in every_row if preset in ("", row.preset)]
+    if every or fan != HERE:
         folder = out or Path("results") / wanted.name
         result_path(folder / "row.json", wanted.name, "row")
         show = str(json) != "-"
         made = []
         with Progress("evaluate") as progress:
             for one in evaluate_all(wanted, rows, folder, before=lambda row: print(f"evaluate {row.stem}", flush=True)
-                                    if show else None, progress=progress, **shared):
+                                    if show else None, progress=progress, fan=fan, **shared):
                 made.append(one)
                 if show:
                     print(f"{one.choice.stem:<28}{one.state}", flush=True)
@@ -191,9 +208,24 @@ def evaluate(task: TaskName,
                               + ", ".join(one.choice.stem for one in failed) + ". The messages are above; the same "
                               "command tries them again.")
         if show:
-            print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them")
+            print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them" if fan.shard is None else
+                  f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
+                  f"without --shard scores them.")
         return
     _evaluate_each(names, wanted, out, preset, given, shared, json)
+
+
+def _split_on(given: list[str]) -> tuple[str | None, str]:
+    """The engine, None for none, and the objects that --on names."""
+    for word in given:
+        check_choice("--on", word, ("test", "development", *ENGINES))
+    engines = [word for word in given if word in ENGINES]
+    objects = [word for word in given if word not in ENGINES]
+    for words in (engines, objects):
+        if len(words) > 1:
+            raise VsfsimError(f"--on is {' and '.join(words)}; give one engine of {', '.join(ENGINES)} and one of test "
+                              f"and development.")
+    return (engines or [None])[0], (objects or ["test"])[0]  # type: ignore[list-item]
 
 
 def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str, given: dict[str, Any],

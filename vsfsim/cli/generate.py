@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 
+from vsfsim.cli.cluster import Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, check_engine
 from vsfsim.cli.console import Progress, note, report
 from vsfsim.cli.options import (
     Device,
@@ -24,16 +23,10 @@ from vsfsim.cli.options import (
     Touches,
     Views,
     Workers,
-    check_choice,
 )
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError
 
 app = typer.Typer()
-
-ENGINES = ("ray", "slurm", "k8s")
-_ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
-"""Options with a value that the command of one shard does not repeat; nor does it --print."""
-
 
 @app.command()
 def generate(scene: SceneName,
@@ -47,23 +40,15 @@ def generate(scene: SceneName,
              arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
                                                           "scene's.")] = None,
              workers: Workers = None,
-             shard: Annotated[str | None, typer.Option(metavar="I/N", help="Make the I-th of N shares, from 0, beside "
-                                                                           "other machines; auto: of a Slurm array, "
-                                                                           "auto/N: of a Kubernetes Indexed Job.")
-                              ] = None,
+             shard: ShardOf = None,
              finish: Annotated[bool, typer.Option("--finish", help="Check what shards have made, and write "
                                                                    "dataset.json.")] = False,
              mixed: Annotated[bool, typer.Option("--mixed", help="Allow machines of several kinds, which round "
                                                                  "otherwise.")] = False,
              poison: Annotated[bool, typer.Option("--poison", help="Leave out a view that fails twice and make the "
                                                                    "others; exit code 4.")] = False,
-             on: Annotated[str | None, typer.Option(help="Engine of a cluster: ray, slurm or k8s.")] = None,
-             address: Annotated[str, typer.Option(help="Of the Ray cluster, HOST:PORT.")] = "auto",
-             gpus_per_task: Annotated[float, typer.Option(min=0.0, help="GPUs of each task of a cluster.")] = 0.0,
-             shards: Annotated[int | None, typer.Option(min=1, help="Tasks of a Slurm array or pods of a Kubernetes "
-                                                                    "job; default: 100, at most one a view.")] = None,
-             printed: Annotated[bool, typer.Option("--print", help="Print the file for Slurm or Kubernetes and make "
-                                                                   "nothing.")] = False,
+             on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
+             printed: Printed = False,
              dry_run: Annotated[bool, typer.Option("--dry-run", help="Make nothing: touches, bytes and time, from the "
                                                                      "views of this scene made here before.")] = False,
              machines: Annotated[int, typer.Option(min=1, help="With --dry-run: how many machines like this one.")] = 1,
@@ -74,19 +59,13 @@ def generate(scene: SceneName,
 
     Run the same command again after an interruption: it makes only what is missing, to the same bits.
     """
-    from vsfsim.core.engines.shard import shard_of
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
 
-    if on is not None:
-        check_choice("--on", on, ENGINES)
-    part = shard_of(shard) if shard is not None else None
-    for wrong, words in ((part and finish, "--shard and --finish"), (part and on, "--shard and --on"),
-                         (printed and on in (None, "ray"), "--print without --on slurm or --on k8s"),
-                         (on == "k8s" and not printed, "--on k8s without --print")):
-        if wrong:
-            raise VsfsimError(f"{words} do not go together. Each machine of a cluster makes a --shard; --on makes the "
-                              f"shards there; --finish ends the work.")
+    part = check_engine(on, shard, printed)
+    if part and finish:
+        raise VsfsimError("--shard and --finish do not go together. Each machine makes a --shard; --finish ends the "
+                          "work.")
     loaded = load_scene(find_scene(scene))
     from vsfsim.generate.command import folder_of  # takes seconds; a mistake in the scene is reported before
 
@@ -106,7 +85,9 @@ def generate(scene: SceneName,
         from vsfsim.generate.recipe import make_recipe
 
         recipe = make_recipe(loaded, device=device, precision=precision, renderer=renderer, **counts)
-        if not _by_shards(on, shards or min(100, recipe.objects * recipe.views), folder, printed, int(gpus_per_task)):
+        logs = Path("slurm-logs") if "://" in str(folder) else Path(folder).with_name(f"{Path(folder).name}-slurm")
+        if not by_shards(on, shards or min(100, recipe.objects * recipe.views), logs, printed, int(gpus_per_task),
+                         ["--finish"]):
             return
         finish = True
     from vsfsim.generate.command import make
@@ -140,37 +121,6 @@ def generate(scene: SceneName,
         note(f"{name} failed twice and is left out: {reason}")
     if made.left_out:
         raise typer.Exit(4)
-
-
-def _by_shards(engine: str, shards: int, folder: Path | str, printed: bool, gpus: int) -> bool:
-    """Print the file of a scheduler, or make all shards by Slurm; returns whether they were made."""
-    from vsfsim.core.engines import kubernetes, slurm
-
-    words = shard_words(sys.argv[1:])
-    finish = [*words, "--finish"]
-    if printed:
-        print(kubernetes.manifest(words, shards, finish=finish, gpus=gpus) if engine == "k8s" else
-              slurm.script(words, shards, finish=finish, gpus=gpus), end="")
-        return False
-    logs = Path("slurm-logs") if "://" in str(folder) else Path(folder).with_name(f"{Path(folder).name}-slurm")
-    failed = slurm.submit(words, shards, logs, gpus=gpus)
-    if failed:
-        raise VsfsimError(f"{len(failed)} of {shards} shards failed; their logs are in {logs}. {'; '.join(failed[:3])} "
-                          f"Run the same command again, which makes what is missing.")
-    return True
-
-
-def shard_words(given: Sequence[str]) -> list[str]:
-    """The command of one shard, from the words of the command that asks for an engine."""
-    out, skip = ["vsfsim"], False
-    for word in given:
-        if skip:
-            skip = False
-        elif word in _ENGINE_WORDS:
-            skip = True
-        elif word != "--print" and not word.startswith(tuple(f"{name}=" for name in _ENGINE_WORDS)):
-            out.append(word)
-    return out
 
 
 def _kept(folder: Path | str) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from vsfsim.cli.cluster import Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, fan_of
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import JsonFile, check_choice
 
@@ -32,6 +34,8 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                              ] = None,
           device: Annotated[str, typer.Option(help="Torch device of the methods that a GPU makes faster: cuda:0 for "
                                                    "instance; with cuda each training uses one of all GPUs.")] = "",
+          on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shard: ShardOf = None,
+          shards: Shards = None, printed: Printed = False,
           show: Annotated[bool, typer.Option("--show", help="Print what is stored and make nothing.")] = False,
           json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
@@ -44,6 +48,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     from vsfsim.papers.study import SIZES, load_study, studies
 
     check_choice("--size", size, SIZES)
+    fan = fan_of(on, shard, printed, address, gpus_per_task)
     known = [load_study(name) for name in (studies() if every else names or [])]
     if not known:
         listed = [load_study(name) for name in studies()]
@@ -55,13 +60,20 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     wanted = [(one, v) for one in known if not one.command and (size in one.tasks or not one.tasks)
               for v in ([one.variant(name) for name in variant] if variant else one.variants)]
     failed = []
+    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, Path("slurm-logs"), printed, int(gpus_per_task)):
+        return
     if not show:
         quiet = str(json) == "-"
         with Progress("study") as progress:
-            for name, message in make_missing(wanted, size, workers, progress=progress, device=device):
+            for name, message in make_missing(wanted, size, workers, progress=progress, device=device,
+                                              fan=fan):
                 failed += [(name, message)] if message else []
                 if not quiet:
                     print(f"{name}: {'could not be made' if message else 'made'}", flush=True)
+    if fan.shard is not None and not failed:
+        report(f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
+               f"without --shard scores them.", {"shard": list(fan.shard)}, json)
+        return
     pages, numbers = [], []
     boards: dict = {}
     for one in known:

@@ -167,9 +167,8 @@ def make_one(job: Job, device: str, report: Callable[[int], None] | None = None)
                 put_failure(store, job.name, Failure(0, ""))
             return
         except Exception as error:
-            if isinstance(error, RuntimeError) and "out of memory" in str(error).lower():
-                error = DatasetError(f"{job.name}: the memory of {device} does not suffice for its touches. Give fewer "
-                                     f"--touches, a coarser --tier, fewer --workers on this device, or --device cpu.")
+            if is_short(error):
+                error = too_short(job.name, device)
             if not job.poison:
                 raise error from None
             put_failure(store, job.name, Failure(before.count + 1, f"{type(error).__name__}: {error}"))
@@ -177,6 +176,35 @@ def make_one(job: Job, device: str, report: Callable[[int], None] | None = None)
             if job.poison:
                 put_failure(store, job.name, before)
             raise
+
+
+def is_short(error: BaseException) -> bool:
+    """Whether the memory of a device did not suffice."""
+    return isinstance(error, RuntimeError) and "out of memory" in str(error).lower()
+
+
+def too_short(what: str, device: str) -> DatasetError:
+    """What a user can do about it."""
+    return DatasetError(f"{what}: the memory of {device} does not suffice for its touches. Give fewer --touches, a "
+                        f"coarser --tier, fewer --workers on this device, or --device cpu.")
+
+
+def largest(make: Callable[[int], Any], most: int, least: int, what: str, device: str) -> Any:
+    """``make(size)`` of the largest size that the device's memory holds: ``most``, or a half, a quarter, ... of it.
+
+    Raises:
+        DatasetError: not even ``least`` fits.
+    """
+    size = most
+    while True:
+        try:
+            return make(size)
+        except RuntimeError as error:
+            if not is_short(error):
+                raise
+            if size <= least:
+                raise too_short(what, device) from None
+            size = max(least, size // 2)
 
 
 def kind_of(device: str) -> str:

@@ -18,6 +18,7 @@ from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
+from vsfsim.core.engines.fan import HERE, Fan
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
 from vsfsim.papers.study import Study, Variant
@@ -166,12 +167,13 @@ def _finish(method: str, task: Task, dataset, path: Path, slim: bool, **options)
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
                  boards: dict[str, leaderboard.Board] | None = None,
                  progress: Callable[[int, int, str], None] = lambda *_: None,
-                 device: str = "") -> Iterator[tuple[str, str]]:
+                 device: str = "", fan: Fan = HERE) -> Iterator[tuple[str, str]]:
     """Make the results of some variants that are not there, several trainings at a time.
 
     Args:
         wanted: variants with their studies. size: of the tasks. processes: trainings at a time. boards: as of `stored`,
-        as they are before. progress: called with (done, of how many, what is going on). device: as of `evaluation`.
+        as they are before. progress: called with (done, of how many, what is going on). device: as of
+        `evaluation`. fan: where the trainings run; a shard scores nothing.
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -191,7 +193,7 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
             yield name, str(error)
             continue
         jobs.setdefault(one.path, (name, one))
-    for one, message in make([one for _, one in jobs.values()], processes, check=False, progress=progress):
+    for one, message in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
         yield jobs[one.path][0], message
 
 

@@ -17,6 +17,7 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset
 from vsfsim.bench.trials.curves import beside
 from vsfsim.bench.trials.training import Training
+from vsfsim.core.engines.fan import HERE, Fan
 from vsfsim.core.errors import Interrupted, TaskError, VsfsimError
 
 
@@ -36,7 +37,7 @@ class Made:
 
 def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path | None = None, seeds: int | None = None,
                  before: Callable[[Choice], Any] = lambda _: None, processes: int = 1,
-                 progress: Callable[[int, int, str], None] = lambda *_: None, keep: str = "",
+                 progress: Callable[[int, int, str], None] = lambda *_: None, keep: str = "", fan: Fan = HERE,
                  **options: Any) -> Iterator[Made]:
     """Make the results that are missing in a folder.
 
@@ -48,10 +49,11 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
         task: the task. rows: what to evaluate. folder: of the result files. dataset: as of `evaluate`. seeds: as of
         `evaluate`. before: called before a row is made. processes: trainings of all rows that run at the same time.
         progress: of them, called with (done, of how many, what). keep: as of `evaluate`; a row whose predictions are
-        missing is made again. options: further ones of `evaluate`.
+        missing is made again. fan: where the trainings run. options: further ones of `evaluate`.
 
     Yields:
-        Every row in its order; with several processes those that are there already, then the others as they are ready.
+        Every row in its order; with several processes or machines those that are there already, then the others as they
+        are ready; a shard yields only these and failures.
 
     Raises:
         VsfsimError: the dataset is missing or does not fit the task.
@@ -64,7 +66,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
         if known is not None and (not keep or beside(path).is_file()):
             yield Made(choice, path, known, "kept")
             continue
-        if processes > 1:
+        if processes > 1 or fan != HERE:
             to_do[path] = choice
             continue
         before(choice)
@@ -85,7 +87,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
                                    preset=c.preset, isolation=isolation, curves=beside(path) if keep else None),
                            c.parameters, seeds, Training(), isolation)
                 for path, c in to_do.items()]
-        for one, message in make(jobs, processes, progress=progress):
+        for one, message in make(jobs, processes, fan=fan, progress=progress):
             yield Made(to_do[one.path], one.path, None if message else Result.load(one.path), message or "made")
 
 

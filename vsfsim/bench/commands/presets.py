@@ -21,14 +21,14 @@ class Choice:
     method: str
     """Name of the method."""
     preset: str
-    """"paper" or "tuned"."""
+    """"paper" or "tuned"; "" for none."""
     parameters: Mapping[str, Any]
     """Of its constructor, over its defaults."""
 
     @property
     def stem(self) -> str:
         """Of its result file."""
-        return f"{self.method}.{self.preset}"
+        return f"{self.method}.{self.preset}" if self.preset else self.method
 
 
 def _table() -> dict[str, Any]:

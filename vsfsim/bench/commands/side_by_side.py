@@ -2,17 +2,19 @@
 
 A job keeps its answers in a folder beside the result, and the last job of an evaluation scores them all. A second call
 with the same operands makes only what is missing. Where a method's ``device`` is "cuda", without a number, each of its
-trainings is shown one GPU, that with the fewest of them.
+trainings is shown one GPU, that with the fewest of them. Instead of processes of this machine, a Ray cluster or the
+shards of a job array may run the jobs (`vsfsim.core.engines.fan`), over a folder that their machines share.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -26,6 +28,8 @@ from vsfsim.bench.trials.collect import NOTE, Collector
 from vsfsim.bench.trials.reader import Reader
 from vsfsim.bench.trials.stages import Stage, stages
 from vsfsim.bench.trials.training import Training
+from vsfsim.core.engines import ray_cluster
+from vsfsim.core.engines.fan import HERE, Fan
 from vsfsim.core.errors import Interrupted, VsfsimError
 from vsfsim.data.dataset import Dataset
 
@@ -145,7 +149,7 @@ class _Job:
     """The only one that it sees, as CUDA_VISIBLE_DEVICES names it; "" for what its parent sees."""
 
 
-def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = True,
+def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = True, fan: Fan = HERE,
          progress: Callable[[int, int, str], None] = lambda *_: None) -> Iterator[tuple[Evaluation, str]]:
     """Make results side by side.
 
@@ -153,40 +157,93 @@ def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = Tru
         evaluations: what to make; their results must have different paths.
         processes: jobs that run at the same time, each with one thread unless the environment says otherwise.
         check: test each method's contract on mock objects first.
+        fan: where the jobs run; a shard makes its share of the trainings and scores nothing.
         progress: called with (jobs done, of how many, what is going on).
 
     Yields:
-        Each evaluation when it is finished, with "" or the message of its failure.
+        Each evaluation when it is finished, with "" or the message of its failure; of a shard only failures.
 
     Raises:
         Interrupted: the user has stopped it; finished trainings are kept.
     """
     with contextlib.ExitStack() as held:
-        yield from _make(evaluations, processes, check, progress, held)
+        yield from _make(evaluations, processes, check, fan, progress, held)
 
 
-def _make(evaluations: Sequence[Evaluation], processes: int, check: bool, progress: Callable[[int, int, str], None],
-          held: contextlib.ExitStack) -> Iterator[tuple[Evaluation, str]]:
+def _make(evaluations: Sequence[Evaluation], processes: int, check: bool, fan: Fan,
+          progress: Callable[[int, int, str], None], held: contextlib.ExitStack) -> Iterator[tuple[Evaluation, str]]:
+    counted = itertools.count()  # all trainings, so that every shard counts alike whatever is finished
     queue: list[_Job] = []
     read = Reader()  # before the jobs are forked, so that they share what it has read
     left: dict[Path, int] = {}
     seeded: dict[str, bool] = {}
     for one in evaluations:
         try:
-            held.enter_context(own(one.path))
+            if fan.shard is None:
+                held.enter_context(own(one.path))
             if one.method not in seeded or check:
                 seeded[one.method] = _looked_at(one, check)
-            names = [n for n in one.stage_names(seeded=seeded[one.method]) if not (one.parts / n / f"{n}.npz").is_file()
+            names = [n for n in one.stage_names(seeded=seeded[one.method]) if _is_mine(next(counted), fan.shard)
+                     and not (one.parts / n / f"{n}.npz").is_file()
                      and not (one.path.with_suffix(".part") / f"{n}.npz").is_file()]
-            if len(names) > 1:
+            if len(names) > 1 and not fan.ray:
                 progress(0, len(names), f"{one.path.stem}: reading its dataset")
                 one.read_stages(names, read, seeded=seeded[one.method], processes=processes)
         except VsfsimError as error:
             yield one, str(error)
             continue
-        left[one.path] = len(names)
-        queue += [_Job(one, name) for name in names] or [_Job(one, None)]
-    yield from _run(queue, left, processes, progress, read)
+        queue += [_Job(one, name) for name in names]
+        if fan.shard is None:
+            left[one.path] = len(names)
+            queue += [] if names else [_Job(one, None)]
+    if fan.ray:
+        yield from _by_ray(queue, left, fan, progress)
+    else:
+        yield from _run(queue, left, processes, progress, read)
+
+
+def _is_mine(number: int, shard: tuple[int, int] | None) -> bool:
+    return shard is None or number % shard[1] == shard[0]
+
+
+def _by_ray(queue: Sequence[_Job], left: dict[Path, int], fan: Fan,
+            progress: Callable[[int, int, str], None]) -> Iterator[tuple[Evaluation, str]]:
+    """The trainings on a cluster, the scores here."""
+    jobs = [job for job in queue if job.stage is not None]
+    ready = [job.of for job in queue if job.stage is None]
+    failed: set[Path] = set()
+
+    def scored(one: Evaluation) -> tuple[Evaluation, str]:
+        try:
+            one.finish()
+        except VsfsimError as error:
+            return one, str(error)
+        return one, ""
+
+    yield from map(scored, ready)
+    # the last job's function may hold what cannot be sent, and a path must mean the same there
+    items = [(replace(job.of, path=job.of.path.absolute(), finish=_nothing,
+                      dataset=replace(job.of.dataset, path=job.of.dataset.path.absolute())), job.stage) for job in jobs]
+    for done, (number, message) in enumerate(ray_cluster.run(_train, items, address=fan.ray, gpus=fan.gpus), start=1):
+        one, stage = jobs[number].of, jobs[number].stage
+        progress(done, len(jobs), f"{one.path.stem} {stage}")
+        left[one.path] -= 1
+        if message and one.path not in failed:
+            failed.add(one.path)
+            yield one, message
+        elif left[one.path] == 0 and one.path not in failed:
+            yield scored(one)
+
+
+def _train(item: tuple[Evaluation, str]) -> None:
+    """In a task of a cluster: one training and its trials."""
+    one, stage = item
+    one.parts.mkdir(parents=True, exist_ok=True)
+    one.make_stage(stage, Reader())
+
+
+def _nothing() -> None:
+    pass
 
 
 def _looked_at(one: Evaluation, check: bool) -> bool:
@@ -208,7 +265,7 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int, progress: Cal
     running: dict[Connection, tuple[_Job, BaseProcess]] = {}
     failed: set[Path] = set()
     gpus = _gpus()
-    total, done = len(queue) + sum(n > 0 for n in left.values()), 0
+    total, done = len(queue) + sum(n > 0 for n in left.values()), 0  # a shard scores nothing, and `left` is empty
     try:
         while queue or running:
             while queue and len(running) < processes:
@@ -236,13 +293,14 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int, progress: Cal
                 child.join()
                 done += 1
                 progress(done, total, f"{job.of.path.stem} {job.stage or 'scored'}")
-                left[job.of.path] -= job.stage is not None
+                if job.of.path in left:
+                    left[job.of.path] -= job.stage is not None
                 if job.of.path in failed:
                     continue
                 if message or job.stage is None:
                     failed |= {job.of.path} if message else set()
                     yield job.of, message
-                elif left[job.of.path] == 0:
+                elif left.get(job.of.path) == 0:
                     queue.insert(0, _Job(job.of, None))
     except KeyboardInterrupt:
         raise Interrupted("interrupted; finished trainings are kept. Run the same command again to go on.") from None

@@ -20,7 +20,7 @@ from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, load
 from vsfsim.generate.plants.prepare import Outline, Seconds, Subject, choose, look, outline
 from vsfsim.generate.plants.touches import begin, finish, rod_options
-from vsfsim.generate.workers import process_pool, submit, write
+from vsfsim.generate.workers import largest, process_pool, submit, write
 from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodSolver
 
 PLACES = 4096  # touches on a device at once, which take 7 GB
@@ -113,8 +113,8 @@ def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spen
     free, inward, hold, out = spec.frames
     solver = RodSolver([o.model for o in coming.outlines], load(scene.required_arm).shapes, device=device,
                        options=rod_options(scene))
-    batch = RodBatch(solver, min(max(PLACES, part), spec.count * len(jobs)),
-                     frames=free + inward + hold + out, poses=inward + 1)
+    batch = largest(lambda places: RodBatch(solver, places, frames=free + inward + hold + out, poses=inward + 1),
+                    min(max(PLACES, part), spec.count * len(jobs)), min(part, spec.count), jobs[0].recipe.scene, device)
     spent.charge("solve", since)
     inside: dict[tuple[int, int], tuple[Subject, slice]] = {}
     done: dict[int, dict[int, tuple[Subject, RodFrames]]] = {}

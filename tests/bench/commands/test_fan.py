@@ -1,0 +1,85 @@
+"""Trainings that shards or a Ray cluster make give the rows of one process."""
+
+import contextlib
+import sys
+
+import pytest
+
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import parse_task
+from vsfsim.cli.cluster import shard_words
+from vsfsim.core.engines.fan import Fan
+from vsfsim.core.errors import VsfsimError
+
+ROWS = [Choice("toy_methods:Constant", "", {"value": 2.0}), Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
+FOLDS = 'protocol = { folds = 3, draws = 1, trainings = 1, shots = [0, 1, 5], query = 4, seed = 0 }'
+
+
+@pytest.fixture(scope="module")
+def folded(task_text):
+    before = 'protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 3, query = 4, seed = 0 }'
+    assert before in task_text
+    return parse_task(task_text.replace(before, FOLDS), "toy-v1.toml")
+
+
+def rows_of(result):
+    return result.queries, result.scores, result.answers
+
+
+def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dataset, tmp_path):
+    made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0})
+    for k in range(2):
+        found = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan((k, 2)))
+        assert list(found) == [] and not list(tmp_path.glob("*.json"))
+    parts = sorted(p.name for p in (tmp_path / "toy_methods:Constant.parts").iterdir() if p.is_dir())
+    assert len(parts) == 3, "the trainings of three folds"
+    (last,) = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, processes=2)
+    assert last.state == "made" and rows_of(Result.load(last.path)) == rows_of(made)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["toy_methods:Constant.json"]
+
+
+def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
+    words = ["evaluate", "--task", "t.toml", "--on", "development", "--on", "slurm", "--shards=4", "--print", "--all"]
+    assert shard_words(words) == ["vsfsim", "evaluate", "--task", "t.toml", "--on", "development", "--all"]
+    task = "fewshot-shoes-v2-mini-v3"
+    out = vsfsim("evaluate", "--method", "gaussian", "--task", task, "--on", "slurm", "--shards", "3", "--print",
+                 cwd=tmp_path)
+    assert "--array=0-2" in out.stdout
+    assert f"srun vsfsim evaluate --method gaussian --task {task} --shard auto" in out.stdout
+    out = vsfsim("study", "rope", "--on", "k8s", "--shards", "5", "--print", cwd=tmp_path)
+    assert '"vsfsim", "study", "rope", "--shard", "auto/5"' in out.stdout and "completions: 5" in out.stdout
+    for words, text in ((("--on", "ray", "--on", "slurm"), "--on is ray and slurm"),
+                        (("--on", "ray", "--shard", "0/2"), "--shard and --on do not go together"),
+                        (("--on", "rai"), "--on is 'rai'. Did you mean 'ray'")):
+        out = vsfsim("evaluate", "--method", "gaussian", "--task", task, *words, cwd=tmp_path)
+        assert out.returncode == 2 and text in out.stderr, out.stderr
+
+
+def test_a_cluster_that_is_not_there_fails_no_result(folded, toy_dataset, tmp_path):
+    pytest.importorskip("ray")
+    with pytest.raises(VsfsimError, match="no Ray cluster at"):
+        list(evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan(ray="127.0.0.1:1")))
+    assert not list(tmp_path.glob("*.json"))
+
+
+@pytest.mark.slow
+def test_two_workers_of_ray_give_the_rows_of_one_process(folded, toy_dataset, tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("PYTHONPATH", ":".join(filter(None, sys.path)))  # the workers look for the toys, too
+    with contextlib.ExitStack() as ends:
+        there = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "object_store_memory": 100 << 20})
+        ends.callback(there.shutdown)
+        ends.callback(ray.shutdown)
+        rows = [*ROWS, Choice("toy_methods:Crashes", "", {})]
+        found = list(evaluate_all(folded, rows, tmp_path, dataset=toy_dataset.path, fan=Fan(ray=there.address)))
+    states = {one.path.stem: one.state for one in found}
+    assert states["toy_methods:Constant"] == states["toy_methods:Constant.tuned"] == "made"
+    assert "toe" in states["toy_methods:Crashes"]
+    for choice in ROWS:
+        made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters=choice.parameters)
+        assert rows_of(Result.load(tmp_path / f"{choice.stem}.json")) == rows_of(made)

@@ -1,0 +1,101 @@
+"""Options of the commands whose parts a cluster may make, and the files for its scheduler."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vsfsim.cli.options import check_choice
+from vsfsim.core.engines.fan import Fan
+from vsfsim.core.engines.shard import shard_of
+from vsfsim.core.errors import VsfsimError
+
+ENGINES = ("ray", "slurm", "k8s")
+_ENGINE_WORDS = ("--address", "--gpus-per-task", "--shards", "--json")
+"""Options with a value that the command of one shard does not repeat; nor does it --print, or --on with an engine."""
+
+On = Annotated[str | None, typer.Option("--on", help="Engine of a cluster: ray, slurm or k8s.")]
+Address = Annotated[str, typer.Option("--address", help="Of the Ray cluster, HOST:PORT.")]
+GpusPerTask = Annotated[float, typer.Option("--gpus-per-task", min=0.0, help="GPUs of each task of a cluster.")]
+ShardOf = Annotated[str | None, typer.Option("--shard", metavar="I/N",
+                                             help="Make the I-th of N shares, from 0, beside other machines; auto: of "
+                                                  "a Slurm array, auto/N: of a Kubernetes Indexed Job.")]
+Shards = Annotated[int | None, typer.Option("--shards", min=1, help="Tasks of a Slurm array or pods of a Kubernetes "
+                                                                    "job; default: 100, at most one a part.")]
+Printed = Annotated[bool, typer.Option("--print", help="Print the file for Slurm or Kubernetes and make nothing.")]
+
+
+def check_engine(on: str | None, shard: str | None, printed: bool) -> tuple[int, int] | None:
+    """The shard that is asked for.
+
+    Raises:
+        VsfsimError: no such engine or shard, or options that do not go together.
+    """
+    if on is not None:
+        check_choice("--on", on, ENGINES)
+    part = shard_of(shard) if shard is not None else None
+    for wrong, words in ((part and on, "--shard and --on"),
+                         (printed and on in (None, "ray"), "--print without --on slurm or --on k8s"),
+                         (on == "k8s" and not printed, "--on k8s without --print")):
+        if wrong:
+            raise VsfsimError(f"{words} do not go together. Each machine of a cluster makes a --shard; --on makes the "
+                              f"shards there.")
+    return part
+
+
+def fan_of(on: str | None, shard: str | None, printed: bool, address: str, gpus: float) -> Fan:
+    """Where the parts of a command are made.
+
+    Raises:
+        VsfsimError: as of `check_engine`.
+    """
+    return Fan(check_engine(on, shard, printed), address if on == "ray" else "", gpus)
+
+
+def by_shards(engine: str, shards: int, logs: Path, printed: bool, gpus: int, finish: Sequence[str] = ()) -> bool:
+    """Print the file of a scheduler, or make all shards of this command by Slurm.
+
+    Args:
+        engine: "slurm" or "k8s". shards: how many. logs: folder of Slurm's. printed: print and make nothing. gpus: of
+        each. finish: words that the command which ends the work has besides.
+
+    Returns:
+        Whether the shards were made.
+
+    Raises:
+        VsfsimError: shards failed, or there is no Slurm.
+    """
+    from vsfsim.core.engines import kubernetes, slurm
+
+    words = shard_words(sys.argv[1:])
+    last = [*words, *finish]
+    if printed:
+        print(kubernetes.manifest(words, shards, finish=last, gpus=gpus) if engine == "k8s" else
+              slurm.script(words, shards, finish=last, gpus=gpus), end="")
+        return False
+    failed = slurm.submit(words, shards, logs, gpus=gpus)
+    if failed:
+        raise VsfsimError(f"{len(failed)} of {shards} shards failed; their logs are in {logs}. {'; '.join(failed[:3])} "
+                          f"Run the same command again, which makes what is missing.")
+    return True
+
+
+def shard_words(given: Sequence[str]) -> list[str]:
+    """The command of one shard, from the words of the command that asks for an engine."""
+    out, words = ["vsfsim"], list(given)
+    while words:
+        word = words.pop(0)
+        name, equals, value = word.partition("=")
+        if name == "--on":
+            value = value if equals else words.pop(0)
+            out += [] if value in ENGINES else ["--on", value]
+        elif name in _ENGINE_WORDS:
+            if not equals:
+                words.pop(0)
+        elif word != "--print":
+            out.append(word)
+    return out
