@@ -19,7 +19,7 @@ Progress = Callable[[str], None]
 """Called with a sentence about what is going on."""
 
 _FACTORS = {("m", "mm"): 1e3, ("s", "ms"): 1e3, ("s", "min"): 1.0 / 60.0, ("rad", "deg"): 57.29577951308232,
-            ("1", "%"): 100.0, ("B", "GB"): 1e-9, ("m^2", "1e-3 m^2"): 1e3}
+            ("1", "%"): 100.0, ("B", "GB"): 1e-9, ("B", "MB"): 1e-6, ("m^2", "1e-3 m^2"): 1e3}
 """What a value in the first unit is multiplied by to be printed in the second."""
 
 

@@ -1,4 +1,4 @@
-"""The commands of `vsfsim measure` on datasets."""
+"""The commands of `vsfsim measure` on datasets and scenes."""
 
 from __future__ import annotations
 
@@ -44,3 +44,14 @@ def faults(kills: Annotated[int, typer.Option(min=1, help="At random moments, of
     rows = measure(kills=kills, seed=seed, progress=step)
     report(text(rows), rows, json)
     raise typer.Exit(0 if all(row["survived"] for row in rows) else 2)
+
+
+@app.command()
+def built(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]...",
+                                                            help="Names of scenes; default: all that ship.")] = None,
+          json: JsonFile = None) -> None:
+    """What each scene builds for its first object: elements, pictures, contacts, arrays, kernels, packages."""
+    from benchmarks.built import measure
+
+    found = measure(scene or (), progress=step)
+    report(found.text(), found.record(), json, indent=1)

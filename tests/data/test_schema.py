@@ -96,7 +96,7 @@ def test_the_docs_page_in_the_repository_is_up_to_date():
 def test_docs_page_lists_every_key_of_the_manifest():
     recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1},
                     device="cpu", tier="vsf",
-                    precision="float64", renderer="warp")
+                    precision="float64", renderer="warp", options={"accuracy": {"asked": 0.05, "expected": 0.02}})
     assert set(json.loads(make_manifest(recipe, {}, (), {"a": "why"}))) == set(MANIFEST_KEYS)
 
 

@@ -23,10 +23,12 @@ from vsfsim.cli.options import (
     Touches,
     Views,
     Workers,
+    share_of,
 )
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError
 
 app = typer.Typer()
+
 
 @app.command()
 def generate(scene: SceneName,
@@ -39,6 +41,10 @@ def generate(scene: SceneName,
              renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
              arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
                                                           "scene's.")] = None,
+             accuracy: Annotated[str | None, typer.Option(metavar="SHARE",
+                                                          help="Largest error of the force, e.g. 5%: a pilot on the "
+                                                               "first objects chooses tier and element size, and one "
+                                                               "touch in ten is audited one level finer.")] = None,
              workers: Workers = None,
              shard: ShardOf = None,
              finish: Annotated[bool, typer.Option("--finish", help="Check what shards have made, and write "
@@ -72,7 +78,8 @@ def generate(scene: SceneName,
     began = time.perf_counter()
     counts: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier,
                               "arm": arm}
-    folder = folder_of(loaded, out, **counts)
+    bound = None if accuracy is None else share_of("--accuracy", accuracy)
+    folder = folder_of(loaded, out, accuracy=bound, **counts)
     if dry_run:
         from vsfsim.generate.costs import estimate
         from vsfsim.generate.recipe import make_recipe
@@ -98,7 +105,7 @@ def generate(scene: SceneName,
     try:
         with Progress("generate") as progress:
             made = make(loaded, folder, device=device, precision=precision, renderer=renderer, workers=workers,
-                        share=share, progress=progress, note=note, **counts)
+                        share=share, accuracy=bound, progress=progress, note=note, **counts)
     except KeyboardInterrupt as stop:
         raise Interrupted(_kept(folder)) from stop
     seconds = time.perf_counter() - began

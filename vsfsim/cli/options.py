@@ -112,6 +112,18 @@ Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALU
                                                       help="Parameter of the method; may be given again.")]
 
 
+def share_of(option: str, text: str) -> float:
+    """A share from "5%" or "0.05".
+
+    Raises:
+        VsfsimError: it is neither.
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(%?)", text.strip())
+    if found is None:
+        raise VsfsimError(f"{option} is '{text}'; give a share, e.g. 5% or 0.05.")
+    return float(found[1]) / (100.0 if found[2] else 1.0)
+
+
 def seconds_of(option: str, text: str) -> float:
     """A time [s] from a number with s, m or h.
 

@@ -7,6 +7,7 @@ seed and the object's number.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -98,6 +99,25 @@ class Scene:
             SceneError: there are none.
         """
         return self._required(self.touches, "touches")
+
+    def varied(self, options: Mapping[str, Any]) -> Scene:
+        """The scene with what a recipe's options say of it: resolution = edge of the elements [m], frames = readings on
+        the way in, nodes = of a bubble; other options are left alone.
+
+        Raises:
+            SceneError: the scene has nothing that one of them could change.
+        """
+        out = self
+        if "resolution" in options:
+            body = self._required(self.object, "object")
+            out = dataclasses.replace(out, object=dataclasses.replace(body, resolution=options["resolution"]))
+        if "frames" in options:
+            free, _, hold, back = self.required_touches.frames
+            out = dataclasses.replace(out, touches=dataclasses.replace(
+                self.required_touches, frames=(free, options["frames"], hold, back)))
+        if "nodes" in options:
+            out = dataclasses.replace(out, sensor=dataclasses.replace(self.required_sensor, nodes=options["nodes"]))
+        return out
 
     def _required(self, found: Any, table: str) -> Any:
         if found is None:

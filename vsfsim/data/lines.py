@@ -18,6 +18,7 @@ from pathlib import Path
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import plain
 from vsfsim.data.hdf5 import encode_view
+from vsfsim.data.kept import audit_errors
 from vsfsim.data.manifest import Entry, file_name
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
@@ -42,7 +43,7 @@ def put_view(store: Store, view: ObjectView, recipe: Recipe, made_on: str) -> En
     entry = Entry(view.name, file_name(view.name), view.split, view.object_index, view.view_index, len(view.touches),
                   sum(len(touch.time) for touch in view.touches),
                   sum(int((~touch.converged).sum()) for touch in view.touches), len(content),
-                  hashlib.sha256(content).hexdigest(), made_on)
+                  hashlib.sha256(content).hexdigest(), made_on, audit_errors(view))
     store.put(entry.file, content)
     put_line(store, entry, recipe)
     return entry
@@ -64,7 +65,7 @@ def read_line(store: Store, name: str) -> Entry | None:
     try:
         table = json.loads(content or b"")
         table.pop("seed")
-        return Entry(**table)
+        return Entry(**{**table, "audits": tuple(table.get("audits", ()))})
     except (ValueError, KeyError, TypeError, AttributeError):
         return None
 

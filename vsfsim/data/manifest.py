@@ -13,6 +13,7 @@ from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import plain
+from vsfsim.data.kept import observed
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.safety import check_name, whole_number
 from vsfsim.data.schema import SCHEMA_VERSION
@@ -23,6 +24,7 @@ PART_MANIFEST = "dataset.part.json"
 LOCK = "dataset.lock"
 CARD = "README.md"
 """What the folder is, for people; no part of the content."""
+_OPTIONAL = ("made_on", "audits")
 LARGEST_MANIFEST = 64 << 20
 """A dataset.json with more bytes is not read."""
 
@@ -53,11 +55,13 @@ class Entry:
     """Of the file."""
     made_on: str = ""
     """The kind of CPU, or of GPU and CPU, that made it; "" in a dataset of a version that did not say."""
+    audits: tuple[float, ...] = ()
+    """Errors of its touches that were solved again one level finer, see `vsfsim.data.kept` [-]."""
 
     def table(self) -> dict[str, Any]:
         """As JSON values."""
-        out = dataclasses.asdict(self)
-        return out if self.made_on else {key: value for key, value in out.items() if key != "made_on"}
+        out = {**dataclasses.asdict(self), "audits": list(self.audits)}
+        return {key: value for key, value in out.items() if value or key not in _OPTIONAL}
 
 
 def content_sha256(entries: tuple[Entry, ...]) -> str:
@@ -87,9 +91,11 @@ def make_manifest(recipe: Recipe, made_by: Mapping[str, str | None], entries: tu
         recipe: what it was made from. made_by: version and commit. entries: its files. left_out: names of object views
         that could not be made, with the reason.
     """
+    promise = observed(recipe.options, recipe.tier, [error for entry in entries for error in entry.audits])
     return manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": dict(made_by),
                            "sha256": content_sha256(entries), "recipe": recipe.table(),
                            **({"left_out": dict(left_out)} if left_out else {}),
+                           **({"accuracy": promise} if promise else {}),
                            "files": [entry.table() for entry in entries]})
 
 
@@ -171,7 +177,7 @@ def left_out_of(table: Mapping[str, Any], path: Path) -> dict[str, str]:
 
 def _entry(row: Any, path: Path) -> Entry:
     names = {f.name for f in dataclasses.fields(Entry)}
-    if not isinstance(row, Mapping) or set(row) | {"made_on"} != names:
+    if not isinstance(row, Mapping) or set(row) | set(_OPTIONAL) != names:
         raise DatasetError(f"{path}: an entry of files is {plain(row, longest=200)}; it must have "
                            f"{', '.join(sorted(names))}.")
     where = f"{path} files"
@@ -181,4 +187,7 @@ def _entry(row: Any, path: Path) -> Entry:
         check_name(row[key], f"{where}.{key}")
     if not isinstance(row.get("made_on", ""), str):
         raise DatasetError(f"{where}.made_on is {plain(row['made_on'], longest=60)}; it must be a text.")
-    return Entry(**row)
+    audits = row.get("audits", [])
+    if not isinstance(audits, list) or not all(isinstance(v, float | int) and v >= 0.0 for v in audits):
+        raise DatasetError(f"{where}.audits is {plain(audits, longest=60)}; it must be a list of errors.")
+    return Entry(**{**row, "audits": tuple(audits)})

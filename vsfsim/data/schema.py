@@ -142,6 +142,11 @@ FIELDS: list[Field] = [
     _touch("audit/corner_det_f", "float64", "T", "1",
            "Smallest det F at the corners of the tetrahedra in contact; of a rigid probe on tetrahedra.",
            required=False, masked=True),
+    _touch("audit/finer_force", "float64", "T 3", "N",
+           "Force of the same touch on a mesh one level finer, world, 0 where finer_converged is not; of one touch in "
+           "ten of a dataset with --accuracy.", required=False),
+    _touch("audit/finer_converged", "bool", "T", "1", "The frame is an equilibrium on the finer mesh.",
+           required=False),
     _touch("resolved", "bool", "T", "1",
            "The frame is an equilibrium, its mesh_error is 0.1 at most, no corner of an element is inside out, and the "
            "mesh holds the parts inside; of a rigid probe on tetrahedra.", required=False),
@@ -227,6 +232,8 @@ MANIFEST_KEYS: Mapping[str, str] = {
     "recipe": "what the files were made from: scene and its text, seed, counts, splits, device, tier, "
               "precision, renderer",
     "left_out": "only where object views could not be made: their names, each with the reason",
+    "accuracy": "only with --accuracy: error of the force asked for, tier and element size chosen for it, the error "
+                "expected, and that of the audited touches",
     "files": "one entry a file: name, split, indices, counts, bytes, sha256, and the kind of CPU or GPU that made it",
 }
 """Keys of dataset.json and their meaning."""

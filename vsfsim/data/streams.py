@@ -19,6 +19,8 @@ class Stream(IntEnum):
     """The target of a touch."""
     DEPTH = 3
     """The depth camera's noise, of a view."""
+    AUDIT = 4
+    """Which touches are audited, of a view."""
 
 
 def stream(seed: int, *key: int) -> np.random.SeedSequence:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, further_fields, in_use, read_array, read_view
+from vsfsim.data.kept import audit_errors, broken, observed
 from vsfsim.data.manifest import CARD, MANIFEST, Entry
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.safety import check_tree
@@ -72,6 +73,8 @@ class Report:
     """Touches that met nothing."""
     worst_balance: float = 0.0
     """Largest force imbalance of a converged frame with contact [-]."""
+    accuracy: Mapping[str, Any] | None = None
+    """Asked, chosen, expected and observed, see `vsfsim.data.kept`; None of a dataset that promises none."""
 
     @property
     def ok(self) -> bool:
@@ -90,6 +93,11 @@ class Report:
                  f"({self.unconverged} = {share:.1f} % unconverged, {self.unresolved} = "
                  f"{100.0 * self.unresolved / max(self.frames, 1):.1f} % not resolved by the mesh), "
                  f"worst force balance {self.worst_balance:.1e}"]
+        if self.accuracy is not None:
+            seen = self.accuracy["observed"]
+            lines.append(f"accuracy {100 * self.accuracy['asked']:g} % asked, {100 * self.accuracy['expected']:.2g} % "
+                         f"expected; {100 * seen['within']:.0f} % of {seen['audits']} audited touches within, worst "
+                         f"{100 * (seen['worst'] or 0.0):.2g} %")
         lines += [f"  {problem}" for problem in self.problems]
         lines.append("ok" if self.ok else f"{len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
         return "\n".join(lines)
@@ -117,6 +125,7 @@ def verify(path: str | Path) -> Report:
     problems: list[Problem] = []
     counts = {"files": 0, "touches": 0, "frames": 0, "unconverged": 0, "unresolved": 0, "untouched": 0}
     worst = 0.0
+    errors: list[float] = []
     listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
     for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
         problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
@@ -143,6 +152,7 @@ def verify(path: str | Path) -> Report:
             continue
         view = read_view(file)
         problems += _check_entry(view, entry)
+        errors += entry.audits
         for index, touch in enumerate(view.touches):
             balance = np.asarray(touch.audit["force_balance"])
             contact = contact_frames(touch)
@@ -167,7 +177,10 @@ def verify(path: str | Path) -> Report:
             counts["unconverged"] += int((~touch.converged).sum())
             counts["unresolved"] += int(unresolved_frames(touch).sum())
             counts["untouched"] += int(not touch.touched)
-    return Report(path, tuple(problems), **counts, worst_balance=worst)
+    promise = observed(dataset.recipe.options, dataset.recipe.tier, errors)
+    if promise is not None and (why := broken(promise)) is not None:
+        problems.append(Problem(MANIFEST, why, "Generate it again with a smaller --accuracy."))
+    return Report(path, tuple(problems), **counts, worst_balance=worst, accuracy=promise)
 
 
 def skin_loss(touch: Touch) -> tuple[int, float] | None:
@@ -192,7 +205,7 @@ def contact_frames(touch: Touch) -> np.ndarray:
 
 def _check_entry(view: ObjectView, entry: Entry) -> list[Problem]:
     given = {"name": view.name, "split": view.split, "object_index": view.object_index, "view_index": view.view_index,
-             "touches": len(view.touches)}
+             "touches": len(view.touches), "audits": audit_errors(view)}
     return [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.", _MEND)
             for key, value in given.items() if value != getattr(entry, key)]
 

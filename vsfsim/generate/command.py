@@ -9,11 +9,12 @@ from typing import Any
 from vsfsim.core.arm_spec import ARM_MODELS
 from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
 from vsfsim.core.scene import SceneFile, load_scene
-from vsfsim.core.shelf import dataset_folder, find_scene
+from vsfsim.core.shelf import dataset_folder, datasets, find_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.store import is_url
 from vsfsim.generate import run
 from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.trade.buy import bought, check_accuracy
 from vsfsim.physics.runtime import check_device, check_precision
 
 RENDERERS = ("warp", "pyrender")
@@ -22,8 +23,8 @@ RENDERERS = ("warp", "pyrender")
 def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, objects: int | None = None,
              views: int | None = None, touches: int | None = None, seed: int = 0, tier: str | None = None,
              device: str = "cpu", precision: str = "float64", renderer: str = "warp", arm: str | None = None,
-             workers: int | None = None, cache: Path | None = None, share: run.Share | None = None,
-             progress: Callable[[int, int, str], None] | None = None,
+             accuracy: float | None = None, workers: int | None = None, cache: Path | None = None,
+             share: run.Share | None = None, progress: Callable[[int, int, str], None] | None = None,
              note: Callable[[str], None] | None = None) -> Dataset:
     """Make a dataset, or finish one that was interrupted, to the same bits; `vsfsim.generate` is this function.
 
@@ -40,6 +41,8 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         precision: of the solver, "float64" or "float32".
         renderer: "warp" or "pyrender".
         arm: model of the arm, of a scene with ``[arm]``; None for the scene's own.
+        accuracy: largest error of the force over its largest value in a touch [-], for which a pilot chooses tier and
+            element size, and by which some touches are audited; None for the scene's own tier.
         workers: processes, None for one a CPU core, or one on a GPU.
         cache: folder of meshes that were made before, None for the user's own cache.
         share: what is made and where (`vsfsim.generate.run.Share`), None for all of it on this machine.
@@ -50,8 +53,8 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
     """
     made = make(scene, out, objects=objects, views=views, touches=touches, seed=seed, tier=tier, device=device,
-                precision=precision, renderer=renderer, arm=arm, workers=workers, cache=cache, share=share,
-                progress=progress, note=note)
+                precision=precision, renderer=renderer, arm=arm, accuracy=accuracy, workers=workers, cache=cache,
+                share=share, progress=progress, note=note)
     if made.dataset is None:
         raise DatasetError(f"{out}: a shard was made; the dataset is finished by `vsfsim generate --finish`.")
     return made.dataset
@@ -59,8 +62,8 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
 
 def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: int = 0, objects: int | None = None,
          views: int | None = None, touches: int | None = None, tier: str | None = None, device: str = "cpu",
-         precision: str = "float64", renderer: str = "warp", arm: str | None = None, workers: int | None = None,
-         cache: Path | None = None, share: run.Share | None = None,
+         precision: str = "float64", renderer: str = "warp", arm: str | None = None, accuracy: float | None = None,
+         workers: int | None = None, cache: Path | None = None, share: run.Share | None = None,
          progress: Callable[[int, int, str], None] | None = None,
          note: Callable[[str], None] | None = None) -> run.Made:
     """As `generate`, for a shard too.
@@ -75,21 +78,30 @@ def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: 
     for option, value, allowed in choices:
         if value is not None and value not in allowed:
             raise VsfsimError(f"{option} is '{value}'. {did_you_mean(value, allowed)}")
-    folder = folder_of(loaded, out, seed=seed, objects=objects, views=views, touches=touches, tier=tier, arm=arm)
+    if accuracy is not None:
+        check_accuracy(accuracy, tier)
+    folder = folder_of(loaded, out, accuracy=accuracy, seed=seed, objects=objects, views=views, touches=touches,
+                       tier=tier, arm=arm)
     if share is not None and share.ray:
         folder = folder if is_url(folder) else Path(folder).resolve()  # tasks have working folders of their own
     options = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier, "device": device,
                "precision": precision, "renderer": renderer, "arm": arm}
+    if accuracy is not None:
+        count = make_recipe(loaded, **options).objects
+        options["tier"], options["bought"] = bought(loaded, folder, accuracy, seed=seed, objects=count, device=device,
+                                                    cache=cache, note=note)
     return run.make(loaded, folder, share=share or run.Share(), workers=workers, cache=cache, progress=progress,
                     note=note, **options)
 
 
-def folder_of(scene: SceneFile, out: str | Path | None, **options: Any) -> Path | str:
+def folder_of(scene: SceneFile, out: str | Path | None, *, accuracy: float | None = None,
+              **options: Any) -> Path | str:
     """Where a dataset goes: ``out``, or where a task looks for it.
 
     Args:
         scene: the scene.
         out: the folder that was given, or None.
+        accuracy: that was asked for; no task looks for such a dataset.
         options: of `make_recipe`.
 
     Raises:
@@ -98,5 +110,7 @@ def folder_of(scene: SceneFile, out: str | Path | None, **options: Any) -> Path 
     if out is not None:
         return str(out) if is_url(out) else Path(out)
     recipe = make_recipe(scene, **options)
+    if accuracy is not None:
+        return datasets() / f"{scene.name}-accuracy-{100 * accuracy:g}"
     return dataset_folder(scene.name, text=scene.text, seed=recipe.seed, objects=recipe.objects, views=recipe.views,
                           touches=recipe.touches, tier=recipe.tier)

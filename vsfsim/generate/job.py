@@ -50,22 +50,11 @@ class Job:
         written = parse_scene(self.recipe.scene_text, self.path)
         scene = written.sample(self.stream(Stream.SCENE), number=self.object_index)
         touches = dataclasses.replace(scene.required_touches, count=self.recipe.touches)
-        options = self.recipe.options
-        if "frames" in options:
-            free, _, hold, out = touches.frames
-            touches = dataclasses.replace(touches, frames=(free, options["frames"], hold, out))
-        scene = dataclasses.replace(scene, touches=touches)
-        if "resolution" in options:
-            scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object,
-                                                                          resolution=options["resolution"]))
-        if "nodes" in options:
-            scene = dataclasses.replace(scene, sensor=dataclasses.replace(scene.required_sensor,
-                                                                          nodes=options["nodes"]))
-        return scene
+        return dataclasses.replace(scene, touches=touches).varied(self.recipe.options)
 
     def stream(self, kind: Stream, touch: int | None = None) -> np.random.SeedSequence:
         """The random stream of a kind for this object, view, or touch of it."""
-        key = {Stream.SCENE: (), Stream.BODY: (), Stream.DEPTH: (self.view_index,),
+        key = {Stream.SCENE: (), Stream.BODY: (), Stream.DEPTH: (self.view_index,), Stream.AUDIT: (self.view_index,),
                Stream.AIM: (self.view_index, touch)}[kind]
         return stream(self.recipe.seed, kind, self.object_index, *key)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from vsfsim.core import shelf
 from vsfsim.core.errors import DatasetError, SceneError
@@ -27,8 +29,9 @@ def splits_for(scene: Scene, objects: int) -> dict[str, int]:
 
 def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = None, views: int | None = None,
                 touches: int | None = None, tier: str | None = None, device: str = "cpu", precision: str = "float64",
-                renderer: str = "warp", arm: str | None = None) -> Recipe:
-    """What will be made; None takes the scene's own number, or its own arm.
+                renderer: str = "warp", arm: str | None = None, bought: Mapping[str, Any] | None = None) -> Recipe:
+    """What will be made; None takes the scene's own number, or its own arm. ``bought`` is what an accuracy has chosen,
+    see `vsfsim.generate.trade.buy`.
 
     Raises:
         SceneError: the scene has no ``[touches]``, a count is less than 1, or its effector refuses something.
@@ -38,7 +41,7 @@ def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = N
         raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
                          f"its touches.")
     effector = effector_of(scene)
-    options = {} if arm is None else {"arm": arm}
+    options: dict[str, Any] = {} if arm is None else {"arm": arm}
     for name, value in options.items():
         if name not in effector.options:
             raise SceneError(f"{scene_file.path}: --{name} is '{value}', but the scene has no [{name}]; it is touched "
@@ -52,8 +55,8 @@ def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = N
         scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
         views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
         touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
-        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer, options=options,
-        files=files_of(scene_file, scene.effector))
+        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer,
+        options={**options, **(bought or {})}, files=files_of(scene_file, scene.effector))
 
 
 def files_of(scene_file: SceneFile, effector: str) -> dict[str, str]:

@@ -70,9 +70,25 @@ class Subject:
                           truth)
 
 
+@dataclass(frozen=True)
+class Manner:
+    """How an effector meets a solid."""
+
+    reach: float
+    """Radius of what leads, about [m]."""
+    tiers: tuple[str, ...]
+    """At which it can press the solid, cheapest first."""
+    nodes: int | None = None
+    """Of its own mesh; None if it is rigid."""
+
+
 @runtime_checkable
 class Retouching(Effector, Protocol):
     """An effector whose touches of a solid can be made again, as they were aimed, on another model of it."""
+
+    def manner(self, scene: Scene) -> Manner:
+        """How it meets the solid of a scene."""
+        ...
 
     def aim(self, subject: Subject, *, device: str) -> list[Aim]:
         """The touches of a subject, one for each that its scene counts.

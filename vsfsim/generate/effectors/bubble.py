@@ -28,7 +28,8 @@ from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import bubble as presses
 from vsfsim.generate.record import audit, verdict
-from vsfsim.generate.solid import Subject, batches, draw_solid, prepare
+from vsfsim.generate.solid import Manner, Subject, batches, draw_solid, prepare
+from vsfsim.generate.trade.audit import with_audits
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
@@ -102,10 +103,18 @@ class BubbleEffector:
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""
         subject = prepare(job, device=device)
-        touches = self.touch(subject, self.aim(subject, device=device), device=device, progress=progress)
+        aims = self.aim(subject, device=device)
+        touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
+                              device=device)
         dome = dome_of(_sensor_of(subject))
         truth = truth_of(subject.model, subject.view, touches, dome, friction=float("inf"), device=device)
         return subject.record(dome, touches, truth)
+
+    def manner(self, scene: Scene) -> Manner:
+        """With the short semi-axis of its rim, at the tiers that bend far."""
+        sensor = scene.required_sensor
+        able = tuple(name for name, tier in tiers.TIERS.items() if tier.nonlinear and name != "spring")
+        return Manner(sensor.semi_axes[1], able if scene.object is not None else (), sensor.nodes)
 
     def aim(self, subject: Subject, *, device: str) -> list[Aim]:
         """Along the normals, or tilted from them."""

@@ -21,10 +21,12 @@ from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import probe as presses
 from vsfsim.generate.record import audit, verdict
-from vsfsim.generate.solid import Subject, batches, draw_solid, prepare
+from vsfsim.generate.solid import Manner, Subject, batches, draw_solid, prepare
+from vsfsim.generate.trade.audit import with_audits
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.mesh.resolved import resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames, SolverOptions
@@ -59,10 +61,16 @@ class Probe:
         """Build, look, aim along the normals, press."""
         subject = prepare(job, device=device)
         scene = subject.scene
-        touches = self.touch(subject, self.aim(subject, device=device), device=device, progress=progress)
+        aims = self.aim(subject, device=device)
+        touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
+                              device=device)
         truth = truth_of(subject.model, subject.view, touches, scene.probe, friction=scene.object.friction,
                          device=device)
         return subject.record(scene.probe, touches, truth)
+
+    def manner(self, scene: Scene) -> Manner:
+        """With its largest radius, at every tier."""
+        return Manner(min(sdf.reach(scene.probe), 1.0), tuple(tiers.TIERS))
 
     def aim(self, subject: Subject, *, device: str) -> list[Aim]:
         """Along the normals, or tilted from them."""

@@ -22,18 +22,14 @@ from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import kernels_of
 from vsfsim.generate.solid import Retouching, Subject, prepare
 from vsfsim.generate.trade.curve import Curve, of_press, of_touch
-from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Ground, Setting
+from vsfsim.generate.trade.near import near
+from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
-from vsfsim.physics.contact import sdf
-from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.runtime import compile_kernels
 
 CANDIDATES = 3
 """Touches that are drawn for each that is taken."""
-LOCAL = 0.5
-"""Edge of the elements where the limit's meshes are touched, over the radius of the contact [-]; on each finer mesh
-smaller by the ratio of the ladder."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +119,9 @@ class DatasetTouches:
                  cache: Path | None = None):
         recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
         scene = loaded.sample(0)
+        self.ground = _ground(scene, recipe.tier, scene.required_touches.frames[1], device)
         effector = effector_of(scene)
-        if not isinstance(effector, Retouching):
-            raise SceneError(f"{loaded.path}: what a [{effector.table}] touches cannot be touched again on another "
-                             f"mesh. Speed against accuracy is measured for a [probe] and a [sensor] on a solid "
-                             f"object.")
+        assert isinstance(effector, Retouching)
         self._effector, self._warm = effector, set[str | None]()
         compile_kernels(kernels_of(scene, recipe.precision), device)
         self.subjects: list[Subject] = []
@@ -139,7 +133,6 @@ class DatasetTouches:
             self.aims.append([drawn[k] for k in spread([a.depth for a in drawn], np.stack([a.target for a in drawn]),
                                                        touches)])
         self.count = sum(map(len, self.aims))
-        self.ground = _ground(self.subjects[0].scene, recipe.tier, scene.required_touches.frames[1], device)
         depths = [a.depth for own in self.aims for a in own]
         self.what = (f"{self.count} touches of {objects} object{'s' * (objects > 1)}, {1e3 * min(depths):.1f} to "
                      f"{1e3 * max(depths):.1f} mm deep")
@@ -162,8 +155,8 @@ class DatasetTouches:
         meter = _Meter()
         tier = setting.tier
         assert tier is not None
-        way = None if level is None else _way(_resized(subject.scene, setting), aims[0], level)
-        own = subject.again(tier, setting.options(), edges=way)
+        own = (subject.again(tier, setting.options()) if level is None
+               else near(subject, aims[0], self._effector.manner(subject.scene).reach, setting.options(), level))
         once, _, _ = meter.read()
         meter.restart()
         touches = self._effector.touch(own, aims, device=setting.device)
@@ -255,34 +248,21 @@ def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:
 
 
 def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> Ground:
-    nodes = None if scene.sensor is None else scene.sensor.nodes
+    effector = effector_of(scene)
+    if not isinstance(effector, Retouching):
+        raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another mesh. "
+                         f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
+    manner, order = effector.manner(scene), list(tiers.TIERS)
     if tier is None:
-        return Ground(None, None, frames, nodes, (), device)
-    order = list(tiers.TIERS)
+        return Ground(None, None, frames, manner.nodes, (), device)
     start = max(tier, "fem-coarse", key=order.index)
-    size = tiers.element_size(scene.object, start, scene.probe)
-    pressable = tuple(order) if scene.sensor is None else tuple(order[order.index("fem-coarse"):])
-    return Ground(start, size, frames, nodes, tuple(t for t in pressable if t != "fem-fine"), device)
+    return Ground(start, tiers.element_size(scene.object, start, scene.probe), frames, manner.nodes,
+                  tuple(name for name in manner.tiers if name != "fem-fine"), device)
 
 
 def _brief(setting: Setting) -> Setting:
     """What loads kernels and packages before the clock runs."""
     return dataclasses.replace(setting, frames=1, tolerance=0.05)
-
-
-def _resized(scene: Scene, setting: Setting) -> Scene:
-    return dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=setting.resolution))
-
-
-def _way(scene: Scene, a: Aim, level: int) -> EdgePath:
-    """The place of a touch, with elements of `LOCAL` times the radius of its contact; see `edge_refine`."""
-    reach = scene.sensor.semi_axes[1] if scene.sensor is not None else min(sdf.reach(scene.probe), 1.0)
-    size = LOCAL * float(np.sqrt(reach * a.depth)) / RATIO**level
-    whole = dataclasses.replace(scene.object, resolution=None)
-    bulk, own = (tiers.element_size(spec, LIMIT_TIER, scene.probe) for spec in (scene.object, whole))
-    ends = np.stack([a.target - 2.0 * a.depth * a.axis, a.target + 2.0 * a.depth * a.axis])
-    # what `tiers.body` makes of the half-width of an edge
-    return EdgePath(ends[:, None], np.array([size / (tiers.TIERS[LIMIT_TIER].probe * min(1.0, bulk / own))]))
 
 
 def _varied(loaded: SceneFile, setting: Setting) -> SceneFile:

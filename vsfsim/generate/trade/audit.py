@@ -1,0 +1,43 @@
+"""Touches of a dataset that are solved again one level finer: a promise of accuracy is held against them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from vsfsim.data.records import Touch
+from vsfsim.data.streams import Stream
+from vsfsim.generate.aim import Aim
+from vsfsim.generate.solid import Retouching, Subject
+from vsfsim.generate.trade.near import near
+from vsfsim.generate.trade.setting import RATIO
+
+ONE_IN = 10
+"""One touch in so many is audited, and one of every view at least."""
+
+
+def with_audits(effector: Retouching, subject: Subject, aims: list[Aim], touches: list[Touch], *,
+                device: str) -> list[Touch]:
+    """The touches of a view, some of them with the force on a finer mesh in their audit; as they are where the recipe
+    promises no accuracy.
+
+    Args:
+        effector: what touches.
+        subject: the object.
+        aims: the touches.
+        touches: what was read of them.
+        device: Warp device.
+    """
+    if "accuracy" not in subject.job.recipe.options:
+        return touches
+    rng = np.random.default_rng(subject.job.stream(Stream.AUDIT))
+    out = list(touches)
+    for k in rng.permutation(len(touches))[:max(1, round(len(touches) / ONE_IN))].tolist():
+        finer = near(subject, aims[k], effector.manner(subject.scene).reach,
+                     {"resolution": subject.scene.object.resolution / RATIO}, 1)
+        (again,) = effector.touch(finer, [aims[k]], device=device)
+        found = again.converged & np.isfinite(again.force).all(axis=1)
+        out[k] = dataclasses.replace(out[k], audit={
+            **out[k].audit, "finer_force": np.where(found[:, None], again.force, 0.0), "finer_converged": found})
+    return out
