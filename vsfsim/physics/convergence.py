@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 
 SAFETY = 1.25  # safety factor of the error for three meshes or more (Roache 1994) [-]
-UNORDERED = 3.0  # the same for meshes that show no order (Roache 1994) [-]
 SCATTER = 0.02  # largest error of a curve without an order, over its largest value, with which it is used [-]
 STEEP = 4.0  # order of an integral of stresses with quadratic elements; a higher observed order is chance [-]
 
@@ -133,7 +132,7 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
     components, because single frames scatter with the place of the contact on the elements. Where the second step goes
     on in the direction of the first, the curve is extrapolated. Where it turns back, the finest mesh's curve is taken,
     and its error is at least the last step. Where the steps do not shrink there is no order: the finest mesh's curve is
-    taken with `UNORDERED` times the spread of the three as its error, and is not known if that is over `SCATTER`.
+    taken with `SAFETY` times the spread of the three as its error, and is not known if that is over `SCATTER`.
 
     Args:
         edge: h of each mesh, coarsest first (k,) [m].
@@ -155,12 +154,12 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
         return Limit(f[-1], np.full(f[-1].shape, 2.0 * least), None, "the meshes agree to the solver's tolerance")
     if e21 == 0.0 or e32 / e21 <= np.log(r32) / np.log(r21):
         spread = float(np.sqrt(np.mean(np.ptp(f, axis=0) ** 2)))
-        error = UNORDERED * spread
+        error = SAFETY * spread
         if error > SCATTER * size:
             return Limit(f[-1], np.full(f[-1].shape, np.nan), None, f"the steps from mesh to mesh do not shrink, and "
                          f"the meshes differ by {100 * spread / size:.2g} %")
         return Limit(f[-1], np.full(f[-1].shape, error), None, f"no order, the meshes differ by "
-                     f"{100 * spread / size:.2g} % and their error is taken as {UNORDERED:g} times that")
+                     f"{100 * spread / size:.2g} %, and {SAFETY:g} times that is taken as their error")
     order = _order(r21, r32, e32 / e21)
     gain = r21 ** min(order, STEEP) - 1.0
     if float((last * first).sum()) < 0.0:
