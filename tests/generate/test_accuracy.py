@@ -11,7 +11,7 @@ from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.data.kept import audit_error, broken, observed
+from vsfsim.data.checks.kept import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import command
 from vsfsim.generate.trade import buy

@@ -1,0 +1,1 @@
+"""What a finished dataset promises, and whether another is the same."""
