@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
+from vsfsim.bench.board.named import is_ceiling
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.inspect_result import inspect_result
@@ -118,7 +119,7 @@ def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, t
     table = json.loads((folder / "resim.json").read_text())
     (tmp_path / "claimed.json").write_text(json.dumps({**table, "entry": "predictions file"}))
     (row,) = leaderboard.collect(task, [tmp_path / "claimed.json"]).rows
-    assert row.rank == 1 and not leaderboard.is_ceiling(row.result)
+    assert row.rank == 1 and not is_ceiling(row.result)
 
 
 def test_what_cannot_be_asked_again_is_refused(made, tmp_path):

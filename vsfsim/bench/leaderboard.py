@@ -13,6 +13,7 @@ from typing import Any
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
+from vsfsim.bench.board.named import is_ceiling, labels_of
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart
@@ -21,7 +22,7 @@ from vsfsim.bench.trials.rows import Score
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown as escaped
 from vsfsim.core.plain_text import plain
-from vsfsim.core.shelf import ceilings, folder, methods
+from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
 
 SAME_READINGS = 1e-3
@@ -94,7 +95,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         if not path.exists():
             raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
         files += sorted(path.glob("*.json")) if path.is_dir() else [path]
-    results = [(path, Result.load(path)) for path in dict.fromkeys(files)]
+    results = [(path, _loaded(path, shipped)) for path in dict.fromkeys(files)]
     told = [(path, one.result) for path, one in packed] + results
     for path, result in told:
         if result.task != task.name:
@@ -134,6 +135,12 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
     again = record.again.touches if record is not None and record.again is not None else 0.0
     return Board(task, reference, record is not None, again, (*ranked, *odd))
+
+
+def _loaded(path: Path, shipped: list[Path]) -> Result:
+    """A result; only one that ships can be verified."""
+    one = Result.load(path)
+    return one if path in shipped or one.evidence != "verified" else dataclasses.replace(one, evidence="open")
 
 
 def over_objects(task: Task) -> bool:
@@ -184,13 +191,15 @@ def _same_scores(one: Result, other: Result, names: list[str], tolerance: float)
 
 
 def ship(board: Board, path: Path) -> None:
-    """Write a board as the file that ships, `leaderboard/TASK.json`.
+    """Write a board as the file that ships, `leaderboard/TASK.json`. A row that was made again here, to the same
+    numbers, becomes "verified".
 
     Raises:
         TaskError: the file cannot be written.
     """
-    write_rows([Shipped(row.path.name, dataclasses.replace(row.result, scores=row.scores), row.mark, row.other_bits)
-                for row in board.rows], path)
+    evidence = ["verified" if row.origin == "shipped, made again here" else row.result.evidence for row in board.rows]
+    write_rows([Shipped(row.path.name, dataclasses.replace(row.result, scores=row.scores, evidence=said), row.mark,
+                        row.other_bits) for row, said in zip(board.rows, evidence, strict=True)], path)
 
 
 def table(board: Board) -> dict[str, Any]:
@@ -290,46 +299,18 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
     return head, rows
 
 
-def is_ceiling(result: Result) -> bool:
-    """Whether a result is of a ceiling (`vsfsim.bench.commands.ceiling`)."""
-    entry = ceilings().get(result.method)
-    return entry is not None and entry.value == result.entry
-
-
 def possible(board: Board) -> dict[str, float]:
     """By shot, the mean ratio of the ceiling that ran at the data's own tier; {} where the board has none, or does not
     rank by the error over that of predicting zero."""
-    found = [row for row in board.rows if row.mark == CEILING and not row.result.parameters.get("tier")]
-    if not found or board.task.primary != "rmse_ratio":
-        return {}
-    return {shot: score.mean for shot, score in found[0].scores["rmse_ratio"].items()}
+    found = [row.scores["rmse_ratio"] for row in board.rows if row.mark == CEILING
+             and board.task.primary == "rmse_ratio" and not row.result.parameters.get("tier")]
+    return {shot: score.mean for shot, score in found[0].items()} if found else {}
 
 
 def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> float | None:
-    """(zero - e) / (zero - ceiling) of a row's mean e at a shot [-]: 0 predicts zero, 1 is the true object."""
+    """(1 - e) / (1 - ceiling) of a row's mean ratio e at a shot [-]: 0 predicts zero, 1 is the true object."""
     score = row.scores.get("rmse_ratio", {}).get(shot)
     return None if score is None or shot not in ceiling else (1.0 - score.mean) / (1.0 - ceiling[shot])
-
-
-def claimed(result: Result) -> bool:
-    """Whether a result has the name of a method that ships, and is of another one or of a file of predictions."""
-    entry = methods().get(result.method)
-    if entry is None or entry.dist is None or entry.dist.name != "vsfsim":
-        return False
-    return result.entry != entry.value or result.package.get("name", "vsfsim") not in ("vsfsim", "")
-
-
-def labels_of(results: list[Result]) -> list[str]:
-    """The method's name and preset; where it has several rows, with the parameters in which they differ."""
-    out = []
-    for result in results:
-        twins = [other.parameters for other in results
-                 if (other.method, other.preset) == (result.method, result.preset)]
-        differ = [f"{key}={value}" for key, value in result.parameters.items()
-                  if any(twin.get(key) != value for twin in twins)]
-        words = [*(["claimed"] if claimed(result) else []), *([result.preset] if result.preset else []), *differ]
-        out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
-    return out
 
 
 def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:

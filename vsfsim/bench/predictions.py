@@ -73,8 +73,9 @@ def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
                                    tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query), fold.train)
 
 
-def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:
-    """Score the predictions in ``path``; ``name`` is what the method is called in the result.
+def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str, evidence: str = "open") -> Result:
+    """Score the predictions in ``path``; ``name`` is what the method is called in the result, and ``evidence`` what it
+    rests on (`Result.evidence`).
 
     Raises:
         MethodError: the file is not an .npz, a key is missing or unknown, or a prediction has the wrong shape, is not
@@ -101,7 +102,7 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
                                   f"Keys are <object>/<shot>/<seed>/<touch>.")
     every = [one for mine in answers.values() for one in mine]
     return result_of(every, task, dataset, method=plain(name), entry="predictions file",
-                     notes=("scored from a file of predictions",), data=data)
+                     notes=("scored from a file of predictions",), data=data, evidence=evidence)
 
 
 def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, **said: Any) -> Result:

@@ -105,6 +105,9 @@ class Result:
     object, mean over runs, by metric, shot and object. Else {}."""
     schema_version: int = SCHEMA_VERSION
     """Of the file that it was read from."""
+    evidence: str = "open"
+    """What the row rests on: "open", the file of whoever made it; "sealed", scored against a private part
+    (`vsfsim.bench.sealed`); "verified", made again to the same numbers by those who keep the leaderboard."""
 
     def summary(self) -> dict[str, Any]:
         """For JSON: everything but the raw numbers of every query."""
@@ -185,11 +188,11 @@ class Result:
             raise TaskError(f"result {path} has schema version {plain(table.get('schema_version'), longest=40)}; this "
                             f"vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
         fields = {f.name: f for f in dataclasses.fields(cls)}
-        optional = {"isolation", "preset",
+        optional = {"isolation", "preset", "evidence",
                     *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
         given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps", "study", "contents", "values"},
-                  SCHEMA_VERSION: {"readings", "study", "contents", "values"}}
+        since = {"readings", "study", "contents", "values", "evidence"}
+        absent = {OLD_VERSION: optional, PLAIN_VERSION: {*since, "preset", "maps"}, SCHEMA_VERSION: since}
         odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
         if odd:
             raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "

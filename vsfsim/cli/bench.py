@@ -262,6 +262,9 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
                                                                            "keys are OBJECT/SHOT/SEED/TOUCH.")],
           task: TaskName, name: Annotated[str, typer.Option(help="Name of the method in the result.")],
           dataset: DatasetFolder = None,
+          sealed: Annotated[Path | None, typer.Option(metavar="FILE", help="Private part of a sealed set; --dataset is "
+                                                                           "its dataset (`vsfsim seal`).")
+                            ] = None,
           out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None,
           json: JsonFile = None) -> None:
     """Score a file of predictions made elsewhere.
@@ -285,11 +288,15 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
     """
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import score_predictions
+    from vsfsim.bench.sealed import check_commitment
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)
     path = result_path(out, wanted.name, name)
-    result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
+    data = open_dataset(wanted, dataset)
+    if sealed is not None:
+        check_commitment(sealed, wanted, data)
+    result = score_predictions(predictions, wanted, data, name=name, evidence="open" if sealed is None else "sealed")
     result.save(path)
     report(f"{score_table(result, wanted.primary)}\nwritten to {path}", {**result.summary(), "written": str(path)},
            json)

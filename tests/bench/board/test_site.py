@@ -13,6 +13,7 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board import charts
+from vsfsim.bench.board.named import labels_of
 from vsfsim.bench.board.site import _called, _index, _task_page, write_site
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
@@ -128,7 +129,7 @@ def test_a_superseded_task_has_its_own_table_and_an_object_the_model_that_its_sc
 
 def test_a_row_on_data_that_another_machine_made_again_is_marked():
     board = leaderboard.collect(load_task("fewshot-shoes-v2-v3"))
-    page = _task_page(board, leaderboard.labels_of([row.result for row in board.rows]))
+    page = _task_page(board, labels_of([row.result for row in board.rows]))
     assert ">imaml (paper) ~<" in page and ">imaml (tuned)<" in page
     assert "~ on the same dataset, made on a machine that rounds otherwise." in page
 

@@ -9,10 +9,10 @@ import time
 import hostile_methods  # noqa: F401
 import pytest
 
+from vsfsim.bench.board.named import labels_of
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation import container
 from vsfsim.bench.isolation.limits import Isolation
-from vsfsim.bench.leaderboard import labels_of
 from vsfsim.core.errors import MethodError
 
 BOXES = [name for name in container.SANDBOXES if container.works(name)]

@@ -102,7 +102,10 @@ def _packed(row: Shipped, objects: Sequence[str], shared: list[dict[str, Any]]) 
     values = {f"{metric} {shot}": [_single(of.get(name)) for name in objects]
               for metric, by_shot in row.result.values.items() for shot, of in by_shot.items()}
     maps, result = row.result.maps, row.result
-    told = {key: value for key, value in result.summary().items() if key not in _RAW and value not in ({}, (), "")}
+    may_lack = {f.name for f in dataclasses.fields(Result)
+                if f.default is not dataclasses.MISSING or f.default_factory is not dataclasses.MISSING}
+    told = {key: value for key, value in result.summary().items()
+            if key not in _RAW and (key not in may_lack or value not in ({}, (), ""))}
     out = {"name": row.name, "mark": row.mark, "other_bits": row.other_bits, **told, "values": pack(values),
            "scores": {metric: {shot: [_short(score.mean), _short(score.std)] for shot, score in by_shot.items()}
                       for metric, by_shot in result.scores.items()}}

@@ -17,8 +17,9 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, escape, figure, file_name, link, page, paragraph, table
+from vsfsim.bench.board.named import labels_of
 from vsfsim.bench.commands.submit import command_of
-from vsfsim.bench.leaderboard import Board, Row, labels_of, on_other_bits, over_objects, superseded, unit_of
+from vsfsim.bench.leaderboard import Board, Row, on_other_bits, over_objects, superseded, unit_of
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of

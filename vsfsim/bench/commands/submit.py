@@ -11,7 +11,8 @@ from typing import Any
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import interval, paired
-from vsfsim.bench.leaderboard import Board, Row, claimed, collect, score_table
+from vsfsim.bench.board.named import claimed
+from vsfsim.bench.leaderboard import Board, Row, collect, score_table
 from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import DEVELOPMENT, Task, load_task

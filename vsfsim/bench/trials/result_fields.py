@@ -229,7 +229,7 @@ def _maps(where: str, value: Any) -> dict[str, list]:
 
 _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     **dict.fromkeys(("task", "task_sha256", "dataset_sha256", "method", "entry", "observation", "unit", "isolation",
-                     "preset"),
+                     "preset", "evidence"),
                     _word),
     **dict.fromkeys(("dataset_made_by", "parameters", "machine", "made_by", "versions", "package", "study", "contents"),
                     _plain_table),

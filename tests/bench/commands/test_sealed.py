@@ -1,0 +1,105 @@
+"""A sealed set: its public part asks the same questions without an answer, and its private part keeps a commitment."""
+
+import dataclasses
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import predictions, sealed
+from vsfsim.bench.board.named import labels_of
+from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.leaderboard import collect, ship
+from vsfsim.bench.predictions import score_predictions
+from vsfsim.core.errors import TaskError
+
+
+@pytest.fixture
+def parts(task, toy_dataset, tmp_path):
+    commitment = sealed.seal(task, toy_dataset, tmp_path / "public", tmp_path / "private.json")
+    return tmp_path / "public", tmp_path / "private.json", commitment
+
+
+def test_the_public_part_asks_what_the_dataset_asks(parts, task, toy_dataset):
+    public, _, _ = parts
+    asked = {(q.name, q.shot, q.seed): q for q in predictions.questions(task, toy_dataset)}
+    found = {(q.name, q.shot, q.seed): q for q in sealed.questions(public, task)}
+    assert found.keys() == asked.keys()
+    for key, mine in found.items():
+        theirs = asked[key]
+        assert (mine.keys, mine.touches, mine.train) == (theirs.keys, theirs.touches, ())
+        for name in ("rgb", "depth", "mask", "intrinsics", "camera_pose"):
+            np.testing.assert_array_equal(getattr(mine.view, name), getattr(theirs.view, name))
+        actions = [*zip(mine.actions, theirs.actions), *((a.action, b.action) for a, b in zip(mine.support,
+                                                                                              theirs.support))]
+        for one, other in actions:
+            for field in dataclasses.fields(one):
+                assert repr(getattr(one, field.name)) == repr(getattr(other, field.name)), field.name
+        for one, other in zip(mine.support, theirs.support, strict=True):
+            np.testing.assert_array_equal(one.value, other.value)
+            np.testing.assert_array_equal(one.valid, other.valid)
+
+
+def test_nothing_of_a_query_and_nothing_of_the_seed_is_public(parts, toy_dataset):
+    public, private, commitment = parts
+    for file in public.glob("*.npz"):
+        with np.load(file) as arrays:
+            head = json.loads(arrays["head"].tobytes())
+            inside = {k: {name.split("/")[1] for name in arrays.files if name.startswith(f"{k}/")}
+                      for k in (*head["query"], *head["pool"])}
+        assert all(inside[k] == {"time", "poses", "axis"} for k in head["query"])
+        assert all(inside[k] >= {"time", "poses", "axis", "value", "valid"} for k in head["pool"])
+        assert set(head) == {"name", "object_index", "view_index", "probe", "query", "pool"}
+    index = json.loads((public / "sealed.json").read_text())
+    text = json.loads(private.read_text())["text"]
+    assert hashlib.sha256(text.encode()).hexdigest() == commitment == index["commitment"]
+    assert json.loads(text)["seed"] == toy_dataset.recipe.seed and len(json.loads(text)["word"]) == 32
+    assert set(index) == {"format", "version", "task", "task_sha256", "commitment", "files"}
+    assert toy_dataset.sha256 not in (public / "sealed.json").read_text()
+
+
+def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, tmp_path):
+    public, private, _ = parts
+    answers = {key: np.full((len(action.time), 1), 2.0) for q in sealed.questions(public, task)
+               for key, action in zip(q.keys, q.actions)}
+    np.savez(tmp_path / "p.npz", **answers)
+    sealed.check_commitment(private, task, toy_dataset)
+    result = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="mine", evidence="sealed")
+    assert result.scores["rmse"] == score_predictions(tmp_path / "p.npz", task, toy_dataset, name="m").scores["rmse"]
+    result.save(tmp_path / "r.json")
+    board = collect(task, [tmp_path / "r.json"])
+    assert labels_of([row.result for row in board.rows]) == ["mine (sealed)"]
+    ship(board, tmp_path / "toy-v1.json")
+    assert [row.result.evidence for row in read_rows(tmp_path / "toy-v1.json")] == ["sealed"]
+    # who says of himself that he is verified is not; who comes out again is
+    dataclasses.replace(result, evidence="verified").save(tmp_path / "r.json")
+    board = collect(task, [tmp_path / "r.json"])
+    assert board.rows[0].result.evidence == "open"
+    again = dataclasses.replace(board, rows=(dataclasses.replace(board.rows[0], origin="shipped, made again here"),))
+    ship(again, tmp_path / "toy-v1.json")
+    assert [row.result.evidence for row in read_rows(tmp_path / "toy-v1.json")] == ["verified"]
+
+
+def test_what_was_changed_is_refused(parts, task, toy_dataset, tmp_path):
+    public, private, _ = parts
+    table = json.loads(private.read_text())
+    other = json.dumps({**json.loads(table["text"]), "seed": 7})
+    for text, commitment, message in ((other, table["commitment"], "does not keep its commitment"),
+                                      (other, hashlib.sha256(other.encode()).hexdigest(), "seed differ"),
+                                      ("{}", hashlib.sha256(b"{}").hexdigest(), "not that of a sealed set")):
+        private.write_text(json.dumps({**table, "text": text, "commitment": commitment}))
+        with pytest.raises(TaskError, match=message):
+            sealed.check_commitment(private, task, toy_dataset)
+    with pytest.raises(TaskError, match="is a sealed set of task toy-v1, not of this text"):
+        next(sealed.questions(public, dataclasses.replace(task, sha256="0" * 64)))
+    file = next(public.glob("*.npz"))
+    file.write_bytes(file.read_bytes()[:-1] + b"x")
+    with pytest.raises(TaskError, match="was changed after the set was sealed"):
+        list(sealed.questions(public, task))
+    with pytest.raises(TaskError, match="is no part of a sealed set"):
+        next(sealed.questions(tmp_path, task))
+    with pytest.raises(TaskError, match="exists already"):
+        sealed.seal(task, toy_dataset, public, tmp_path / "new.json")
+    with pytest.raises(TaskError, match="would lie in the public folder"):
+        sealed.seal(task, toy_dataset, tmp_path / "new", tmp_path / "new" / "private.json")

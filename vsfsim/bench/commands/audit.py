@@ -1,0 +1,181 @@
+"""`vsfsim audit TASK`: does a task measure what it says? Four diagnostics, each with its figure or why there is none.
+
+1. Shortcuts: the error of methods that do not look at everything (`baselines/shortcuts.py`) beside the best row.
+2. Ranks: the share of neighbouring rows that differ by two standard errors of their paired difference over objects,
+   and the least difference that the task can tell.
+3. Over-fit: Spearman's correlation of the rows with those of the same methods on objects of a fresh seed.
+4. Source: the same with results of methods that were trained on another scene.
+"""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsfsim.bench.board.compare import ByObject, by_object, interval, paired
+from vsfsim.bench.board.named import labels_of
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.leaderboard import collect, over_objects
+from vsfsim.bench.method import contents_of
+from vsfsim.bench.result import Result
+from vsfsim.bench.stiffness_metrics import spearman
+from vsfsim.bench.task import Task, open_dataset
+from vsfsim.core.errors import TaskError
+from vsfsim.core.text_table import text_table
+
+METHOD = "vsfsim.baselines.shortcuts:Shortcut"
+KINDS = ("constant", "action", "view", "touch")
+ENOUGH = 0.9
+"""Rank correlation with fresh objects from which the rows are not made for the test objects."""
+FEWEST_ROWS = 4
+"""With fewer rows in common no rank correlation is given."""
+
+
+@dataclass(frozen=True)
+class Shortcut:
+    """What one shortcut reaches."""
+
+    sees: str
+    """One of `KINDS`."""
+    mean: float
+    """Of the task's metric over objects, at the shot that ranks."""
+    error: float
+    """Its standard error over objects."""
+    behind: float
+    """Paired difference to the best row over its standard error [-]; below 2 nobody is better than the shortcut."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What was found."""
+
+    task: str
+    best: str
+    """Method and preset of the best row, "" without rows."""
+    shortcuts: tuple[Shortcut, ...]
+    rows: int
+    """Ranked rows."""
+    told: int
+    """Neighbouring rows that differ."""
+    least: float
+    """Twice the median standard error of a paired difference between neighbours: the least that is told; NaN for fewer
+    than two rows."""
+    fresh: tuple[tuple[str, int, float], ...]
+    """Of each folder of results on fresh objects: its name, rows in common, rank correlation."""
+    source: tuple[tuple[str, int, float], ...]
+    """The same of methods that were trained on another scene."""
+
+    def table(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, fresh: Sequence[Path] = (),
+          source: Sequence[Path] = (), folder: Path | None = None,
+          progress: Callable[[int, int, str], None] | None = None) -> Audit:
+    """Audit a task.
+
+    Args:
+        task: with cross-validation. results: further result files or folders, beside the rows that ship. dataset: its
+        folder, None for the task's; without data the shortcuts are left out. fresh: folders of results of the same
+        methods on objects of other seeds. source: folders of results of methods trained on other scenes. folder: where
+        the results of shortcuts are kept; None for results/TASK/audit. progress: as of `evaluate`.
+
+    Raises:
+        TaskError: the task is not scored object by object, or a file is not its result.
+    """
+    if not over_objects(task) or task.metric.higher_is_better:
+        raise TaskError(f"task {task.name} is not audited: it needs cross-validation, in which every object has an "
+                        f"error of its own ([protocol] folds).")
+    board = collect(task, results)
+    ranked = [row for row in board.rows if row.rank is not None]
+    names = labels_of([row.result for row in ranked])
+    values = [row.objects[task.ranking_shot] for row in ranked]
+    pairs = [paired(worse, better) for better, worse in itertools.pairwise(values)]
+    least = 2.0 * statistics.median(pair.error for pair in pairs) if pairs else float("nan")
+    shortcuts = []
+    for sees, of in _shortcuts(task, dataset, folder or Path("results") / task.name / "audit", progress).items():
+        behind = paired(of, values[0]) if values else None
+        mean, error = interval(of)
+        shortcuts.append(Shortcut(sees, mean, error, behind.mean / behind.error if behind is not None and
+                                  behind.error > 0.0 else float("nan")))
+    means = {_key(row.result): row.scores[task.primary][task.ranking_shot].mean for row in ranked}
+    return Audit(task.name, names[0] if names else "", tuple(shortcuts), len(ranked),
+                 sum(pair.told_apart for pair in pairs), least,
+                 tuple(_agreement(means, path, task) for path in fresh),
+                 tuple(_agreement(means, path, task) for path in source))
+
+
+def text(found: Audit, board_metric: str) -> str:
+    """For a terminal.
+
+    Args:
+        found: the audit. board_metric: name of the task's metric, with the shot.
+    """
+    lines = [f"audit of {found.task}: {board_metric}, mean ± standard error over objects", "", "1. Shortcuts"]
+    if found.shortcuts:
+        rows = [[s.sees, f"{s.mean:.3f} ± {s.error:.3f}", f"{s.behind:.1f}" if s.behind == s.behind else ""]
+                for s in found.shortcuts]
+        lines += [text_table(["sees only", "error", f"standard errors behind {found.best or 'the best row'}"], rows)]
+        lines += [f"{s.sees}: no row is better than this shortcut by two standard errors" for s in found.shortcuts
+                  if s.behind < 2.0]
+    else:
+        lines.append("not measured: the task's dataset is not here (vsfsim tasks says which it is)")
+    pairs = max(found.rows - 1, 0)
+    share = f"{100.0 * found.told / pairs:.0f} %" if pairs else "not measured: fewer than two rows are ranked"
+    lines += ["", "2. Ranks", f"neighbours that differ: {share}" + (f" ({found.told} of {pairs}); the least difference "
+                                                                   f"that is told: {found.least:.3f}" if pairs else "")]
+    for number, title, rows_of, how in (("3", "Over-fit", found.fresh, "--fresh FOLDER"),
+                                        ("4", "Data source", found.source, "--source FOLDER")):
+        lines += ["", f"{number}. {title}"]
+        for name, count, value in rows_of:
+            verdict = "enough" if value >= ENOUGH else f"less than the {ENOUGH:g} that a task needs"
+            lines.append(f"{name}: rank correlation {value:.2f} of {count} rows; {verdict}" if value == value else
+                         f"{name}: {count} rows in common, fewer than {FEWEST_ROWS}")
+        if not rows_of:
+            lines.append(f"not measured: give {how} with results of the same methods")
+    return "\n".join(lines)
+
+
+def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callable[[int, int, str], None] | None
+               ) -> dict[str, ByObject]:
+    """The metric of each object by shortcut; {} where the data are not here."""
+    if dataset is None and not (task.dataset.path() / "dataset.json").is_file():
+        return {}
+    data = open_dataset(task, dataset)
+    out: dict[str, ByObject] = {}
+    for sees in KINDS:
+        path, given = folder / f"shortcut-{sees}.json", {"sees": sees}
+        result = Result.load(path) if path.is_file() else None
+        if result is None or (result.task_sha256, result.dataset_sha256, dict(result.contents)) != (
+                task.sha256, data.sha256, contents_of(METHOD, result.parameters)):
+            result = evaluate(METHOD, task, data, parameters=given, out=path, progress=progress)
+        out[sees] = by_object(result, task.primary, task.ranking_shot)
+    return out
+
+
+def _key(result: Result) -> tuple[str, str]:
+    return result.method, result.preset
+
+
+def _agreement(means: dict[tuple[str, str], float], path: Path, task: Task) -> tuple[str, int, float]:
+    """Spearman's correlation of the rows with the results in a folder, NaN for too few in common."""
+    files = sorted(path.glob("*.json")) if path.is_dir() else []
+    if not files:
+        raise TaskError(f"{path} is no folder with result files of `vsfsim evaluate`.")
+    other: dict[tuple[str, str], float] = {}
+    for result in map(Result.load, files):
+        score = result.scores.get(task.primary, {}).get(task.ranking_shot)
+        if score is None:
+            raise TaskError(f"a result of {result.method} in {path} has no {task.primary} at {task.ranking_shot}-shot.")
+        other[_key(result)] = score.mean
+    both = sorted(means.keys() & other.keys())
+    if len(both) < FEWEST_ROWS:
+        return path.name, len(both), float("nan")
+    return path.name, len(both), spearman(*(np.array([of[key] for key in both]) for of in (means, other)))

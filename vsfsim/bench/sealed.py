@@ -1,0 +1,190 @@
+"""A sealed set: the public part of a dataset, a private part that scores answers to it, and a commitment to both.
+
+The public folder holds what a method may see of every object: the picture, the support touches with the task's noise,
+and the paths of the query touches. The private file holds a text with the identity of the dataset, its seed and a
+random word. The sha256 of that text is in the public part, so that whoever seals a set cannot change it afterwards, and
+nobody can guess the seed. The dataset itself stays with them, because it holds the query readings and the truth.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import secrets
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from vsfsim.bench.method import Action, Reading, Surface, frozen_view
+from vsfsim.bench.predictions import Question
+from vsfsim.bench.protocol import Draw, divide, record, support
+from vsfsim.bench.task import Task
+from vsfsim.bench.trials.folds import test_names
+from vsfsim.core.errors import SceneError, TaskError
+from vsfsim.core.plain_text import plain
+from vsfsim.core.shape import ProbeShape, parse_probe_shape, probe_table
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
+from vsfsim.data.records import View
+from vsfsim.data.safety import check_name
+
+INDEX = "sealed.json"
+FORMAT, PRIVATE_FORMAT = "vsfsim-sealed", "vsfsim-sealed-private"
+FEWEST_SEEDS = 10**11
+"""A smaller seed can be found by making an object of each and comparing pictures."""
+_VIEW = ("rgb", "depth", "mask", "intrinsics", "camera_pose")
+
+
+def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
+    """Write the public part into a new folder and the private one into a new file.
+
+    Returns:
+        The commitment.
+
+    Raises:
+        TaskError: the folder or the file exists, or cannot be written.
+    """
+    for path in (public, private):
+        if path.exists():
+            raise TaskError(f"{path} exists already. Choose another name, or remove it first.")
+    if public.resolve() in private.resolve().parents:
+        raise TaskError(f"{private} would lie in the public folder {public}. Choose another place for the private "
+                        f"part.")
+    text = json.dumps({"dataset_sha256": dataset.sha256, "scene": dataset.recipe.scene, "seed": dataset.recipe.seed,
+                       "task_sha256": task.sha256, "word": secrets.token_hex(16)}, sort_keys=True)
+    commitment = hashlib.sha256(text.encode()).hexdigest()
+    names = test_names(dataset, task.protocol)
+    try:
+        public.mkdir(parents=True)
+    except OSError as error:
+        raise TaskError(f"folder {public} cannot be made: {error.strerror}. Choose another --public.") from error
+    table = {"format": PRIVATE_FORMAT, "version": 1, "commitment": commitment, "text": text}
+    write_atomic(private, (json.dumps(table, indent=1) + "\n").encode(), error=TaskError)
+    files = {}
+    for number, name in enumerate(names):
+        content = _public_part(dataset, task, name)
+        write_atomic(public / f"object-{number:04d}.npz", content, error=TaskError)
+        files[f"object-{number:04d}.npz"] = hashlib.sha256(content).hexdigest()
+    index = {"format": FORMAT, "version": 1, "task": task.name, "task_sha256": task.sha256, "commitment": commitment,
+             "files": files}
+    write_atomic(public / INDEX, (json.dumps(index, indent=1) + "\n").encode(), error=TaskError)
+    return commitment
+
+
+def questions(public: Path, task: Task) -> Iterator[Question]:
+    """What the task asks of a sealed set, in order, as `vsfsim.bench.predictions.questions` of its dataset.
+
+    A method learns from other data first, so that no question names training objects.
+
+    Args:
+        public: folder that `seal` wrote. task: of the set.
+
+    Raises:
+        TaskError: the folder is no sealed set of this task, or a file of it was changed.
+    """
+    index = _table(public / INDEX, FORMAT)
+    if index.get("task_sha256") != task.sha256:
+        raise TaskError(f"{public} is a sealed set of task {plain(index.get('task'))}, not of this text of "
+                        f"{task.name}.")
+    for file, sha256 in index["files"].items():
+        yield from _questions_of(public / check_name(file, str(public / INDEX)), str(sha256), task)
+
+
+def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
+    """Refuse a private part that is not that of a task and its dataset, or does not keep its commitment.
+
+    Raises:
+        TaskError: with what differs.
+    """
+    table = _table(private, PRIVATE_FORMAT)
+    text = str(table.get("text"))
+    if hashlib.sha256(text.encode()).hexdigest() != table.get("commitment"):
+        raise TaskError(f"{private} does not keep its commitment: the sha256 of its text is another one.")
+    try:
+        said = json.loads(text)
+        pairs = {"task_sha256": task.sha256, "dataset_sha256": dataset.sha256, "seed": dataset.recipe.seed}
+        odd = [key for key, value in pairs.items() if said[key] != value]
+    except (ValueError, KeyError, TypeError) as error:
+        raise TaskError(f"{private}: its text is not that of a sealed set ({plain(error)}).") from error
+    if odd:
+        raise TaskError(f"{private} is not of this task and dataset: {' and '.join(odd)} differ.")
+
+
+def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
+    view = dataset.blind().load(name)
+    recording, draw = record(view, task), divide(view, task.protocol)
+    head = {"name": view.name, "object_index": view.object_index, "view_index": view.view_index,
+            "probe": probe_table(view.probe), "query": list(draw.query), "pool": list(draw.pool)}
+    arrays: dict[str, np.ndarray] = {key: np.asarray(getattr(view.view, key)) for key in _VIEW}
+    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    for index in draw.pool:
+        reading = recording.readings[index]
+        arrays |= _of_action(index, reading.action)
+        arrays |= {f"{index}/value": reading.value, f"{index}/valid": reading.valid}
+        if reading.surface is not None:
+            arrays |= {f"{index}/vertices": reading.surface.vertices, f"{index}/node_force": reading.surface.force}
+    for index in draw.query:
+        arrays |= _of_action(index, recording.queries[index].action)
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+    return out.getvalue()
+
+
+def _of_action(index: int, action: Action) -> dict[str, np.ndarray]:
+    more = {"q": action.q, "mount_stiffness": action.mount_stiffness}
+    return {f"{index}/{key}": np.asarray(value) for key, value in {
+        "time": action.time, "poses": action.poses, "axis": action.axis, **more}.items() if value is not None}
+
+
+def _questions_of(path: Path, sha256: str, task: Task) -> list[Question]:
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise TaskError(f"{path} was changed after the set was sealed: its sha256 is another one.")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = dict(file)
+        head = json.loads(arrays.pop("head").tobytes())
+        view = frozen_view(View(**{key: arrays[key] for key in _VIEW}))
+        probe = parse_probe_shape(head["probe"], str(path))
+        draw = Draw(tuple(head["query"]), tuple(head["pool"]))
+        readings = {k: Reading(_action(arrays, k, probe, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
+                               _surface(arrays, k)) for k in draw.pool}
+        asked = tuple(_action(arrays, k, probe, task) for k in draw.query)
+        who = _Numbers(int(head["object_index"]), int(head["view_index"]))
+        name = check_name(head["name"], str(path))
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError, SceneError) as error:
+        raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
+    return [Question(name, label, run, view, tuple(readings[k] for k in support(who, draw, label, run, task.protocol)),
+                     draw.query, asked, tuple(f"{name}/{label}/{run}/{k:03d}" for k in draw.query), ())
+            for run in task.protocol.runs(seeded=False) for label in task.protocol.labels]
+
+
+class _Numbers:
+    """What chooses the random streams of an object view."""
+
+    def __init__(self, object_index: int, view_index: int):
+        self.object_index, self.view_index = object_index, view_index
+
+
+def _action(arrays: Mapping[str, np.ndarray], k: int, probe: ProbeShape, task: Task) -> Action:
+    spring = arrays.get(f"{k}/mount_stiffness")
+    return Action(arrays[f"{k}/time"], arrays[f"{k}/poses"], arrays[f"{k}/axis"], probe, task.observation.name,
+                  task.observation.size, arrays.get(f"{k}/q"), None if spring is None else float(spring))
+
+
+def _surface(arrays: Mapping[str, np.ndarray], k: int) -> Surface | None:
+    return Surface(arrays[f"{k}/vertices"], arrays[f"{k}/node_force"]) if f"{k}/vertices" in arrays else None
+
+
+def _table(path: Path, wanted: str) -> dict[str, Any]:
+    try:
+        table = json.loads(path.read_text())
+        if table["format"] != wanted or table["version"] != 1:
+            raise ValueError(f"its format is {plain(table['format'])}")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise TaskError(f"{path} is no part of a sealed set as `vsfsim seal` writes it: {plain(error)}.") from error
+    return table
