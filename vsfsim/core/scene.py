@@ -83,6 +83,15 @@ class Scene:
         return self._required(self.sensor, "sensor")
 
     @property
+    def required_object(self) -> ObjectSpec:
+        """The body of ``[object]``.
+
+        Raises:
+            SceneError: there is none.
+        """
+        return self._required(self.object, "object")
+
+    @property
     def required_arm(self) -> ArmSpec:
         """The arm of ``[arm]``.
 

@@ -68,7 +68,7 @@ def _advance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray
     for _ in range(500):
         local = (points - pose[:3, 3] - gone * axis) @ pose[:3, :3]
         gap = float((sdf.distance(probe, local) if isinstance(probe, MeshFile)
-                     else signed_distance.distance(probe, local)).min())
+                     else signed_distance.distance(probe, local)).min())  # type: ignore[arg-type]
         if gap < 1e-6:
             return gone
         gone += gap
@@ -198,7 +198,7 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
     out = []
     poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
     # A limit of seconds would cut touches by how busy the machine is; iterations are limited.
-    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, linear=True,
+    frames = Solver(model, scene.probe, friction=scene.required_object.friction, device=device, linear=True,
                     options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
     for k, a in enumerate(aims):
         found = frames.converged[:, k]

@@ -84,8 +84,8 @@ def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: 
                        tier=tier, arm=arm)
     if share is not None and share.ray:
         folder = folder if is_url(folder) else Path(folder).resolve()  # tasks have working folders of their own
-    options = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier, "device": device,
-               "precision": precision, "renderer": renderer, "arm": arm}
+    options: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier,
+                               "device": device, "precision": precision, "renderer": renderer, "arm": arm}
     if accuracy is not None:
         count = make_recipe(loaded, **options).objects
         options["tier"], options["bought"] = bought(loaded, folder, accuracy, seed=seed, objects=count, device=device,

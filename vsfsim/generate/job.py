@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,9 +55,10 @@ class Job:
 
     def stream(self, kind: Stream, touch: int | None = None) -> np.random.SeedSequence:
         """The random stream of a kind for this object, view, or touch of it."""
-        key = {Stream.SCENE: (), Stream.BODY: (), Stream.DEPTH: (self.view_index,), Stream.AUDIT: (self.view_index,),
-               Stream.AIM: (self.view_index, touch)}[kind]
-        return stream(self.recipe.seed, kind, self.object_index, *key)
+        keys: dict[Stream, tuple[Any, ...]] = {
+            Stream.SCENE: (), Stream.BODY: (), Stream.DEPTH: (self.view_index,), Stream.AUDIT: (self.view_index,),
+            Stream.AIM: (self.view_index, touch)}
+        return stream(self.recipe.seed, kind, self.object_index, *keys[kind])
 
 
 def jobs_of(recipe: Recipe, path: Path, store: Path | str, cache: Path | None, *, mixed: bool = False,

@@ -139,7 +139,7 @@ def batches(count: int, most: int) -> list[slice]:
 
 def surface_of(solid: Solid, scene: Scene) -> Surface:
     """The body's boundary at rest, for the cameras."""
-    turn, shift = tiers.placement(scene.object)
+    turn, shift = tiers.placement(scene.required_object)
     triangles, owner = solid.surface()
     return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance,
                    solid.vertices)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.cloud import cloud_normals, voxel_sample
 from vsfsim.physics.contact.patch import shape_values
@@ -57,7 +58,8 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np
     return np.where(softness > 0.0, 1.0 / np.where(softness > 0.0, softness, 1.0), np.inf)
 
 
-def truth_of(model: Model, view: View, touches: list[Touch], probe: object, *, friction: float, device: str) -> Truth:
+def truth_of(model: Model, view: View, touches: list[Touch], probe: ProbeShape, *, friction: float,
+             device: str) -> Truth:
     """The truth of a solid object's view, which no method may see.
 
     The oracle VSF is the papers' particle model fitted to all noise-free, converged readings of this view (zero mean,

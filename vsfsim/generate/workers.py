@@ -82,7 +82,7 @@ def submit(pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: 
     would make the dataset once more. Our workers need modules of vsfsim alone.
     """
     script = sys.modules["__main__"]
-    hidden = {name: vars(script).pop(name) for name in ("__file__", "__spec__") if name in vars(script)}
+    hidden: dict[str, Any] = {name: vars(script).pop(name) for name in ("__file__", "__spec__") if name in vars(script)}
     script.__spec__ = None
     try:
         return pool.submit(function, *arguments)
@@ -252,7 +252,12 @@ def _begin(queue: Any) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         # a worker whose parent was killed must not go on writing beside the next run
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: multiprocessing.process.BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _make(job: Job, device: str) -> None:

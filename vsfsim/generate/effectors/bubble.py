@@ -188,7 +188,7 @@ def tier_for(scene: Scene, asked: str | None) -> str:
     chosen = tiers.choose(scene, asked)
     if tiers.TIERS[chosen].nonlinear and chosen != "spring":
         return chosen
-    if (asked or scene.object.tier) != "auto":
+    if (asked or scene.required_object.tier) != "auto":
         raise SceneError(f"{scene.source}: tier '{chosen}' cannot be touched by a [sensor], which bends far; use "
                          f"'fem-coarse' or finer.")
     return "fem-coarse"
@@ -330,7 +330,7 @@ def touch_all(scene: Scene, model: Model, sensor: BubbleModel, aims: list[Aim], 
         solver = CoupledSolver(model, sensor, friction=spec.friction, device=device, options=options)
         width = len(part)
         frames = solver.run(poses, start=starts(scene.required_touches, part, poses[0]), keep=True,
-                            progress=None if progress is None else lambda _, k=width: progress(k))
+                            progress=None if progress is None else lambda _, k=width: progress(k))  # type: ignore[misc]
         for k, a in enumerate(part):
             position, force = (np.stack([x[..., k] for x in frame])
                                for frame in (solver.sensor_position, solver.sensor_force))

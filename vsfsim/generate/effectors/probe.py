@@ -64,7 +64,7 @@ class Probe:
         aims = self.aim(subject, device=device)
         touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
                               device=device)
-        truth = truth_of(subject.model, subject.view, touches, scene.probe, friction=scene.object.friction,
+        truth = truth_of(subject.model, subject.view, touches, scene.probe, friction=scene.required_object.friction,
                          device=device)
         return subject.record(scene.probe, touches, truth)
 
@@ -145,11 +145,11 @@ def _press(scene: Scene, model: Model, aims: Sequence[Aim], paths: Sequence[np.n
         part, poses = aims[some], np.stack(paths[some], axis=1)
         spring = scene.mount_stiffness
         mount = None if spring is None else Mount(spring, np.stack([a.axis for a in part]))
-        solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
+        solver = Solver(model, scene.probe, friction=scene.required_object.friction, device=device, precision=precision,
                         options=options or tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
         frames = solver.run(poses, start=starts(spec, part, poses[0]), mount=mount,
-                            progress=None if progress is None else lambda _, k=width: progress(k))
+                            progress=None if progress is None else lambda _, k=width: progress(k))  # type: ignore[misc]
         out += [dataclasses.replace(_record(a, poses[:, k], frames, k, model.solid.parts), mount_stiffness=spring)
                 for k, a in enumerate(part)]
     return out

@@ -68,7 +68,8 @@ def admitted(job: Job, scene: Scene) -> Admitted:
     key = recipe.scene_text, recipe.seed, number, recipe.views, scene.required_arm
     if key in _known:
         return _known[key]
-    arm, refused = load(scene.required_arm), []
+    arm = load(scene.required_arm)
+    refused: list[str] = []
     pilots = stream(recipe.seed, Stream.AIM, number, _PILOT)
     for draw in range(MOST_DRAWS):
         seed = stream(recipe.seed, Stream.BODY, number, *((draw,) if draw else ()))
@@ -92,13 +93,14 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
     Raises:
         SceneError: its object is no family of plants, or a parameter is wrong.
     """
-    shape = scene.object.shape
+    shape = scene.required_object.shape
     if not isinstance(shape, Family):
         raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not "
                          f"{type(shape).__name__.lower()}.")
     plant = grow_family(shape, np.random.default_rng(seed),
                         where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
-    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=scene.object.poisson_ratio)
+    body = scene.required_object
+    return dataclasses.replace(plant.turned(body.yaw), poisson_ratio=body.poisson_ratio)
 
 
 def refusal(plant: Plant, scene: Scene, arm: Arm, views: int, seed: np.random.SeedSequence) -> str | None:
@@ -144,7 +146,7 @@ def torque_norms(arm: Arm, subjects: Sequence[tuple[RodModel, list[ArmAim]]], sc
         solver = RodSolver([model], arm.shapes, device="cpu",
                            options=RodOptions(force_limit=scene.required_touches.force_limit))
         poses = np.stack([arm.body_poses(a.angles(a.plan)) for a in aims], axis=1)
-        frames = solver.run(np.zeros(len(aims), int), poses, friction=scene.object.friction)
+        frames = solver.run(np.zeros(len(aims), int), poses, friction=scene.required_object.friction)
         for b, aim in enumerate(aims):
             n = int(frames.frames[b])
             good = np.flatnonzero(frames.converged[:n, b])

@@ -12,6 +12,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,8 @@ class _Preparation:
         Returns:
             The number of touches newly ready.
         """
-        there, _ = wait([*self._looking, *self._aiming], timeout=timeout, return_when=FIRST_COMPLETED)
+        going: list[Future[Any]] = [*self._looking, *self._aiming]
+        there, _ = wait(going, timeout=timeout, return_when=FIRST_COMPLETED)
         before = len(self.ready)
         for future in there:
             if future in self._looking:
@@ -86,7 +88,8 @@ class _Preparation:
 
     def cancel(self) -> None:
         """Call off what no process has begun."""
-        for future in (*self._looking, *self._aiming):
+        going: list[Future[Any]] = [*self._looking, *self._aiming]
+        for future in going:
             future.cancel()
 
 

@@ -41,8 +41,8 @@ class Seconds:
     def charge(self, stage: str, since: float) -> float:
         """End a stage and start the next one; returns the time on the clock [s]."""
         now, busy = time.perf_counter(), time.process_time()
-        self.spent[stage] += now - since
-        self.cpu[stage] += busy - self._last
+        self.spent[stage] += now - since  # type: ignore[assignment]  # a Counter of seconds
+        self.cpu[stage] += busy - self._last  # type: ignore[assignment]
         self._last = busy
         return now
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +63,7 @@ def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
     """The touches of a subject enter a batch, as of its solver's plant ``number``; their places."""
     aims = subject.aims
     return batch.add(np.full(len(aims), number), subject.poses, plan=np.stack([a.plan for a in aims]),
-                     friction=subject.scene.object.friction, inward=np.array([a.inward for a in aims]))
+                     friction=subject.scene.required_object.friction, inward=np.array([a.inward for a in aims]))
 
 
 def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None,
@@ -100,7 +101,7 @@ def finish(subject: Subject, frames: RodFrames, *, device: str, seconds: Seconds
     touches = finish_touches(dataclasses.replace(subject, arm=arm), frames)
     since = seconds.charge("torque", since)
     chain = chain_of(arm)
-    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction,
+    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.required_object.friction,
                         device=device, notes=subject.notes)
     seconds.charge("truth", since)
     job = subject.job
@@ -147,7 +148,7 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
                  **verdict(found, frames.force_balance[:n, b], reason))
 
 
-def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, np.ndarray]:
+def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, Any]:
     """The planned path of a touch, and which of its frames the frames at rows ``where`` (T,) of the line are.
 
     A frame is one of the plan if the arm stood where the plan has it at that time; a dynamic arm may still lag behind.

@@ -76,8 +76,8 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
                                     tolerance=0.5 * VSF_SPACING)
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
     some = [np.unique(np.rint(np.linspace(0, len(touch.time) - 1, FITTED_FRAMES)).astype(int)) for touch in touches]
-    found = arm_torque_rows_each(particles, chain, [touch.q[k] for touch, k in zip(touches, some, strict=True)],
-                                 friction=friction, device=device, max_step=4e-3)  # type: ignore[index]
+    joints = [touch.q[k] for touch, k in zip(touches, some, strict=True) if touch.q is not None]
+    found = arm_torque_rows_each(particles, chain, joints, friction=friction, device=device, max_step=4e-3)
     for touch, k, w in zip(touches, some, found, strict=True):
         assert touch.torque is not None
         good = touch.converged[k]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -72,10 +73,11 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
     n = len(touch.time)
     depth = (touch.mount_pose[:, :3, 3] - aim.target) @ aim.axis
     assert touch.q is not None and touch.torque is not None and touch.audit is not None
-    full, segments = int(np.argmax(depth)), len(subject.plant.nodes) - 1
+    q, full, segments = touch.q, int(np.argmax(depth)), len(subject.plant.nodes) - 1
     reason = tuple(("", *touch.reason_names)[k] for k in touch.reason)
     audit = {name: touch.audit[name] for name in ("force_balance", "energy", "penetration")}
-    fields = {"converged": touch.converged, "residual": touch.residual, "iterations": touch.iterations, "audit": audit}
+    fields: dict[str, Any] = {"converged": touch.converged, "residual": touch.residual, "iterations": touch.iterations,
+                              "audit": audit}
     contacts, size = frames.contacts[:n, 0], np.linalg.norm(touch.force, axis=1)
     return PressResult(
         depth=depth, force=touch.force, axis=aim.axis, reaction=touch.reaction, **fields, deepest=full,
@@ -99,7 +101,7 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
                      {f"joint {j + 1}": touch.torque[:, j] for j in range(7)})),
         abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
         headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
-        panels=(lambda t: (_panel(subject, touch.q, frames, t),)) if request.keep else None,
+        panels=(lambda t: (_panel(subject, q, frames, t),)) if request.keep else None,
         arrays={**_arrays(subject, touch, frames),
                 **series(depth, touch.force, touch.reaction, fields, "of the pot on the plant, world")}
         if request.keep else {})

@@ -28,10 +28,10 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     if "probe" in scene.given:
         return scene, []
     # A path is made for a certain probe: the default one of the scene format.
-    if scene.press is not None or isinstance(scene.object.shape, Family):
+    if scene.press is not None or isinstance(scene.required_object.shape, Family):
         assert scene.probe == Sphere(LARGEST_RADIUS)
         return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
-    shape = scene.object.shape
+    shape = scene.required_object.shape
     if isinstance(shape, MeshFile):
         from vsfsim.physics.mesh.repair import extents  # imports trimesh
 
@@ -75,7 +75,8 @@ def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:
     depth = float(f"{room:.2g}")
     start = pose[:3, 3] + gap * DOWN
     stop = start + depth * DOWN
-    spec = PressSpec((tuple(map(float, start)), tuple(map(float, stop))), (FRAMES,))
+    (a, b, c), (x, y, z) = map(float, start), map(float, stop)
+    spec = PressSpec(((a, b, c), (x, y, z)), (FRAMES,))
     note = (f"No [press] is given: the probe goes from above, {where}, from first contact at "
             f"({', '.join(f'{v:.4g}' for v in start)}) m, "
             f"{1e3 * depth:.3g} mm deep, {100 * depth / height:.2g} % of the height, in {FRAMES} frames.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from vsfsim.generate.presses.verdict import (
     solver_columns,
     statement,
 )
+from vsfsim.physics.mesh.membrane import TriangleMesh
 from vsfsim.physics.mesh.membrane_refine import SHARE
 from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
@@ -101,7 +102,7 @@ def result_of(s: Solved, request: PressRequest) -> PressResult:
 
 
 def _arrays(s: Solved, change: np.ndarray, volume: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
-    mesh, read_out = s.model.mesh, s.model.read_out
+    mesh, read_out = cast(TriangleMesh, s.model.mesh), s.model.read_out
     return {
         "node_position": (read_out.positions(s.position), "read-out mesh, mount frame (T, 390, 3) [m]"),
         "node_force": (readout_of(s.model).forces(s.position, s.push),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from vsfsim.generate.presses.verdict import direction
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.mesh.membrane import TriangleMesh
 from vsfsim.physics.mesh.membrane_refine import wishes
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
@@ -149,6 +151,7 @@ def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.n
     volume: list[float] = []
 
     def done(frames: int) -> None:
+        assert solver.elasticity.pressure is not None and solver.elasticity.volume is not None  # of a body with gas
         pressure.append(float(solver.elasticity.pressure.numpy()[0]))
         volume.append(float(solver.elasticity.volume.numpy()[0]))
         if request.progress is not None:
@@ -178,7 +181,7 @@ def _before_housing(scene: Scene, model: BubbleModel, poses: np.ndarray) -> None
     """
     bodies, chamber = RigidBodies(scene.bodies), model.spec.chamber
     plate = np.column_stack([model.flat, np.full(len(model.flat), -chamber)])
-    plate[model.mesh.rim, 2] = 0.0
+    plate[cast(TriangleMesh, model.mesh).rim, 2] = 0.0
     for t, frame in enumerate(poses):
         for k, pose in enumerate(frame):
             depth = -float(bodies.distance(k, (plate - pose[:3, 3]) @ pose[:3, :3]).min())
@@ -195,7 +198,7 @@ def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndar
     friction = scene.required_sensor.friction
     chosen = tiers.choose(scene, request.tier)
     if not tiers.TIERS[chosen].nonlinear or chosen == "spring":
-        if request.tier is not None or scene.object.tier != "auto":
+        if request.tier is not None or scene.required_object.tier != "auto":
             raise SceneError(f"{scene.source}: tier {chosen!r} cannot be pressed by a [sensor], which bends far; tier "
                              f"= \"fem-coarse\" or finer would do.")
         chosen = "fem-coarse"
@@ -207,8 +210,9 @@ def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndar
     options = request.limited(tiers.options(chosen))
     solver = CoupledSolver(body, model, friction=friction, device=request.device, precision=request.precision,
                            options=options)
-    frames = solver.run(mount[:, None], start=first[None], keep=True, progress=None if request.progress is None
-                        else lambda t: request.progress(t, len(mount), "frames"))
+    tell = request.progress
+    frames = solver.run(mount[:, None], start=first[None], keep=True,
+                        progress=None if tell is None else lambda t: tell(t, len(mount), "frames"))
     turn, at = mount[:, :3, :3], mount[:, None, :3, 3]
     position = np.einsum("tji,tnj->tni", turn, np.stack([x[..., 0] for x in solver.sensor_position]) - at)
     push = np.einsum("tji,tnj->tni", turn, np.stack([f[..., 0] for f in solver.sensor_force]))

@@ -79,7 +79,7 @@ class Prepared:
     @property
     def element_size(self) -> float:
         """Edge length that the mesh aims at [m]."""
-        return tiers.element_size(self.scene.object, self.tier, self.scene.probe)
+        return tiers.element_size(self.scene.required_object, self.tier, self.scene.probe)
 
 
 def press(loaded: SceneFile, request: PressRequest) -> PressResult:
@@ -103,13 +103,13 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         prepared, asked = first, dataclasses.replace(request, keep=request.keep and k == meshes - 1,
                                                      progress=of_mesh(request.progress, k, meshes))
         if k > 0:
-            body = dataclasses.replace(first.scene.object, resolution=first.element_size / RATIO**k)
+            body = dataclasses.replace(first.scene.required_object, resolution=first.element_size / RATIO**k)
             prepared = _discretise(dataclasses.replace(first.scene, object=body), first.tier, asked, first.notes)
         results.append(solve(prepared, asked))
         # the triangles of a scan are of all sizes
         volume = float(prepared.model.mesh.volume.sum())
         edge.append((volume / results[-1].more["tets"]) ** (1.0 / 3.0)
-                    if isinstance(first.scene.object.shape, MeshFile) else results[-1].more["edge_at_contact"])
+                    if isinstance(first.scene.required_object.shape, MeshFile) else results[-1].more["edge_at_contact"])
     force = [float(r.normal_force[r.deepest]) for r in results]
     change = ["", *(f"{100 * (b / a - 1.0):+.2f}" if a and np.isfinite(b / a) else "-" for a, b in pairwise(force))]
     columns = (
@@ -199,9 +199,9 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
                     options=options, linear=linear)
     placed, start = body_poses(scene, poses), body_poses(scene, first[None])
     begun = overlap(model, solver.bodies, start[0], str(scene.source))
+    tell = request.progress
     frames = solver.run(placed[:, None], start=start, keep=request.keep,
-                        progress=None if request.progress is None
-                        else lambda done: request.progress(done, len(poses), "frames"))
+                        progress=None if tell is None else lambda done: tell(done, len(poses), "frames"))
     body_force = frames.body_force[:, 0]
     # Obstacles do not belong to the probe.
     force = frames.force[:, 0] - body_force[:, moving:].sum(axis=1)

@@ -192,7 +192,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                           f"{len(bounds)} of {subject.count} touches is found. It is kept in {lines.file}; run the "
                           f"same command again to go on, with a longer --budget or fewer --touches.")
     found = Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), tuple(_said(bounds)), refused, left,
-                     circumstances["machine"])
+                     str(circumstances["machine"]))
     write_atomic(out / "tradeoff.html", page(f"Speed against accuracy: {found.scene}", [found.what, *found.limit],
                                              found.points, found.sentences(), found.notes()).encode())
     return found, front.differences(found.points, stored) if check is not None else []

@@ -84,7 +84,7 @@ class Ground:
 
         names: Sequence[str | None] = self.pressable or (None,)
         out = [Setting(tier, size, device=self.device) for tier in names for size in sizes(tier)]
-        base = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
+        base: dict[str, Any] = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
         loose = 10.0 * tiers.TIERS[self.tier].tolerance if self.tier else 5e-3
         counts = [] if self.frames is None else sorted({max(1, self.frames // 2), 2 * self.frames} - {self.frames})
         out += [Setting(**base, tolerance=value) for value in (loose, loose / 100.0)]
