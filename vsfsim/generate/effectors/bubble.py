@@ -61,7 +61,7 @@ class BubbleEffector:
     """A soft-bubble sensor on a mount; see `vsfsim.generate.effector.Effector`."""
 
     table = "sensor"
-    options = ()
+    options: tuple[str, ...] = ()
 
     def check(self, scene: Scene, tier: str | None, precision: str) -> str:
         """The tier of the object: as `tiers.choose`, at least ``fem-coarse``.

@@ -43,7 +43,7 @@ class Probe:
     """A rigid probe of simple shape; see `vsfsim.generate.effector.Effector`."""
 
     table = "probe"
-    options = ()
+    options: tuple[str, ...] = ()
 
     def check(self, scene: Scene, tier: str | None, precision: str) -> str:
         """The tier that the scene's needs ask for; every precision will do."""

@@ -31,11 +31,13 @@ def with_audits(effector: Retouching, subject: Subject, aims: list[Aim], touches
     """
     if "accuracy" not in subject.job.recipe.options:
         return touches
+    size = subject.scene.required_object.resolution
+    assert size is not None  # the accuracy that was bought has one
     rng = np.random.default_rng(subject.job.stream(Stream.AUDIT))
     out = list(touches)
     for k in rng.permutation(len(touches))[:max(1, round(len(touches) / ONE_IN))].tolist():
         finer = near(subject, aims[k], effector.manner(subject.scene).reach,
-                     {"resolution": subject.scene.object.resolution / RATIO}, 1)
+                     {"resolution": size / RATIO}, 1)
         (again,) = effector.touch(finer, [aims[k]], device=device)
         found = again.converged & np.isfinite(again.force).all(axis=1)
         out[k] = dataclasses.replace(out[k], audit={

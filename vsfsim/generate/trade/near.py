@@ -34,7 +34,7 @@ def near(subject: Subject, a: Aim, reach: float, options: Mapping[str, Any], lev
     """
     scene = subject.scene
     size = LOCAL * float(np.sqrt(reach * a.depth)) / RATIO**level  # a ball of that radius touches over sqrt(r d)
-    own = tiers.element_size(dataclasses.replace(scene.object, resolution=None), LIMIT_TIER, scene.probe)
+    own = tiers.element_size(dataclasses.replace(scene.required_object, resolution=None), LIMIT_TIER, scene.probe)
     # what `tiers.body` makes of the half-width of an edge
     share = tiers.TIERS[LIMIT_TIER].probe * min(1.0, options.get("resolution", own) / own)
     ends = np.stack([a.target - 2.0 * a.depth * a.axis, a.target + 2.0 * a.depth * a.axis])

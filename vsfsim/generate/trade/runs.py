@@ -256,7 +256,7 @@ def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> 
     if tier is None:
         return Ground(None, None, frames, manner.nodes, (), device)
     start = max(tier, "fem-coarse", key=order.index)
-    return Ground(start, tiers.element_size(scene.object, start, scene.probe), frames, manner.nodes,
+    return Ground(start, tiers.element_size(scene.required_object, start, scene.probe), frames, manner.nodes,
                   tuple(name for name in manner.tiers if name != "fem-fine"), device)
 
 
