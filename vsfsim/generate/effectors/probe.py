@@ -36,7 +36,7 @@ from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import times, touch_path
 from vsfsim.vsf.stick_slip import stick_slip_kernel
 
-BATCH = 9  # touches that are solved together; part of what fixes the bits
+BATCH = 16  # touches that are solved together, as many as share a back-solve; part of what fixes the bits
 
 
 class Probe:
