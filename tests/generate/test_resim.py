@@ -130,5 +130,5 @@ def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
         again(made.recipe, made.entries[0].name, [], tier="fem-corse")
     text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0",
                                           '[sensor]\nkind = "bubble"')
-    with pytest.raises(SceneError, match="its effector has no function `touch_along`"):
+    with pytest.raises(SceneError, match="its effector takes no paths"):
         again(dataclasses.replace(made.recipe, scene_text=text), made.entries[0].name, [])

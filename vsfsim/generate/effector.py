@@ -53,24 +53,8 @@ class Drawing:
     drawn."""
 
 
-class Planned(Protocol):
-    """A touch before it is made, as a method is asked for it."""
-
-    @property
-    def poses(self) -> np.ndarray:
-        """Planned poses of the mount (T, 4, 4) [m]."""
-
-    @property
-    def axis(self) -> np.ndarray:
-        """Unit direction of the press (3,) [-]."""
-
-
 class Effector(Protocol):
-    """What touches: how it is checked, how it makes touches, what it records.
-
-    One that can also make touches of given plans has a function ``touch_along(subject, plans, *, device)``, which gives
-    one `vsfsim.data.records.Touch` a `Planned`; `vsfsim.generate.resim` asks it.
-    """
+    """What touches: how it is checked, how it makes touches, what it records."""
 
     table: str
     """The scene's table that describes it: "probe", "sensor" or "arm"."""

@@ -1,21 +1,41 @@
 """The true object asked again: touches of planned paths by the very model that made a dataset, which is what a
-perfect model of object and solver would answer (`vsfsim evaluate --method resim`)."""
+perfect model of object and solver would answer (`vsfsim evaluate --method resim`).
+
+It asks effectors whose function ``touch`` takes ``paths``, as that of `vsfsim.generate.effectors.probe` does.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
+
+import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import find_scene, scenes
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
-from vsfsim.generate.effector import Planned, effector_of
+from vsfsim.generate.aim import Aim
+from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import check_files
 from vsfsim.generate.solid import prepare
+
+
+class Planned(Protocol):
+    """A touch before it is made, as a method is asked for it."""
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Planned poses of the mount (T, 4, 4) [m]."""
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Unit direction of the press (3,) [-]."""
 
 
 def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = "", device: str = "cpu") -> list[Touch]:
@@ -35,12 +55,18 @@ def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = ""
     path = find_scene(recipe.scene) if recipe.scene in scenes() else Path(f"{recipe.scene}.toml")
     check_files(recipe, path)
     effector = effector_of(parse_scene(recipe.scene_text, path).sample(0))
-    repeat = getattr(effector, "touch_along", None)
-    if repeat is None:
+    touch = getattr(effector, "touch", None)
+    if touch is None or "paths" not in inspect.signature(touch).parameters:
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their plans: its effector "
-                         f"has no function `touch_along`. Rigid probes ([probe] in the scene) have one.")
+                         f"takes no paths. Rigid probes ([probe] in the scene) do.")
     job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
     if tier:
         chosen = effector.check(job.scene(), tier, recipe.precision)
         job = dataclasses.replace(job, recipe=dataclasses.replace(recipe, tier=chosen))
-    return repeat(prepare(job, device=device), plans, device=device)
+    subject, unknown = prepare(job, device=device), np.full(3, np.nan)
+    out: dict[int, Touch] = {}
+    for frames in dict.fromkeys(len(plan.poses) for plan in plans):
+        mine = [k for k, plan in enumerate(plans) if len(plan.poses) == frames]
+        aims = [Aim(unknown, unknown, plans[k].axis, plans[k].poses[0, :3, 3], np.nan) for k in mine]
+        out |= zip(mine, touch(subject, aims, device=device, paths=[plans[k].poses for k in mine]))
+    return [out[k] for k in range(len(plans))]

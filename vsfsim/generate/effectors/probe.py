@@ -16,7 +16,7 @@ import warp as wp
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, ObjectView, Touch
 from vsfsim.generate.aim import Aim, aim_probe, starts
-from vsfsim.generate.effector import Drawing, Planned
+from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import probe as presses
@@ -76,24 +76,12 @@ class Probe:
         """Along the normals, or tilted from them."""
         return aim_probe(subject.scene, subject.model, subject.view, subject.stream, device=device)
 
-    def touch(self, subject: Subject, aims: list[Aim], *, device: str,
-              progress: Callable[[int], None] | None = None) -> list[Touch]:
+    def touch(self, subject: Subject, aims: list[Aim], *, device: str, progress: Callable[[int], None] | None = None,
+              paths: Sequence[np.ndarray] = ()) -> list[Touch]:
         """See `touch_all`."""
         recipe = subject.job.recipe
         return touch_all(subject.scene, subject.model, aims, tier=recipe.tier, precision=recipe.precision,
-                         device=device, options=subject.limits(), progress=progress)
-
-    def touch_along(self, subject: Subject, plans: Sequence[Planned], *, device: str) -> list[Touch]:
-        """Touches of given plans; see `vsfsim.generate.effector.Effector`."""
-        recipe, unknown = subject.job.recipe, np.full(3, np.nan)
-        out: dict[int, Touch] = {}
-        for frames in dict.fromkeys(len(plan.poses) for plan in plans):
-            mine = [k for k, plan in enumerate(plans) if len(plan.poses) == frames]
-            aims = [Aim(unknown, unknown, plans[k].axis, plans[k].poses[0, :3, 3], np.nan) for k in mine]
-            out |= zip(mine, _press(subject.scene, subject.model, aims, [plans[k].poses for k in mine],
-                                    tier=recipe.tier, precision=recipe.precision, device=device,
-                                    options=subject.limits()))
-        return [out[k] for k in range(len(plans))]
+                         device=device, options=subject.limits(), progress=progress, paths=paths)
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""
@@ -116,7 +104,8 @@ EFFECTOR = Probe()
 
 
 def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precision: str, device: str,
-              options: SolverOptions | None = None, progress: Callable[[int], None] | None = None) -> list[Touch]:
+              options: SolverOptions | None = None, progress: Callable[[int], None] | None = None,
+              paths: Sequence[np.ndarray] = ()) -> list[Touch]:
     """Simulate touches, `BATCH` at a time at most.
 
     Args:
@@ -127,19 +116,11 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         device: Warp device.
         options: solver limits, None for the tier's own.
         progress: called with the number of frames newly done.
+        paths: (T, 4, 4) of each touch; () for those of the aims.
     """
     spec = scene.required_touches
-    paths = [touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth, approach=a.approach) for a in aims]
-    return _press(scene, model, aims, paths, tier=tier, precision=precision, device=device, options=options,
-                  progress=progress)
-
-
-def _press(scene: Scene, model: Model, aims: Sequence[Aim], paths: Sequence[np.ndarray], *, tier: str, precision: str,
-           device: str, options: SolverOptions | None = None, progress: Callable[[int], None] | None = None
-           ) -> list[Touch]:
-    """As `touch_all`, along ``paths`` (T, 4, 4), one an aim; each comes from the approach's distance before its
-    contact."""
-    spec = scene.required_touches
+    paths = paths or [touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth, approach=a.approach)
+                      for a in aims]
     out: list[Touch] = []
     for some in batches(len(aims), BATCH):
         part, poses = aims[some], np.stack(paths[some], axis=1)
