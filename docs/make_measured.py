@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
@@ -127,10 +128,36 @@ def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> st
     return "\n".join(parts)
 
 
+def tradeoff(scene: str, **options: Any) -> str:
+    """The front of `vsfsim tradeoff SCENE` in the folder tradeoff/SCENE, and what each goal costs; what is there
+    already is not measured again."""
+    from vsfsim.core.scene import load_scene
+    from vsfsim.core.shelf import find_scene
+    from vsfsim.generate.trade import front
+    from vsfsim.generate.trade.command import tradeoff as run
+
+    found, _ = run(load_scene(find_scene(scene)), ROOT / "tradeoff" / scene,
+                   progress=lambda done, total, what: print(f"{done}/{total} {what}"), **options)
+    words = "".join(f" --{name.removesuffix('s_only')} {one}" for name, value in options.items()
+                    for one in (value if isinstance(value, tuple) else (value,)))
+    head, rows = front.cells(found.points)
+    kept = [k for k, name in enumerate(head) if name not in ("clock s/touch", "MiB", "worst %")]
+    about = [f"- {line}." for line in found.limit]
+    return (f"<!-- vsfsim tradeoff {scene}{words} -->\n{found.what[0].upper()}{found.what[1:]}, on {found.machine}:\n\n"
+            + piped([head[k] for k in kept], [[row[k].replace("*", "\\*").replace("~", "\\~") for k in kept]
+                                              for row in rows])
+            + "\n\\* on the front; \\~ error below that of the limit, not ranked; x the tier does not show the scene's "
+              "needs.\n\n" + "\n".join([*about, *(f"- {line}." for line in found.sentences())]) + "\n")
+
+
 MEASURED: dict[str, Callable[[], str]] = {
     **{name: partial(result, name) for name in included()},
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
+    "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
+    "tradeoff-shoes-v3-mini": partial(tradeoff, "shoes-v3-mini", touches=2,
+                                      tiers_only=("vsf", "linear", "fem-coarse", "fem")),
+    "tradeoff-punyo-block": partial(tradeoff, "punyo-block", touches=1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
 
-WIDTH, HEIGHT = 860, 500  # of the chart [px]
-LEFT, RIGHT, TOP, BOTTOM = 70, 20, 16, 48  # around its axes [px]
+WIDTH, HEIGHT = 900, 500  # of the chart [px]
+LEFT, RIGHT, TOP, BOTTOM = 70, 110, 16, 48  # around its axes [px]
 _COLOURS = {"vsf": "#7f7f7f", "spring": "#cc79a7", "linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73",
             "fem-fine": "#d55e00", "bubble": "#56b4e9"}
 """Of the tiers (Okabe and Ito 2008, which people with colour blindness tell apart)."""
@@ -91,8 +91,8 @@ def chart(points: Sequence[Point]) -> str:
             places = " ".join(f"{x.at(p.cpu):.1f},{y.at(p.error):.1f}" for p in line)
             out.append(f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
         out += [_dot(p, x.at(p.cpu), y.at(p.error), colour) for p in own]
-        out.append(f'<circle cx="{LEFT + 14}" cy="{TOP + 16 + 18 * number}" r="5" fill="{colour}"/>'
-                   f'<text x="{LEFT + 24}" y="{TOP + 20 + 18 * number}">{html.escape(tier)}</text>')
+        out.append(f'<circle cx="{WIDTH - RIGHT + 16}" cy="{TOP + 8 + 20 * number}" r="5" fill="{colour}"/>'
+                   f'<text x="{WIDTH - RIGHT + 28}" y="{TOP + 12 + 20 * number}">{html.escape(tier)}</text>')
     return "".join(out) + "</svg>"
 
 
