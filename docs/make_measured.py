@@ -157,7 +157,6 @@ MEASURED: dict[str, Callable[[], str]] = {
     "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
     "tradeoff-shoes-v3-mini": partial(tradeoff, "shoes-v3-mini", touches=2,
                                       tiers_only=("vsf", "linear", "fem-coarse", "fem")),
-    "tradeoff-punyo-block": partial(tradeoff, "punyo-block", touches=1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 SAFETY = 1.25  # safety factor of the error for three meshes or more (Roache 1994) [-]
-SCATTER = 0.02  # largest error of a curve without an order, over its largest value, with which it is used [-]
+LARGEST = 0.03  # error of a curve's limit, over its largest value, beyond which the limit counts as unknown [-]
 STEEP = 4.0  # order of an integral of stresses with quadratic elements; a higher observed order is chance [-]
 
 
@@ -132,7 +132,7 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
     components, because single frames scatter with the place of the contact on the elements. Where the second step goes
     on in the direction of the first, the curve is extrapolated. Where it turns back, the finest mesh's curve is taken,
     and its error is at least the last step. Where the steps do not shrink there is no order: the finest mesh's curve is
-    taken with `SAFETY` times the spread of the three as its error, and is not known if that is over `SCATTER`.
+    taken with `SAFETY` times the spread of the three as its error. A limit whose error is over `LARGEST` is not known.
 
     Args:
         edge: h of each mesh, coarsest first (k,) [m].
@@ -154,15 +154,19 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
         return Limit(f[-1], np.full(f[-1].shape, 2.0 * least), None, "the meshes agree to the solver's tolerance")
     if e21 == 0.0 or e32 / e21 <= np.log(r32) / np.log(r21):
         spread = float(np.sqrt(np.mean(np.ptp(f, axis=0) ** 2)))
-        error = SAFETY * spread
-        if error > SCATTER * size:
+        if SAFETY * spread > LARGEST * size:
             return Limit(f[-1], np.full(f[-1].shape, np.nan), None, f"the steps from mesh to mesh do not shrink, and "
                          f"the meshes differ by {100 * spread / size:.2g} %")
-        return Limit(f[-1], np.full(f[-1].shape, error), None, f"no order, the meshes differ by "
+        return Limit(f[-1], np.full(f[-1].shape, SAFETY * spread), None, f"no order, the meshes differ by "
                      f"{100 * spread / size:.2g} %, and {SAFETY:g} times that is taken as their error")
     order = _order(r21, r32, e32 / e21)
     gain = r21 ** min(order, STEEP) - 1.0
+    value, error, why = f[-1] - last / gain, SAFETY * np.abs(last) / gain + least, "extrapolated"
     if float((last * first).sum()) < 0.0:
-        return Limit(f[-1], np.maximum(SAFETY * np.abs(last) / gain, np.abs(last)) + least, order,
-                     "the readings go up and down from mesh to mesh, ever less")
-    return Limit(f[-1] - last / gain, SAFETY * np.abs(last) / gain + least, order, "extrapolated")
+        value, error = f[-1], np.maximum(error, np.abs(last))
+        why = "the readings go up and down from mesh to mesh, ever less"
+    found = float(np.sqrt(np.mean(error**2))) / size
+    if found > LARGEST:
+        return Limit(value, np.full(f[-1].shape, np.nan), None, f"{why}, and the limit is known to {100 * found:.2g} % "
+                     f"only")
+    return Limit(value, error, order, why)
