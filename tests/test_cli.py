@@ -34,6 +34,7 @@ finally:
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert out.returncode == 0 and "evaluate" in out.stdout and "bench " not in out.stdout
     assert "HEAVY []" in out.stderr
+    assert "..." not in out.stdout.split("Commands:")[1], "the list of commands has whole sentences"
 
 
 def test_the_old_spelling_of_measure_works_and_names_the_new_one(vsfsim, tmp_path):

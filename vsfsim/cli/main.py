@@ -17,10 +17,11 @@ from typing import Annotated, NoReturn
 import typer
 
 from vsfsim.cli import bench, board, data, generate, info, measure, simulate, stability, study, tradeoff
+from vsfsim.cli.groups import WholeSentences
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
-app = typer.Typer(name="vsfsim", no_args_is_help=True, rich_markup_mode=None,
+app = typer.Typer(name="vsfsim", cls=WholeSentences, no_args_is_help=True, rich_markup_mode=None,
                   pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]},
                   help="""Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness
 estimators.

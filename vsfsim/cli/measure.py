@@ -10,9 +10,9 @@ from collections.abc import MutableMapping
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
 
 from vsfsim.cli.console import note
+from vsfsim.cli.groups import WholeSentences
 from vsfsim.core.shelf import checkout
 
 OLD_NAME = "bench"
@@ -29,7 +29,7 @@ def _commands() -> dict[str, Any]:
             typer.main.get_group(importlib.import_module(f"benchmarks.{module}").app).commands.items()}
 
 
-class _Group(TyperGroup):
+class _Group(WholeSentences):
     """A group whose commands are those of the checkout."""
 
     @property

@@ -82,7 +82,8 @@ complete_task, complete_method = _names("tasks"), _names("methods")
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", autocompletion=_names("scenes"),
                                           help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
 Tier = Annotated[str | None, typer.Option("--tier",
-                                          help="Fidelity: linear, fem-coarse, fem, fem-fine; default: the scene's.")]
+                                          help="Fidelity, from the cheapest: vsf, spring, linear, fem-coarse, "
+                                                         "fem, fem-fine; default: the scene's.")]
 Device = Annotated[str, typer.Option("--device", help="Warp device: cpu or cuda:0.", callback=_checked_device)]
 Precision = Annotated[str, typer.Option("--precision", help="float64 or float32.", callback=_checked_precision)]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random numbers.")]
