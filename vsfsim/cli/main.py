@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import traceback
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -71,7 +71,7 @@ def main() -> None:
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
-    command = typer.main.get_group(app)
+    command: Any = typer.main.get_command(app)  # a group; get_group leaves out the options of completion
     word = sys.argv[1] if len(sys.argv) > 1 else "-"
     try:
         if not word.startswith("-") and word not in command.commands:
