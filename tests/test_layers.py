@@ -80,7 +80,7 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
                 "cli": {"rich"},
-                "robot": {"mujoco_menagerie"}, "generate": {"yaml"}}
+                "robot": {"mujoco_menagerie"}, "generate": {"yaml"}, "benchmarks": {"pyvista"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`; Menagerie's arm is an option, not a
 dependency."""
 

@@ -55,3 +55,21 @@ def built(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]..."
 
     found = measure(scene or (), progress=step)
     report(found.text(), found.record(), json, indent=1)
+
+
+@app.command("recorded-punyo")
+def recorded_punyo(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="With pc_K.npy, rgb_K.npy and "
+                                                                                 "pressure_K.npy of each frame K.")],
+                   mesh: Annotated[Path, typer.Option(help="Mesh of the free dome: .vtk, .ply or .obj.")],
+                   frame: Annotated[list[int], typer.Option(help="Number of a frame; may be given again.")],
+                   flat: Annotated[Path | None, typer.Option(help="The same mesh before it was blown up, for "
+                                                                  "`membrane`.")] = None,
+                   tilt: Annotated[float, typer.Option(help="From the mesh's frame to the camera's, about y [deg].")
+                                   ] = 25.0,
+                   stiffness: Annotated[float, typer.Option(help="E h of the skin [N/m].")] = 680.0,
+                   json: JsonFile = None) -> None:
+    """Contact forces of a recorded Punyo, by every estimator, frame by frame."""
+    from benchmarks.datasets.recorded_punyo import measure, text
+
+    rows = measure(folder, mesh, frames=frame, flat=flat, tilt=tilt, stiffness=stiffness)
+    report(text(rows), rows, json)
