@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vsfsim.core.errors import SceneError
+from vsfsim.core.exact import product
 from vsfsim.core.solid import Appearance
 
 
@@ -123,4 +124,5 @@ class Plant:
 
         c, s = np.cos(yaw), np.sin(yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return dataclasses.replace(self, nodes=self.nodes @ turn.T, blade_normal=self.blade_normal @ turn.T)
+        return dataclasses.replace(self, nodes=product(self.nodes, turn.T),
+                                   blade_normal=product(self.blade_normal, turn.T))

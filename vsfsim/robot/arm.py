@@ -12,6 +12,7 @@ import numpy as np
 
 from vsfsim.core.chain import capsule_pose
 from vsfsim.core.errors import did_you_mean
+from vsfsim.core.exact import product
 from vsfsim.core.shape import Capsule
 from vsfsim.robot import gen3
 from vsfsim.robot.mujoco_model import ArmError, JointParameters, add_punyo, arm_model, quaternion
@@ -167,7 +168,7 @@ class Arm:
 
     def capsule_poses(self, at: Postures) -> np.ndarray:
         """As `body_poses`, of known postures."""
-        return at.links[:, self.capsule_links] @ self.capsule_offsets
+        return product(at.links[:, self.capsule_links], self.capsule_offsets)
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
         """Torques (T, 7) [N m] that the motors need to hold the arm against its weight at ``q`` (T, 7) [rad]."""

@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from vsfsim.core.exact import snapped
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.robot import clearance, gen3
 from vsfsim.robot.arm import Arm, ArmError
@@ -118,7 +119,7 @@ def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, sel
                 reason = Reason.LIMITS if s.at_limit else Reason.POSE
                 detail = f"the tool stays {s.position:.2g} m and {s.angle:.2g} rad away"
                 break
-            known = s.q
+            known = snapped(s.q)  # the last bits of a solution are the CPU's
             if out and np.abs(known - out[-1]).max() > jump:
                 reason, detail = (Reason.SINGULAR,
                                   f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by "

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from vsfsim.core.errors import did_you_mean
+from vsfsim.core.exact import length
 from vsfsim.core.scene import CameraSpec
 from vsfsim.data.records import View
 from vsfsim.sensing.surface import RenderError, Surface, checked_surface
@@ -39,7 +40,7 @@ def look_at(spec: CameraSpec, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
     forward = -outward
     # The elevation stays under 1.55 rad, so that "up" always has a direction across the view.
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
+    right /= length(right)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(forward, right), forward
     pose[:3, 3] = target + spec.distance * outward

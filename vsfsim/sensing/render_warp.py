@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.core.exact import inverse3, product
 from vsfsim.core.solid import TEXTURES
 from vsfsim.data.records import View
 from vsfsim.sensing.cell_hash import cell_hash
@@ -26,7 +27,7 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
     centre = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
     vertices = surface.vertices - centre
     # A ray through pixel (i, j): camera direction K^-1 (i, j, 1) has z = 1, so the ray parameter is the depth.
-    to_ray = camera_pose[:3, :3] @ np.linalg.inv(intrinsics)
+    to_ray = product(camera_pose[:3, :3], inverse3(intrinsics))
     origin = camera_pose[:3, 3] - centre
     radius = 1.001 * float(np.linalg.norm(vertices, axis=1).max())
     look = surface.appearance

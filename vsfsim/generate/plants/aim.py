@@ -11,6 +11,7 @@ import numpy as np
 
 from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.errors import SceneError
+from vsfsim.core.exact import length, snapped
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import TouchSpec
 from vsfsim.robot import clearance
@@ -120,8 +121,10 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         seed = int(rng.integers(2**31))
         axis = _turned(target - shoulder, rng.uniform(-TURN, TURN), rng.uniform(-LIFT, LIFT))
         sideways = rng.uniform() < 0.5
+        axis = snapped(axis)
         way = _turned(axis, *(rng.uniform(-spec.sweep, spec.sweep, 2) * [1.0, 0.4] if sideways else (0.0, 0.0)))
         roll, depth = rng.uniform(-np.pi, np.pi), touches.depth * rng.uniform(SHORTEST, 1.0)
+        way = snapped(way)
         start, stop = target - touches.approach * way, target + depth * way
         try:
             line = straight_touch(arm, start, stop, _frame(axis, roll), frames=inward + 1, restarts=1, seed=seed,
@@ -173,7 +176,7 @@ def pot_gap(plant: Plant, arm: Arm, q: np.ndarray) -> float:
 
 def _turned(way: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
     """The unit vector along ``way`` (3,), turned by ``yaw`` about +z and raised by ``pitch`` [rad]."""
-    way = way / np.linalg.norm(way)
+    way = way / length(way)
     azimuth, lift = np.arctan2(way[1], way[0]) + yaw, np.clip(np.arcsin(np.clip(way[2], -1.0, 1.0)) + pitch, -1.2, 1.2)
     return np.array([np.cos(lift) * np.cos(azimuth), np.cos(lift) * np.sin(azimuth), np.sin(lift)])
 
@@ -181,6 +184,6 @@ def _turned(way: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
 def _frame(axis: np.ndarray, roll: float) -> np.ndarray:
     """A rotation (3, 3) whose z is ``axis``."""
     x = np.cross([0.0, 0.0, 1.0], axis)
-    x /= np.linalg.norm(x)
+    x /= length(x)
     y = np.cross(axis, x)
     return np.stack([np.cos(roll) * x + np.sin(roll) * y, np.cos(roll) * y - np.sin(roll) * x, axis], axis=1)

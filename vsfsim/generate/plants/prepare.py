@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from vsfsim.core.exact import snapped
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import CameraSpec, Scene
 from vsfsim.data.records import View
@@ -74,8 +75,16 @@ def outline(job: Job) -> Outline:
     if "arm" in r.options:
         scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.required_arm, model=r.options["arm"]))
     found = admitted(job, scene)
-    plant = found.plant.turned(2.0 * np.pi * job.view_index / r.views)
+    plant = _snapped(found.plant.turned(2.0 * np.pi * job.view_index / r.views))
     return Outline(job, scene, plant, build(plant, gravity=scene.gravity), found.notes)
+
+
+def _snapped(plant: Plant) -> Plant:
+    """The plant without the last bits of its numbers, in which kinds of CPU differ: rounding decides which branch slips
+    off the arm."""
+    names = [f.name for f in dataclasses.fields(plant) if f.name != "region"]
+    return dataclasses.replace(plant, **{name: snapped(value) for name in names if isinstance(
+        value := getattr(plant, name), np.ndarray) and value.dtype.kind == "f"})
 
 
 @dataclass(frozen=True)
@@ -132,7 +141,7 @@ def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -
     since = seconds.begin()
     spec = o.scene.required_arm
     arm = load(spec)
-    aims = aim_arm(arm, spec, o.scene.required_touches, o.plant, cloud,
+    aims = aim_arm(arm, spec, o.scene.required_touches, o.plant, snapped(cloud),
                    lambda k: np.random.default_rng(o.job.stream(Stream.AIM, k)), numbers=numbers,
                    where=str(o.scene.source))
     since = seconds.charge("aim", since)

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from vsfsim.core.exact import product
 from vsfsim.core.plant import Plant
 from vsfsim.core.solid import Appearance
 from vsfsim.data.records import View
@@ -58,7 +59,7 @@ def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None,
             j = (k + 1) % _SIDES
             triangles = np.concatenate([np.stack([k, j, j + _SIDES], 1), np.stack([k, j + _SIDES, k + _SIDES], 1),
                                         np.stack([np.full(_SIDES - 2, _SIDES), _SIDES + k[1:-1], _SIDES + k[2:]], 1)])
-        now = np.concatenate([nodes[p] + ring0 @ turns[p].T, nodes[i] + ring1 @ turns[i].T])
+        now = np.concatenate([nodes[p] + product(ring0, turns[p].T), nodes[i] + product(ring1, turns[i].T)])
         add(now, np.concatenate([plant.nodes[p] + ring0, plant.nodes[i] + ring1]), triangles, int(look[i]))
     appearance = plant.appearance
     if pot and plant.pot is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from vsfsim.core.exact import inverse3
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS_FAR, GAUSS_NEAR
@@ -68,7 +69,7 @@ def quadratic_mesh(solid: Solid) -> QuadraticMesh:
     volume = tet_volumes(corners, tets)
     assert (volume > 0).all(), "tetrahedra must be positively oriented"
     frame = corners[tets[:, 1:]] - corners[tets[:, :1]]  # rows: edges from corner 0
-    inv = np.linalg.inv(frame)  # columns: gradients of coordinates 1..3
+    inv = inverse3(frame)  # columns: gradients of coordinates 1..3
     gradients = np.empty((len(tets), 4, 3))
     gradients[:, 1:] = inv.transpose(0, 2, 1)
     gradients[:, 0] = -gradients[:, 1:].sum(axis=1)
