@@ -22,8 +22,8 @@ def measure(folder: Path, mesh: Path, *, frames: Sequence[int], flat: Path | Non
 
     Args:
         folder: as `vsfsim.sensing.recorded_punyo` reads it. mesh: of the free dome (VTK, PLY, OBJ) [m]. frames: their
-        numbers. flat: the same mesh before it was blown up; without it method `membrane` is left out. tilt: by which the mesh's
-        frame is turned about y to the camera's [deg]. stiffness: E h [N/m]. rest_pressure: gauge [Pa].
+        numbers. flat: the same mesh before it was blown up; without it method `membrane` is left out. tilt: by which
+        the mesh's frame is turned about y to the camera's [deg]. stiffness: E h [N/m]. rest_pressure: gauge [Pa].
 
     Raises:
         VsfsimError: a file cannot be read or does not fit.
