@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.exact import product
 from vsfsim.core.solid import Appearance
+from vsfsim.core.system.exact import product
 
 
 @dataclass(frozen=True)

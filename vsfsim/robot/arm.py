@@ -12,8 +12,8 @@ import numpy as np
 
 from vsfsim.core.chain import capsule_pose
 from vsfsim.core.errors import did_you_mean
-from vsfsim.core.exact import product
 from vsfsim.core.shape import Capsule
+from vsfsim.core.system.exact import product
 from vsfsim.robot import gen3
 from vsfsim.robot.mujoco_model import ArmError, JointParameters, add_punyo, arm_model, quaternion
 

@@ -7,8 +7,8 @@ from enum import Enum
 
 import numpy as np
 
-from vsfsim.core.exact import snapped
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
+from vsfsim.core.system.exact import snapped
 from vsfsim.robot import clearance, gen3
 from vsfsim.robot.arm import Arm, ArmError
 from vsfsim.robot.inverse_kinematics import solve

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from vsfsim.core.errors import did_you_mean
-from vsfsim.core.exact import length
 from vsfsim.core.scene import CameraSpec
+from vsfsim.core.system.exact import length
 from vsfsim.data.records import View
 from vsfsim.sensing.surface import RenderError, Surface, checked_surface
 

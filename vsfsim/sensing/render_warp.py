@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.core.exact import inverse3, product
 from vsfsim.core.solid import TEXTURES
+from vsfsim.core.system.exact import inverse3, product
 from vsfsim.data.records import View
 from vsfsim.sensing.cell_hash import cell_hash
 from vsfsim.sensing.surface import Surface, corner_normals, srgb

@@ -1,1 +1,1 @@
-"""What differs between operating systems."""
+"""What differs between operating systems and kinds of CPU."""

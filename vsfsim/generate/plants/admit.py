@@ -18,6 +18,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Family
+from vsfsim.core.system.exact import snapped
 from vsfsim.data.streams import Stream, stream
 from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, NothingReached, aim_arm, load
@@ -103,6 +104,12 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
     return dataclasses.replace(plant.turned(body.yaw), poisson_ratio=body.poisson_ratio)
 
 
+def beams(plant: Plant, scene: Scene) -> RodModel:
+    """The plant as beams; compliance and contact penalty, which LAPACK computes, are without their last bits."""
+    model = build(plant, gravity=scene.gravity)
+    return dataclasses.replace(model, compliance=snapped(model.compliance), penalty=snapped(model.penalty))
+
+
 def refusal(plant: Plant, scene: Scene, arm: Arm, views: int, seed: np.random.SeedSequence) -> str | None:
     """Why a plant is not taken, or None.
 
@@ -129,7 +136,7 @@ def refusal(plant: Plant, scene: Scene, arm: Arm, views: int, seed: np.random.Se
         draws = sum(a.draws for a in aims)
         if len(aims) < REACHABLE * draws:
             return f"view {view}: the arm reaches {len(aims)} of {draws} points"
-        subjects.append((build(turned, gravity=scene.gravity), aims))
+        subjects.append((beams(turned, scene), aims))
     norm = float(np.median(torque_norms(arm, subjects, scene)))
     limit = scene.required_arm.reject_below
     if norm >= limit:

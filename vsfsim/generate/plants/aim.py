@@ -11,9 +11,9 @@ import numpy as np
 
 from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.errors import SceneError
-from vsfsim.core.exact import length, snapped
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import TouchSpec
+from vsfsim.core.system.exact import length, snapped
 from vsfsim.robot import clearance
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch

@@ -6,19 +6,20 @@ import dataclasses
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from vsfsim.core.exact import snapped
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import CameraSpec, Scene
+from vsfsim.core.system.exact import snapped
 from vsfsim.data.records import View
 from vsfsim.data.streams import Stream
 from vsfsim.generate.job import Job
-from vsfsim.generate.plants.admit import admitted
+from vsfsim.generate.plants.admit import admitted, beams
 from vsfsim.generate.plants.aim import ArmAim, aim_arm, load
 from vsfsim.generate.plants.surface import plant_view
-from vsfsim.physics.rods.model import RodModel, build
+from vsfsim.physics.rods.model import RodModel
 from vsfsim.robot.arm import Arm
 from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.kinect import seen_by
@@ -76,15 +77,16 @@ def outline(job: Job) -> Outline:
         scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.required_arm, model=r.options["arm"]))
     found = admitted(job, scene)
     plant = _snapped(found.plant.turned(2.0 * np.pi * job.view_index / r.views))
-    return Outline(job, scene, plant, build(plant, gravity=scene.gravity), found.notes)
+    return Outline(job, scene, plant, beams(plant, scene), found.notes)
 
 
 def _snapped(plant: Plant) -> Plant:
     """The plant without the last bits of its numbers, in which kinds of CPU differ: rounding decides which branch slips
     off the arm."""
-    names = [f.name for f in dataclasses.fields(plant) if f.name != "region"]
-    return dataclasses.replace(plant, **{name: snapped(value) for name in names if isinstance(
-        value := getattr(plant, name), np.ndarray) and value.dtype.kind == "f"})
+    found = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
+    numbers: dict[str, Any] = {name: snapped(value) for name, value in found.items()
+                               if isinstance(value, np.ndarray) and value.dtype.kind == "f"}
+    return dataclasses.replace(plant, **numbers)
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from vsfsim.core.exact import product
 from vsfsim.core.plant import Plant
 from vsfsim.core.solid import Appearance
+from vsfsim.core.system.exact import product
 from vsfsim.data.records import View
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import Surface

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from vsfsim.core.exact import inverse3
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
+from vsfsim.core.system.exact import inverse3
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS_FAR, GAUSS_NEAR
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.exact import snapped
 from vsfsim.core.plant import Plant
 
 SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a round and a flat section
@@ -109,7 +108,7 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reach = np.zeros(n)
     for i in range(n - 1, 0, -1):
         reach[plant.parent[i]] = max(reach[plant.parent[i]], length[i] + reach[i])
-    compliance = snapped(_compliance(plant, frame, kd, kphi))
+    compliance = _compliance(plant, frame, kd, kphi)
     segment, offset, radius, tip = _fibres(plant, frame)
     wire = np.zeros((n, 2))
     if plant.yielding is not None:
@@ -118,7 +117,7 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
                      tip, np.zeros((0, 2)), compliance, np.zeros((n, 3)))
     softest = np.stack([np.linalg.eigvalsh(model._point_compliance(segment, np.full(len(segment), end), offset))[:, -1]
                         for end in (0.0, 1.0)], axis=1)
-    penalty = snapped(np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY))
+    penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)
     area = np.where(plant.half_width > 0.0, 4.0 * plant.half_width * plant.radius, np.pi * plant.radius**2)
     mass = np.zeros(n)
     np.add.at(mass, np.arange(1, n), 0.5 * (plant.density * area * length)[1:])
