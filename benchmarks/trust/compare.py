@@ -26,8 +26,8 @@ FRAMES = 3
 """Frames of each part of the path that the reference has at least."""
 WRONG = 0.10
 """Error from which a frame that is not marked is wrong in silence [-]."""
-MOST = 30_000
-"""Three elements' cubes in the bounding box of a reference: it has 5,000 to 15,000 tetrahedra."""
+MOST = 8_000
+"""Three elements' cubes in the bounding box of a reference: it has 5,000 to 13,000 tetrahedra."""
 LEAST = 0.75
 """Largest element of a reference, over the press's own; a cell whose reference would be coarser has none [-]."""
 SURE = 0.04
