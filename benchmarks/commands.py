@@ -88,7 +88,7 @@ def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Numb
                                                                            "again. Default: those of pages.")] = None,
                 json: JsonFile = None) -> None:
     """The local indentation, with and without, on random bodies that it was not fitted to."""
-    from benchmarks.indentation import BODIES, measure
+    from benchmarks.trust.indentation import BODIES, measure
 
     _report(measure(body or BODIES, progress=step), json)
 
