@@ -72,28 +72,6 @@ def shallow(balls: Annotated[int, typer.Option(min=0, help="Also press so many r
 
 
 @app.command()
-def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the first ones of the seed.")] = 50,
-          seed: Annotated[int, typer.Option(min=0, help="Of the presses.")] = 0,
-          out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a later "
-                                                        "run goes on with it.")] = None,
-          json: JsonFile = None) -> None:
-    """Random presses against the same on finer meshes and paths: which are within 5, 10, 30 %, told, or wrong."""
-    from benchmarks.trust import measure
-
-    _report(measure(cells, seed, out, progress=step), json)
-
-
-@app.command()
-def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Number of a random body; may be given "
-                                                                           "again. Default: those of pages.")] = None,
-                json: JsonFile = None) -> None:
-    """The local indentation, with and without, on random bodies that it was not fitted to."""
-    from benchmarks.trust.indentation import BODIES, measure
-
-    _report(measure(body or BODIES, progress=step), json)
-
-
-@app.command()
 def drag(young: Annotated[float, typer.Option(min=100.0, help="Modulus of the block [Pa].")] = 3e4,
          depth: Annotated[float, typer.Option(min=0.001, max=0.02, help="Depth of the press [m].")] = 0.006,
          frames: Annotated[int, typer.Option(min=1, help="Of each move.")] = 10,

@@ -1,0 +1,37 @@
+"""The commands of `vsfsim measure` on how far a press is to be trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vsfsim.cli.console import report, step
+from vsfsim.cli.options import JsonFile
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.command()
+def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the first ones of the seed.")] = 50,
+          seed: Annotated[int, typer.Option(min=0, help="Of the presses.")] = 0,
+          out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a later "
+                                                        "run goes on with it.")] = None,
+          json: JsonFile = None) -> None:
+    """Random presses against the same on finer meshes and paths: which are within 5, 10, 30 %, told, or wrong."""
+    from benchmarks.trust import measure
+
+    found = measure(cells, seed, out, progress=step)
+    report(found.text(), found.record(), json, indent=1)
+
+
+@app.command()
+def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Number of a random body; may be given "
+                                                                           "again. Default: those of pages.")] = None,
+                json: JsonFile = None) -> None:
+    """The local indentation, with and without, on random bodies that it was not fitted to."""
+    from benchmarks.trust.indentation import BODIES, measure
+
+    found = measure(body or BODIES, progress=step)
+    report(found.text(), found.record(), json, indent=1)
