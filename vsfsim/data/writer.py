@@ -173,7 +173,9 @@ class DatasetWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         # What cannot be made at all (a mesh without volume) leaves no trace; one finished file is worth resuming.
-        if kind is not None and self._fresh and self.shard is None and not lines.finished_names(self.store):
+        # A file without its line, of a run that was stopped between the two, is made again by the same command.
+        begun = lines.finished_names(self.store) or any(name.endswith(".h5") for name in self.store.sizes())
+        if kind is not None and self._fresh and self.shard is None and not begun:
             lines.clear(self.store)
             self.store.remove(PART_MANIFEST)
         self.close()
