@@ -110,4 +110,5 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
         return np.full(batch, np.nan), np.full(batch, np.nan)
     u = balance.u.to(torch.float64).cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
-    return mesh_error(radius, force), np.array(corner)
+    share = balance.contact.local_share(balance.every).cpu().numpy()
+    return mesh_error(radius, force, share), np.array(corner)
