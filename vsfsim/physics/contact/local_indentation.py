@@ -180,7 +180,7 @@ class LocalIndentation:
         radius = whole.sqrt() * whole / (np.sqrt(np.pi) * edge.clamp(min=1e-300))
         return touching.sum(dim=1), radius[:, 0], radius[:, 1:]
 
-    def share(self, held: torch.Tensor, way: torch.Tensor, radius: Sequence[float],
+    def share(self, gap: torch.Tensor, gone: torch.Tensor, held: torch.Tensor, shapes: Sequence[ProbeShape],
               columns: torch.Tensor) -> torch.Tensor:
         """Share (k, K) [-], 1 at most, of each body's way into the object that is local indentation: twice Hertz's
         a^2 / R of the contact's radius a over how far the surface went with the body.
@@ -189,14 +189,16 @@ class LocalIndentation:
         coarse mesh has wrong, is a small part of the way. The share is 1 under a body of no one radius.
 
         Args:
-            held: the points in contact with each body (k, 6 f, K) bool.
-            way: of each point along the body's normal, with what it lies inside the body (k, 6 f) [m].
-            radius: R of each body (K,) [m], 0 or infinite where it has none.
+            gap: of the points (k, 6 f) [m].
+            gone: how far each went along the body's normal (k, 6 f) [m].
+            held: 1 at the points that are nearest to each body, 0 elsewhere (k, 6 f, K).
+            shapes: of the bodies (K).
         """
-        area = (self._cover[columns][:, :, None] * held).sum(dim=1)
-        round_ = torch.as_tensor(radius, dtype=torch.float64, device=way.device)
-        local = 2.0 / np.pi * area / (round_ * (way[:, :, None] * held).amax(dim=1)).clamp(min=1e-15)
-        return torch.where((round_ > 0.0) & round_.isfinite(), local.clamp(max=1.0), 1.0)
+        held = held * (gap < 0.0)[:, :, None]
+        area, way = (self._cover[columns][:, :, None] * held).sum(dim=1), ((gone - gap)[:, :, None] * held).amax(dim=1)
+        radius = torch.tensor([smooth_radius(s) for s in shapes], dtype=torch.float64, device=gap.device)
+        local = 2.0 / np.pi * area / (radius * way).clamp(min=1e-15)
+        return torch.where((radius > 0.0) & radius.isfinite(), local.clamp(max=1.0), 1.0)
 
 
 class MissingCompliance:

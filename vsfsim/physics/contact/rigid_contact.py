@@ -20,7 +20,7 @@ from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
-from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact, smooth_radius
+from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.rigid_stiffness import PointStiffness
 from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
@@ -354,10 +354,8 @@ class RigidContact(PointStiffness):
 
     def local_share(self, columns: torch.Tensor) -> torch.Tensor:
         """See `LocalIndentation.share`."""
-        gap, radius = self.gap[columns], [smooth_radius(s) for s in self.bodies.shapes]
         gone = (self._places(self._x - self.rest.view_as(self._x)) * self.normal)[columns].sum(dim=2)
-        held = (gap < 0.0)[..., None] & (self._held(columns) > 0.0)
-        return self._local_indentation.share(held, gone - gap, radius, columns)
+        return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
