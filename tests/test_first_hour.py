@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -199,7 +200,8 @@ def test_the_first_command_without_out_makes_the_dataset_of_the_task(monkeypatch
 
     monkeypatch.chdir(tmp_path)
     asked = {}
-    monkeypatch.setattr(run, "generate", lambda scene, out, **options: asked.update(out=out))
+    made = types.SimpleNamespace(dataset=True, names=(), unfinished=0)
+    monkeypatch.setattr(run, "make", lambda scene, out, **options: asked.update(out=out) or made)
     vsfsim.generate("bag-punyo-mini")
     assert asked["out"] == vsfsim.tasks()["bag-punyo-mini-v2"].dataset.path() == Path("datasets/bag-punyo-mini-v2")
     vsfsim.generate("bag-punyo-mini", objects=1)

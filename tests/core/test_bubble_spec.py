@@ -24,11 +24,11 @@ def test_defaults_are_the_real_punyo():
 
 def test_every_key_is_read():
     given = ('kind = "bubble"\nsemi_axes = [0.05, 0.04]\nyoung_modulus = 1e6\nthickness = 0.001\npre_stretch = '
-             '1.2\ngauge_pressure = 5e3\ngas_volume = 2e-4\n'
+             '1.2\ngauge_pressure = 5e3\ngas_volume = 2e-4\nchamber = 0.01\n'
              'gamma = 1.0\nambient_pressure = 9e4\nsealed = false\nnodes = 500\ncontact_edge = 1e-3\nfriction = '
              '0.5\nfine = true')
-    assert scene(given).sensor == Bubble((0.05, 0.04), 1e6, 0.001, 1.2, 5e3, 2e-4, 1.0, 9e4, False, 500, 1e-3, 0.5,
-                                         True)
+    assert scene(given).sensor == Bubble((0.05, 0.04), 1e6, 0.001, 1.2, 5e3, 2e-4, 0.01, 1.0, 9e4, False, 500, 1e-3,
+                                         0.5, True)
 
 
 @pytest.mark.parametrize(("sensor", "message"), [

@@ -118,7 +118,8 @@ def test_fifteen_millimetres_into_the_homogeneous_block(line, device, tier, tole
     model = tiers.build(scene, tier, focus=np.array([[0.0, 0.0, 0.045]]))
     frames = Solver(model, scene.probe, device=device,
                     options=tiers.options(tier)).run(line([[0, 0, 0.07 - d] for d in (0.005, 0.010, 0.015)],
-                                                          scene.probe))
+                                                          scene.probe),
+                                                     start=line([[0, 0, 0.07]], scene.probe)[0])
     print(f"{tier}: {frames.force[:, 0, 2]} N, {frames.force[-1, 0, 2] / S1_DEEP - 1:+.2%}, {len(model.mesh.tets)} "
           f"tets, {frames.seconds.mean():.1f} s a frame")
     assert frames.converged.all() and frames.min_det_f.min() > 0.5

@@ -14,7 +14,7 @@ class Fan:
     ray: str = ""
     """Address of a Ray cluster that makes the parts; "" for none."""
     gpus: float = 0.0
-    """GPUs of each of its tasks."""
+    """GPUs of each of its tasks [1]."""
 
 
 HERE = Fan()

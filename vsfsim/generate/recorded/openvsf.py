@@ -225,8 +225,11 @@ class _Bubble:
     """The sensor: its free dome in the mount's frame, and where that is."""
 
     dome: Dome
+    """The free membrane."""
     body_to_mount: np.ndarray
+    """Pose of the sensor's body in the mount's frame (4, 4) [m]."""
     flange_to_body: np.ndarray
+    """Pose of the flange in the body's frame (4, 4) [m]."""
 
     @classmethod
     def of(cls, place: Path, options: Options) -> _Bubble:

@@ -73,6 +73,7 @@ class Solver:
                options: SolverOptions | None, linear: bool) -> None:
         self.model, self.bodies, self.friction = model, bodies, friction
         self.device, self.precision, self.linear, self.options = device, precision, linear, options or SolverOptions()
+        self._mount: Mount | None = None
         single = precision == "float32" and not linear
         self.elasticity = Elasticity(model, device=device, real=wp.float32 if single else wp.float64)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
