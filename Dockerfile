@@ -7,4 +7,4 @@ ARG COMMIT=""
 ENV VSFSIM_COMMIT=$COMMIT
 RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[sim]"
 WORKDIR /out
-CMD ["sh", "-c", "vsfsim press indent --plot indent.png && vsfsim leaderboard --task fewshot-shoes-v2-mini-v3"]
+CMD ["sh", "-c", "vsfsim press indent --plot indent.png && vsfsim leaderboard --task fewshot-shoes-v3-mini-v1"]

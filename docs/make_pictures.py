@@ -15,12 +15,12 @@ from PIL import Image
 FOLDER = Path(__file__).parent / "pictures"
 WIDTH = 1000  # px: what a page shows
 PICTURES = {
-    "shoe": [["inspect", "shoes-v2-mini", "--seed", "3", "--out", "OUT"]],
+    "shoe": [["inspect", "shoes-v3-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
     "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
     "plants-v4": [["measure", "plant-sheet", "plants-v4", "--picture", "OUT"]],
-    "contact-sheet": [["generate", "shoes-v2-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
+    "contact-sheet": [["generate", "shoes-v3-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
                        "DATASET"],
                       ["inspect", "DATASET", "--out", "OUT"]],
 }

@@ -61,14 +61,14 @@ def test_progress_is_a_bar_in_a_terminal_and_rare_lines_in_a_log(monkeypatch):
 
 @pytest.mark.parametrize(("words", "message"), [
     (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
-    (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-v2-mini-v3"),
+    (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-v3-mini-v1"),
      "unknown method 'gausian'. Did you mean 'gaussian'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-v2-mini-v3"),
-     "unknown task 'fewshot-shoe-v2-mini-v3'. Did you mean 'fewshot-shoes-v2-mini-v3'?"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-v3-mini-v1"),
+     "unknown task 'fewshot-shoe-v3-mini-v1'. Did you mean 'fewshot-shoes-v3-mini-v1'?"),
     (("check", "gaussian", "--set", "spcing=1"),
      "no parameter 'spcing'. Did you mean 'spacing'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v2-mini-v3"),
-     "vsfsim generate shoes-v2-mini --objects"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-mini-v1"),
+     "vsfsim generate shoes-v3-mini --objects"),
     (("verify", "nowhere"), "there is no folder of a dataset 'nowhere'"),
     (("check", "gausian"), "Did you mean 'gaussian'?"),
     (("leaderboard", "--task", "x.toml"), "there is no task file 'x.toml'"),
@@ -97,7 +97,7 @@ def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):
 
 def test_lists():
     assert "gaussian" in run("methods").stdout
-    assert "fewshot-shoes-v2-mini-v3" in run("tasks").stdout
+    assert "fewshot-shoes-v3-mini-v1" in run("tasks").stdout
     assert run("--version").stdout.startswith("vsfsim 0")
     assert run().returncode == 2
 

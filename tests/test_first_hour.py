@@ -69,7 +69,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     """Those that need no dataset; `test_python.py` and `test_press_cli.py` hold the others."""
     scenes = json.loads(vsfsim("scenes", "--json", "-", cwd=tmp_path).stdout)
     assert {row["scene"] for row in scenes["scenes"]} == set(shelf.scenes()) and "shoe" in scenes["families"]
-    board = json.loads(vsfsim("leaderboard", "--task", "fewshot-shoes-v2-mini-v3", "--json", "-", cwd=tmp_path).stdout)
+    board = json.loads(vsfsim("leaderboard", "--task", "fewshot-shoes-v3-mini-v1", "--json", "-", cwd=tmp_path).stdout)
     ranks = [row["rank"] for row in board["rows"] if row["rank"]]
     assert len(ranks) >= 5 and ranks == sorted(ranks) and ranks[0] == 1
     assert all(row["not_ranked_because"] for row in board["rows"] if row["rank"] is None)
@@ -97,7 +97,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     (("verify", "data/trry"), "there is no folder of a dataset 'data/trry'. Did you mean 'data/try'?"),
     (("check", "mine.py:Mine"), "without .py: mine:Mine"),
     (("check", "mine:Min"), "has no 'Min'. Did you mean 'Mine'?"),
-    (("score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v2-mini-v3", "--dataset", "data/try"),
+    (("score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v3-mini-v1", "--dataset", "data/try"),
      "there is no file of predictions 'predictions.npz'. Did you mean 'prediction.npz'?"),
 ])
 def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, message, monkeypatch):

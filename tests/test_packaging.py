@@ -99,8 +99,8 @@ def test_the_wheel_holds_vsfsim_and_nothing_beside_it(wheel):
                  for p in (ROOT / folder).glob(pattern)}
     want.add("vsfsim/leaderboard/made-up-v1/somebody.json")
     assert {name for name in names if name.startswith("vsfsim/")} == want
-    for must in ("vsfsim/scenes/shoes-v2-mini.toml", "vsfsim/scenes/footwear.py",
-                 "vsfsim/tasks/fewshot-shoes-v2-mini-v3.toml",
+    for must in ("vsfsim/scenes/shoes-v3-mini.toml", "vsfsim/scenes/footwear.py",
+                 "vsfsim/tasks/fewshot-shoes-v3-mini-v1.toml",
                  "vsfsim/baselines/gaussian.py", "vsfsim/baselines/presets.toml"):
         assert must in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
@@ -222,7 +222,7 @@ def test_five_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path)
     assert scored.returncode == 0 and "all-shot" in scored.stdout, scored.stderr
     board = vsfsim("leaderboard", "--task", "toy-v1.toml")
     assert board.returncode == 0 and "zeros" in board.stdout, board.stderr
-    shipped = vsfsim("leaderboard", "--task", "fewshot-shoes-v2-mini-v3")
+    shipped = vsfsim("leaderboard", "--task", "fewshot-shoes-v3-mini-v1")
     assert shipped.returncode == 0 and "imaml-vision" in shipped.stdout, shipped.stderr
     assert vsfsim("verify", "toy").returncode == 0
     for words, extra in ((("press", "indent"), "sim"), (("check", "gaussian"), "methods"),

@@ -71,7 +71,7 @@ assert set(vsfsim.__all__) <= set(dir(vsfsim))
 import vsfsim.press.text                 # importing a package's module must not take the function's place
 assert callable(vsfsim.press) and callable(vsfsim.generate) and callable(vsfsim.tasks)
 from vsfsim import evaluate, generate, load, methods, press, tasks
-assert "fewshot-shoes-v2-mini-v3" in tasks() and "gaussian" in methods()
+assert "fewshot-shoes-v3-mini-v1" in tasks() and "gaussian" in methods()
 try:
     vsfsim.nothing
 except AttributeError as error:
@@ -105,7 +105,7 @@ def test_tasks_and_methods_are_those_of_the_commands(vsfsim_command, tmp_path):
         out = vsfsim_command(name, "--json", "-", cwd=tmp_path)
         assert json.loads(out.stdout) == found.table()
         assert all(key in repr(found) and key in found._repr_html_() for key in found)
-    assert vsfsim.tasks()["fewshot-shoes-v2-mini-v3"].protocol.shots == (0, 1, 5, 10)
+    assert vsfsim.tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots == (0, 1, 5)
     with pytest.raises(VsfsimError, match="Did you mean 'gaussian'"):
         vsfsim.methods()["gausian"]
 

@@ -28,7 +28,7 @@ PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "dense-vsf", "sbml")
 
 @pytest.fixture(scope="module")
 def world():
-    task = load_task("fewshot-shoes-v2-mini-v3")
+    task = load_task("fewshot-shoes-v3-mini-v1")
     train = [specimen(mock_view(i, split="train", touches=4), task) for i in range(2)]
     view = mock_view(3, touches=6)
     return train, view.view, record(view, task)

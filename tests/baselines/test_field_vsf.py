@@ -35,7 +35,7 @@ QUICK = {"iterations": 10, "batch": 200, "samples": 6}
 @pytest.fixture(scope="module")
 def seen():
     view = mock_view(0, touches=10)
-    return view, record(view, load_task("fewshot-shoes-v2-mini-v3"))
+    return view, record(view, load_task("fewshot-shoes-v3-mini-v1"))
 
 
 @pytest.mark.parametrize("name, values", [("grid-vsf", QUICK), ("neural-vsf", {**QUICK, "iterations": 2}),

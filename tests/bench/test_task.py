@@ -12,7 +12,7 @@ from vsfsim.generate.recipe import make_recipe
 
 def test_every_shipped_task_loads():
     names = list(shelf.tasks())
-    assert "fewshot-shoes-v2-mini-v3" in names
+    assert "fewshot-shoes-v3-mini-v1" in names
     for name in names:
         task = load_task(name)
         assert task.name == name

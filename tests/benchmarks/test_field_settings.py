@@ -27,7 +27,7 @@ def made(folder, task, seed, touches=12):
 
 @pytest.mark.slow
 def test_each_object_is_fitted_to_some_touches_and_asked_about_others(tmp_path, monkeypatch):
-    task = load_task("fewshot-shoes-v2-mini-v3")
+    task = load_task("fewshot-shoes-v3-mini-v1")
     dataset = made(tmp_path / "other", task, seed=task.dataset.seed + 1)
     fitted = []
     adapt = GridVsf.adapt
@@ -53,7 +53,7 @@ def test_each_object_is_fitted_to_some_touches_and_asked_about_others(tmp_path, 
 
 
 def test_a_tasks_own_objects_are_refused(tmp_path):
-    task = load_task("fewshot-shoes-v2-mini-v3")
+    task = load_task("fewshot-shoes-v3-mini-v1")
     with pytest.raises(MethodError, match=r"on which no setting may be chosen\. Make others: `vsfsim generate"):
         measure(task, made(tmp_path / "own", task, seed=task.dataset.seed), variants=(GRID,))
     few = made(tmp_path / "few", task, seed=task.dataset.seed + 1, touches=6)

@@ -27,7 +27,7 @@ def test_the_entry_points_hold_the_baselines():
     (shelf.find_scene, "indnt", SceneError, "`vsfsim scenes` lists them; a path to a .toml file works too."),
     (shelf.find_scene, "nowhere/x.toml", SceneError,
      "there is no scene file 'nowhere/x.toml': there is no folder 'nowhere'."),
-    (shelf.find_task, "fewshot-shoe-v2-mini-v3", TaskError, "Did you mean 'fewshot-shoes-v2-mini-v3'?"),
+    (shelf.find_task, "fewshot-shoe-v3-mini-v1", TaskError, "Did you mean 'fewshot-shoes-v3-mini-v1'?"),
     (shelf.find_task, "x.toml", TaskError, "there is no task file 'x.toml'."),
 ])
 def test_neither_a_name_nor_a_file(find, given, error, message):

@@ -70,7 +70,7 @@ def released(request, tmp_path_factory):
         return task, shipped, writer.finish()
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name.startswith("fewshot-shoes-v2-mini") else
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name.startswith("fewshot-shoes-v3-mini") else
                                                pytest.mark.slow) for name in CURRENT if shipped_row(name, of=())])
 def test_the_earliest_query_touch_is_made_again(name):
     """The short form for views that take longer. When this was written the relative difference was 8e-7 on shoes and

@@ -182,18 +182,6 @@ def load_task(given: str | Path) -> Task:
     return parse_task(read_text(path, "task", TaskError), path)
 
 
-def current_task(name: str) -> Task:
-    """The task of this name, or the one that corrects it.
-
-    Raises:
-        TaskError: there is none of this name.
-    """
-    task = load_task(name)
-    while task.superseded_by:
-        task = load_task(task.superseded_by)
-    return task
-
-
 def parse_task(text: str, path: str | Path) -> Task:
     """Like `load_task`, from text; ``path`` names it in messages."""
     tree = parse_toml(text, Path(path), "task", TaskError)
@@ -201,7 +189,7 @@ def parse_task(text: str, path: str | Path) -> Task:
                                   "noise", "metrics", "paper"), error=TaskError)
     name = top.text("name")
     if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
-        raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-v2-mini-v3.")
+        raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-v3-mini-v1.")
     d = top.section("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
                               "sha256", "development"))
     wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""),

@@ -275,7 +275,7 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
       import numpy as np
       from vsfsim.bench.predictions import questions
       from vsfsim.bench.task import load_task, open_dataset
-      task = load_task("fewshot-shoes-v2-mini-v3")
+      task = load_task("fewshot-shoes-v3-mini-v1")
       answers = {}
       for q in questions(task, open_dataset(task)):      # one object, number of touches and seed
           # q.view is the image, q.support the touches that were made (each has .action, .value, .valid)
@@ -284,7 +284,7 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
       np.savez("predictions.npz", **answers)
 
     \b
-      vsfsim score predictions.npz --task fewshot-shoes-v2-mini-v3 --name mine
+      vsfsim score predictions.npz --task fewshot-shoes-v3-mini-v1 --name mine
     """
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import score_predictions

@@ -29,13 +29,13 @@ estimators.
 \b
 A first look:
   vsfsim press indent                 press a sphere into a soft block
-  vsfsim inspect shoes-v2-mini        draw a shoe of the small data set
+  vsfsim inspect shoes-v3-mini        draw a shoe of the small data set
 \b
 Make data, score two methods, see the table:
-  vsfsim generate shoes-v2-mini
-  vsfsim evaluate --method gaussian --task fewshot-shoes-v2-mini-v3
-  vsfsim evaluate --method point-vsf --task fewshot-shoes-v2-mini-v3
-  vsfsim leaderboard --task fewshot-shoes-v2-mini-v3
+  vsfsim generate shoes-v3-mini
+  vsfsim evaluate --method gaussian --task fewshot-shoes-v3-mini-v1
+  vsfsim evaluate --method point-vsf --task fewshot-shoes-v3-mini-v1
+  vsfsim leaderboard --task fewshot-shoes-v3-mini-v1
 \b
 A method of your own:
   vsfsim new-method my-method         a package with its test, which passes `vsfsim check`

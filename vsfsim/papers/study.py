@@ -18,7 +18,7 @@ from typing import Any
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.task import DatasetWanted, Task, current_task, open_dataset
+from vsfsim.bench.task import DatasetWanted, Task, load_task, open_dataset
 from vsfsim.bench.trials.training import RULES, Extra, Training
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
@@ -155,7 +155,7 @@ class Study:
             size in self.data[name] for name in (variant.data, *(p.data for p in variant.extra)) if name))
 
     def task_of(self, variant: Variant, size: str) -> Task:
-        """The task that a variant asks, in the version that is not superseded, with the study's shots and runs.
+        """The task that a variant asks, with the study's shots and runs.
 
         Raises:
             TaskError: the study has no task of this size.
@@ -166,7 +166,7 @@ class Study:
             if size not in self.tasks:
                 raise TaskError(f"study {self.name} has no task of the size '{size}'; it has "
                                 f"{' and '.join(self.tasks)}.")
-            task = current_task(self.tasks[size])
+            task = load_task(self.tasks[size])
         if variant.data:
             task = dataclasses.replace(task, dataset=self.wanted(variant.data, size, task))
         return self._asked(task)
@@ -191,7 +191,7 @@ class Study:
         if name not in self.data or size not in self.data[name]:
             raise TaskError(f"study {self.name} has no [data.{name}.{size}].")
         given = dict(self.data[name][size])
-        base = current_task(given.pop("task")).dataset if "task" in given else task.dataset
+        base = load_task(given.pop("task")).dataset if "task" in given else task.dataset
         same = given.get("scene", base.scene) == base.scene  # the scene that the task was made with
         return dataclasses.replace(base, **{"sha256": "", "scene_sha256": base.scene_sha256 if same else "", **given})
 
@@ -244,7 +244,7 @@ class Study:
         extra = []
         for pool in variant.extra:
             given = self.data.get(pool.data, {}).get(size, {})
-            of = self._asked(current_task(given["task"])) if "task" in given else task
+            of = self._asked(load_task(given["task"])) if "task" in given else task
             of = dataclasses.replace(of, dataset=self.wanted(pool.data, size, task))
             extra.append(Extra(of, open_dataset(of), pool.objects, pool.first))
         return Training(variant.train, variant.objects, variant.touches, variant.train_views, variant.test_views,

@@ -60,7 +60,7 @@ def tasks() -> Catalogue[Task]:
     """The tasks that ship, by name.
 
     Returns:
-        A mapping; ``tasks()["fewshot-shoes-v2-mini-v3"].protocol.shots`` is a part of one.
+        A mapping; ``tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots`` is a part of one.
     """
     found = {name: load_task(name) for name in shelf.tasks()}
     rows = tuple((name, t.observation.name, t.dataset.folder, t.description, t.superseded_by)

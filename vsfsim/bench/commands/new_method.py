@@ -129,8 +129,8 @@ A stiffness estimator for [vsfsim](https://pypi.org/project/vsfsim). The method 
 pip install -e ".[test]"
 pytest
 vsfsim check {name}
-vsfsim evaluate --method {name} --task fewshot-shoes-v2-mini-v3
-vsfsim leaderboard --task fewshot-shoes-v2-mini-v3
+vsfsim evaluate --method {name} --task fewshot-shoes-v3-mini-v1
+vsfsim leaderboard --task fewshot-shoes-v3-mini-v1
 ```
 """
 
@@ -172,4 +172,4 @@ def write_package(name: str, out: Path | None = None) -> str:
     return (f"written to {folder}: {module}.py (the method), its test, pyproject.toml with the entry point\n\n"
             f"  cd {folder}\n  vsfsim check {module}:{values['classname']}    # before it is installed\n"
             f"  pip install -e \".[test]\" && pytest\n"
-            f"  vsfsim evaluate --method {name} --task fewshot-shoes-v2-mini-v3")
+            f"  vsfsim evaluate --method {name} --task fewshot-shoes-v3-mini-v1")
