@@ -65,9 +65,9 @@ def materials(recipe: Recipe, number: int) -> dict[str, str]:
 
 
 def default_folder() -> Path:
-    """Where the dataset of `SCENE` is that a task asks for which is not superseded."""
+    """Where the dataset of `SCENE` is that a task asks for."""
     tasks = map(load_task, shelf.tasks())
-    return next(t.dataset.path() for t in tasks if t.dataset.scene == SCENE and not t.superseded_by)
+    return next(t.dataset.path() for t in tasks if t.dataset.scene == SCENE)
 
 
 def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.010),
