@@ -15,7 +15,7 @@ import warp as wp
 from vsfsim.physics.contact import body_points, condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
-from vsfsim.physics.contact.face_sums import FaceSums, nodal_sums
+from vsfsim.physics.contact.face_sums import FaceSums
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
@@ -306,15 +306,6 @@ class RigidContact(PointStiffness):
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
         return self.nodal_of(columns, self.force[columns])
-
-    def nodal_of(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Forces at the contact points (k, 6 f, 3) [N] as forces on the nodes (k, 3 s) [N]."""
-        if self._sums is not None:
-            return self._sums.nodal(columns, force)
-        if self.device == "cpu":
-            own, nodes = (wp.to_torch(self._local)[columns], self._values[columns]), self.dof.shape[1] // 3
-            return nodal_sums(*own, force, nodes)
-        return (self._points[columns].mT @ force).flatten(1)
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)

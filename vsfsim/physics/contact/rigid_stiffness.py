@@ -7,7 +7,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.face_sums import FaceSums, at_points
+from vsfsim.physics.contact.face_sums import FaceSums, at_points, nodal_sums
 from vsfsim.physics.contact.stiffness_block import ContactBlock, SparseStiffness, assemble, gram, many, rows_of
 from vsfsim.physics.solve.mount import Springs
 
@@ -16,6 +16,8 @@ class PointStiffness:
     """Rows and blocks of the contact points, from their stiffness at the last evaluation."""
 
     batch: int
+    device: str
+    dof: torch.Tensor
     has_friction: bool
     coulomb: torch.Tensor
     compliance: torch.Tensor
@@ -34,7 +36,12 @@ class PointStiffness:
 
     def nodal_of(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Forces at the contact points (k, 6 f, 3) [N] as forces on the nodes (k, 3 s) [N]."""
-        raise NotImplementedError
+        if self._sums is not None:
+            return self._sums.nodal(columns, force)
+        if self.device == "cpu":
+            own, nodes = (wp.to_torch(self._local)[columns], self._values[columns]), self.dof.shape[1] // 3
+            return nodal_sums(*own, force, nodes)
+        return (self._points[columns].mT @ force).flatten(1)
 
     @property
     def symmetric(self) -> bool:
