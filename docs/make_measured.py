@@ -44,7 +44,7 @@ def leaderboard(task: str) -> str:
                      for reason, names in reasons.items())
     table = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     table = table[:next((k for k, row in enumerate(table) if row[0] == "method"), len(table))]  # ours, not the papers'
-    kept = [k for k, name in enumerate(table[0]) if name not in ("adapt", "sandbox", "vsfsim")
+    kept = [k for k, name in enumerate(table[0]) if name not in ("evidence", "adapt", "sandbox", "vsfsim")
             and any(row[k] for row in table[2:])]
     return (f"<!-- vsfsim leaderboard --task {task} -->\n{title}\n\n"
             + piped([table[0][k] for k in kept], [[row[k] for k in kept] for row in table[2:]]))

@@ -9,10 +9,15 @@ import pytest
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.named import is_ceiling
 from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.board.site import write_site
+from vsfsim.bench.commands.ceiling import ceiling_rows
 from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.evaluate_all import evaluate_all
 from vsfsim.bench.commands.inspect_result import inspect_result
+from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
+from vsfsim.core.engines.fan import Fan
 from vsfsim.core.errors import MethodError, SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.generate.resim import again
@@ -105,8 +110,34 @@ def test_scores_are_a_share_of_the_possible(board, tmp_path):
     assert leaderboard.share_of_possible(found.rows[0], leaderboard.possible(
         dataclasses.replace(found, rows=(found.rows[0], ceiling))), "1") == pytest.approx((1.0 - springs) / 0.5)
     assert leaderboard.possible(dataclasses.replace(found, rows=found.rows[:1])) == {}
+    write_site([found], tmp_path / "site")
+    page = (tmp_path / "site" / "task-sprung-v1.html").read_text()
+    assert all(f">{cell}</" in page for cell in ("of possible", f"{1.0 - springs:.2f}", "1.00"))
     leaderboard.ship(found, tmp_path / "sprung-v1.json")
     assert [row.mark for row in read_rows(tmp_path / "sprung-v1.json")] == ["", leaderboard.CEILING]
+
+
+def test_every_row_of_a_rigid_probe_holds_the_ceiling(made, tmp_path):
+    task = parse_task(TASK, "sprung-v1.toml")
+    rows = [Choice("near-springs", "", {}), *ceiling_rows(task, made)]
+    assert [row.method for row in rows] == ["near-springs", "resim"]
+    options = {"dataset": made.path, "sandbox": "process"}
+    assert [one.choice.method for one in evaluate_all(task, rows[1:], tmp_path, fan=Fan((0, 2)), **options)] == []
+    found = {one.choice.method: one for one in evaluate_all(task, rows, tmp_path, **options)}
+    assert {name: one.state for name, one in found.items()} == {"near-springs": "made", "resim": "made"}
+    assert found["resim"].result.scores["rmse_ratio"]["1"].mean < 1e-4
+    assert [one.state for one in evaluate_all(task, rows, tmp_path, **options)] == ["kept", "kept"]
+
+
+@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_the_command_finds_the_data_by_the_environment(processes, made, tmp_path, monkeypatch, vsfsim):
+    (tmp_path / "sprung-v1.toml").write_text(TASK)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "sprung").symlink_to(made.path)
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
+    said = vsfsim("evaluate", "--method", "resim", "--task", "sprung-v1.toml", "--processes", processes, cwd=tmp_path)
+    assert said.returncode == 0, said.stderr
+    assert "rmse_ratio       0.000" in said.stdout and "\npredict " in said.stdout and "meta-fit" not in said.stdout
 
 
 def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, tmp_path):

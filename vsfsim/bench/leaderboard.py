@@ -208,7 +208,7 @@ def table(board: Board) -> dict[str, Any]:
     ceiling = possible(board)
     rows = [{"rank": row.rank, "share_of_possible": {shot: share_of_possible(row, ceiling, shot) for shot in ceiling},
              "method": row.result.method, "parameters": dict(row.result.parameters),
-             "origin": row.origin, "file": str(row.path), "not_ranked_because": row.mark,
+             "origin": row.origin, "evidence": row.result.evidence, "file": str(row.path), "not_ranked_because": row.mark,
              "objects": {shot: dict(values) for shot, values in row.objects.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
@@ -283,7 +283,7 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
     labels = task.protocol.labels
     ceiling = possible(board)
     head = ["#", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []), "rank corr.",
-            "adapt", "sandbox", "vsfsim"]
+            "evidence", "adapt", "sandbox", "vsfsim"]
     rows, names = [], labels_of([row.result for row in board.rows])
     for row, label in zip(board.rows, names):
         by_shot = row.scores.get(task.primary, {})
@@ -293,8 +293,8 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
         rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
                      *(_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
-                       for shot in labels), *([_share(row, ceiling, task.ranking_shot)] if ceiling else []),
-                     _number(stiffness), f"{adapt:.2f} s",
+                       for shot in labels), *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
+                     _number(stiffness), row.result.evidence, f"{adapt:.2f} s",
                      shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
 
@@ -320,10 +320,7 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     if over_objects(board.task) and board.rows:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")
-    if possible(board):
-        lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
-                     f"predicts zero, 1 is the true object asked again")
-    lines += on_other_bits(board)
+    lines += column_notes(board)
     if board.rows and not board.has_record:
         lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
     if not board.rows:
@@ -335,12 +332,19 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     return lines
 
 
-def on_other_bits(board: Board) -> list[str]:
-    """What ~ behind a method's name says; [] where no row has it."""
-    if not any(row.other_bits for row in board.rows):
-        return []
-    return ["~ on the same dataset, made on a machine that rounds otherwise" + (
-        f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else "")]
+def column_notes(board: Board) -> list[str]:
+    """What the columns "of possible" and "evidence" say, and ~ behind a method's name; only those that the board has."""
+    lines = []
+    if possible(board):
+        lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
+                     f"predicts zero, 1 is the true object asked again")
+    if board.rows:
+        lines.append("evidence: open, the file of whoever made it; sealed, scored on readings that only the "
+                     "maintainers have; verified, made again by them to the same numbers")
+    if any(row.other_bits for row in board.rows):
+        lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
+            f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
+    return lines
 
 
 def _paper(board: Board) -> list[list[str]]:
@@ -355,7 +359,7 @@ def _number(score: Score | None) -> str:
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
 
 
-def _share(row: Row, ceiling: Mapping[str, float], shot: str) -> str:
+def share_text(row: Row, ceiling: Mapping[str, float], shot: str) -> str:
     share = share_of_possible(row, ceiling, shot)
     return "" if share is None else f"{share:.2f}"
 

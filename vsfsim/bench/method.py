@@ -22,7 +22,7 @@ from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import ProbeShape
-from vsfsim.core.shelf import METHOD_GROUP, methods
+from vsfsim.core.shelf import METHOD_GROUP, ceilings, methods
 from vsfsim.core.system.content import file_sha256, files_sha256, named_files, source_files
 from vsfsim.data.records import View
 
@@ -193,11 +193,11 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
     "the harness"; and every file that a parameter names. Nothing of the method is imported.
 
     Args:
-        name: as `find_method` takes it, which exists. parameters: all of them, as JSON values. folder: in which modules
+        name: as `find_method` takes it, or of a ceiling; it exists. parameters: all of them, as JSON values. folder: in which modules
         and files are looked for; default: the working folder.
     """
     folder = folder or os.getcwd()
-    module = (name if ":" in name else methods()[name].value).partition(":")[0]
+    module = (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]
     harness = source_files(HARNESS)
     own = {key: path for key, path in source_files(module, folder).items() if key not in harness}
     out = {"the method": files_sha256(own), "the harness": files_sha256(harness)}

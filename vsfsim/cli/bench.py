@@ -156,10 +156,11 @@ def evaluate(task: TaskName,
     interruption.
     """
     from vsfsim.bench.commands import presets
+    from vsfsim.bench.commands.ceiling import ceiling_rows
     from vsfsim.bench.commands.evaluate import on_objects
     from vsfsim.bench.commands.evaluate_all import evaluate_all
     from vsfsim.bench.method import check_name
-    from vsfsim.bench.task import load_task
+    from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.core import shelf
     from vsfsim.core.errors import MethodError
 
@@ -189,6 +190,7 @@ def evaluate(task: TaskName,
     elif every:
         every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value)
         rows = [row for row in every_row if preset in ("", row.preset)]
+        rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
     if every or fan != HERE:
         folder = out or Path("results") / wanted.name
         result_path(folder / "row.json", wanted.name, "row")
@@ -245,8 +247,8 @@ def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str
             continue
         t, log = result.timing, log_of(path)
         print("\n" * (index > 0) + score_table(result, wanted.primary))
-        learns = f"meta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, " * (
-            "adapts" in t)
+        learns = f"meta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, " if (
+            "adapts" in t) else ""
         print(f"\n{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
               f"{len(result.seeds)} seeds; peak memory {result.peak_memory_mib:.0f} MiB")
         for note in result.notes:

@@ -28,7 +28,6 @@ def labels_of(results: list[Result]) -> list[str]:
                  if (other.method, other.preset) == (result.method, result.preset)]
         differ = [f"{key}={value}" for key, value in result.parameters.items()
                   if any(twin.get(key) != value for twin in twins)]
-        said = ["claimed" if claimed(result) else "", result.evidence.replace("open", ""), result.preset]
-        words = [*filter(None, said), *differ]
+        words = [*filter(None, ["claimed" if claimed(result) else "", result.preset]), *differ]
         out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
     return out

@@ -19,7 +19,7 @@ from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, escape, figure, file_name, link, page, paragraph, table
 from vsfsim.bench.board.named import labels_of
 from vsfsim.bench.commands.submit import command_of
-from vsfsim.bench.leaderboard import Board, Row, on_other_bits, over_objects, superseded, unit_of
+from vsfsim.bench.leaderboard import Board, Row, column_notes, over_objects, possible, share_text, superseded, unit_of
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
@@ -127,21 +127,22 @@ def _index_row(board: Board) -> list[Cell]:
 
 def _task_page(board: Board, names: Sequence[str]) -> str:
     task, labels = board.task, board.task.protocol.labels
-    over = over_objects(board.task)
-    head = ["rank", "method", *(f"{label}-shot" for label in labels), *(["difference to the best"] if over else []),
-            "stiffness", "50 %", "90 %"]
+    over, ceiling = over_objects(board.task), possible(board)
+    head = ["rank", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []),
+            *(["difference to the best"] if over else []), "stiffness", "50 %", "90 %", "evidence"]
     rows: list[list[Cell]] = []
     best = next((row for row in board.rows if row.rank == 1), None)
     for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
         rows.append([str(row.rank or "-"), link(_of_method(task, number), f"{name} ~" if row.other_bits else name),
                      *(_cell(row, task, label) for label in labels),
-                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task)])
+                     *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
+                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task), row.result.evidence])
     body = [paragraph(task.description)]
     if task.superseded_by:
         body.append(paragraph(f"This task is {superseded(task)}."))
     body += [paragraph(_how(board), note=True),
-             table(head, rows, text=(1,), caption=_COLUMNS)]
-    body += [paragraph(f"{line}.", note=True) for line in on_other_bits(board)]
+             table(head, rows, text=(1, len(head) - 1), caption=_COLUMNS)]
+    body += [paragraph(f"{line}.", note=True) for line in column_notes(board)]
     body += [paragraph(f"{name} is not ranked: {row.mark}.", note=True)
              for row, name in zip(board.rows, names, strict=True) if row.mark]
     if over:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from importlib.metadata import EntryPoint
@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.method import Action
+from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.method import Action, contents_of
+from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.predictions import result_of
 from vsfsim.bench.protocol import divide, record
@@ -30,12 +32,20 @@ from vsfsim.bench.trials.curves import Curves, beside
 from vsfsim.bench.trials.folds import test_names
 from vsfsim.bench.trials.subject import Trial
 from vsfsim.core.errors import MethodError, did_you_mean
+from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import ceilings
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 
 PARAMETERS = {"tier": "", "device": "cpu"}
 """Of every ceiling: the tier of its simulation, "" for the dataset's own, and its Warp device."""
+
+
+def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
+    """The ceilings that a task can have: where it asks for readings of touches by a rigid probe."""
+    scene = parse_scene(dataset.recipe.scene_text, f"{dataset.recipe.scene}.toml").sample(0)
+    asked = task.metric.answer is Answer.READINGS and scene.effector == "probe"
+    return [Choice(name, "", {}) for name in ceilings()] if asked else []
 
 
 def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
@@ -75,7 +85,7 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     notes = ("a ceiling: it knows the true object and no touch",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
     result = result_of(answers, task, dataset, method=name, entry=ceilings()[name].value, parameters=given,
-                       notes=notes, data=fingerprint.beside_record(task, dataset),
+                       notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents_of(name, given),
                        timing={"predict_s": time.perf_counter() - began, "predicts": sum(map(len, asked.values()))})
     if out is not None:
         result.save(out)
@@ -84,11 +94,13 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     return result
 
 
-def _each(work: Callable[..., Any], names: Sequence[str], asked: Sequence[list[Action]], processes: int) -> Any:
+def _each(work: Callable[..., Any], names: Sequence[str], asked: Sequence[list[Action]], processes: int
+          ) -> Iterator[Any]:
     if processes == 1:
-        return map(work, names, asked)
+        yield from map(work, names, asked)
+        return
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(work, names, asked))
+        yield from pool.map(work, names, asked)
 
 
 def _ask(ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any], name: str, actions: Sequence[Action]

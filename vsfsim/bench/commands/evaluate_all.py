@@ -19,6 +19,7 @@ from vsfsim.bench.trials.curves import beside
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.engines.fan import HERE, Fan
 from vsfsim.core.errors import Interrupted, TaskError, VsfsimError
+from vsfsim.core.shelf import ceilings
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,16 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
         if known is not None and (not keep or beside(path).is_file()):
             yield Made(choice, path, known, "kept")
             continue
-        if processes > 1 or fan != HERE:
+        ceiling = choice.method in ceilings()
+        if ceiling and fan.shard is not None:
+            continue  # it has no trainings; the call that scores makes it
+        if (processes > 1 or fan != HERE) and not ceiling:
             to_do[path] = choice
             continue
         before(choice)
         try:
             result = evaluate(choice.method, task, data, parameters=choice.parameters, seeds=seeds, out=path,
-                              preset=choice.preset, keep=keep, **options)
+                              preset=choice.preset, keep=keep, processes=processes, **options)
         except Interrupted:
             raise
         except VsfsimError as error:
