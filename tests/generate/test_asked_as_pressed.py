@@ -18,8 +18,8 @@ BALLS = ("fewshot-shoes-v3-v1", "fewshot-shoes-v3-mini-v1")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BALLS)
 def test_the_true_object_answers_the_queries(name, tmp_path):
-    """With the actions alone: at most 0.02 of the error of predicting zero (0.0000 is usual; where a query showed another
-    path than the one that was taken it was 0.08)."""
+    """With the actions alone: at most 0.02 of the error of predicting zero (0.0000 is usual; where a query showed
+    another path than the one that was taken it was 0.08)."""
     task = load_task(name)
     file = load_scene(shelf.find_scene(task.dataset.scene))
     recipe = make_recipe(file, seed=1, objects=1, touches=3)

@@ -208,8 +208,8 @@ def table(board: Board) -> dict[str, Any]:
     ceiling = possible(board)
     rows = [{"rank": row.rank, "share_of_possible": {shot: share_of_possible(row, ceiling, shot) for shot in ceiling},
              "method": row.result.method, "parameters": dict(row.result.parameters),
-             "origin": row.origin, "evidence": row.result.evidence, "file": str(row.path), "not_ranked_because": row.mark,
-             "objects": {shot: dict(values) for shot, values in row.objects.items()},
+             "origin": row.origin, "evidence": row.result.evidence, "file": str(row.path),
+             "not_ranked_because": row.mark, "objects": {shot: dict(values) for shot, values in row.objects.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
              "timing": dict(row.result.timing), "made_by": dict(row.result.made_by)} for row in board.rows]
@@ -333,7 +333,7 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
 
 
 def column_notes(board: Board) -> list[str]:
-    """What the columns "of possible" and "evidence" say, and ~ behind a method's name; only those that the board has."""
+    """What the columns "of possible" and "evidence" say, and a ~ behind a name; only what the board has."""
     lines = []
     if possible(board):
         lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "

@@ -193,8 +193,8 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
     "the harness"; and every file that a parameter names. Nothing of the method is imported.
 
     Args:
-        name: as `find_method` takes it, or of a ceiling; it exists. parameters: all of them, as JSON values. folder: in which modules
-        and files are looked for; default: the working folder.
+        name: as `find_method` takes it, or of a ceiling; it exists. parameters: all of them, as JSON values. folder: in
+        which modules and files are looked for; default: the working folder.
     """
     folder = folder or os.getcwd()
     module = (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]

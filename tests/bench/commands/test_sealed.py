@@ -10,7 +10,8 @@ import pytest
 from vsfsim.bench import predictions, sealed
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.board.site import write_site
-from vsfsim.bench.leaderboard import collect, ship, text
+from vsfsim.bench.leaderboard import collect, ship
+from vsfsim.bench.leaderboard import text as printed
 from vsfsim.bench.predictions import score_predictions
 from vsfsim.core.errors import TaskError
 
@@ -69,7 +70,7 @@ def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, t
     assert result.scores["rmse"] == score_predictions(tmp_path / "p.npz", task, toy_dataset, name="m").scores["rmse"]
     result.save(tmp_path / "r.json")
     board = collect(task, [tmp_path / "r.json"])
-    assert "  sealed  " in text(board).splitlines()[4] and "readings that only the maintainers have" in text(board)
+    assert "  sealed  " in printed(board).splitlines()[4] and "that only the maintainers have" in printed(board)
     write_site([board], tmp_path / "site")
     assert ">sealed<" in (tmp_path / "site" / "task-toy-v1.html").read_text()
     ship(board, tmp_path / "toy-v1.json")
