@@ -16,7 +16,7 @@ from vsfsim.data.verify import verify
 from vsfsim.generate import command
 from vsfsim.generate.trade import buy
 from vsfsim.generate.trade.curve import Curve
-from vsfsim.generate.trade.runs import Run
+from vsfsim.generate.trade.made import Run
 from vsfsim.generate.trade.setting import Ground
 
 SCENE = """

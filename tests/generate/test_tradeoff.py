@@ -10,13 +10,18 @@ from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plant import Plant
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
+from vsfsim.data.records import View
 from vsfsim.generate.trade import command, front
+from vsfsim.generate.trade.arm import parted
 from vsfsim.generate.trade.curve import Curve, distance
 from vsfsim.generate.trade.front import Point, differences, sentence, with_front
+from vsfsim.generate.trade.made import Run
 from vsfsim.generate.trade.page import page
-from vsfsim.generate.trade.runs import Run, spread
+from vsfsim.generate.trade.pictures import compared
+from vsfsim.generate.trade.runs import spread
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.physics.convergence import curve_limit
 
@@ -124,6 +129,7 @@ def test_a_sweep_goes_on_where_its_budget_ended(tmp_path, monkeypatch):
     scene = load_scene(find_scene("shoes-mini"))
     imagined = Imagined()
     monkeypatch.setattr(command, "touched", lambda *_, **__: imagined)
+    monkeypatch.setattr(command.pictures, "pictures", lambda *_, **__: [])
     with pytest.raises(VsfsimError, match="the budget of 1e-09 s was over before the first point"):
         command.tradeoff(scene, tmp_path, budget=1e-9)
     whole, _ = command.tradeoff(scene, tmp_path)
@@ -155,8 +161,6 @@ def test_what_cannot_be_measured_is_refused(tmp_path):
     scene.write_text(NOTHING)
     with pytest.raises(VsfsimError, match=r"neither \[touches\] nor \[press\]"):
         command.tradeoff(load_scene(scene), tmp_path / "a")
-    with pytest.raises(VsfsimError, match=r"what a \[arm\] touches cannot be touched again"):
-        command.tradeoff(load_scene(find_scene("plants-v4-mini")), tmp_path / "b")
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / command.LINES).write_text("{}\n")
     with pytest.raises(VsfsimError, match="is not a file of `vsfsim tradeoff`"):
@@ -190,3 +194,46 @@ def test_a_small_block(tmp_path, more):
     assert all(p.shows == (p.tier == "fem-coarse") for p in found.points) and any(p.front for p in found.points)
     assert json.dumps(found.table()) and (tmp_path / "out" / "tradeoff.html").is_file()
     assert Setting("vsf", 0.02).key == "vsf, 20 mm"
+
+
+def test_every_axis_is_there_or_refused_with_the_reason(tmp_path):
+    arm = Ground("rod", None, None, None, ("rod",), arm="kinematic")
+    assert [s.key for s in arm.sweep(["arm"])] == ["rod, dynamic"]
+    assert [s.key for s in arm.ladder()] == ["rod, 1 beam a segment", "rod, 2 beams a segment",
+                                             "rod, 4 beams a segment"]
+    bubble = Ground("fem-coarse", 0.02, 4, 390, ("fem-coarse",))
+    assert [s.nodes for s in bubble.sweep(["nodes"])] == [195, 780]
+    probe = Ground("fem-coarse", 0.02, 4, None, ("linear", "fem-coarse"), single=True)
+    assert [s.precision for s in probe.sweep(["precision"])] == ["float32"]
+    assert [s.device for s in probe.sweep(["device"], ["cuda:0"])] == ["cuda:0"]
+    for ground, axis, why in ((arm, "frames", "is an arm's"), (probe, "nodes", r"no \[sensor\]"),
+                              (probe, "arm", r"no \[arm\]"), (bubble, "precision", "in float64 only"),
+                              (probe, "device", "no other device"), (arm, "tolerance", "the solver's own")):
+        with pytest.raises(VsfsimError, match=f"--axis is '{axis}', but .*{why}"):
+            ground.sweep([axis])
+    with pytest.raises(VsfsimError, match=r"--axis is 'camera', but the scene has no \[camera\]"):
+        command.tradeoff(load_scene(find_scene("indent")), tmp_path, axes=("camera",))
+
+
+def test_a_finer_picture_is_nearer_to_the_surface():
+    def taken(camera):
+        pose, depth = np.eye(4), np.full((camera.height, camera.width), 0.5, np.float32)
+        size = 0.5 * camera.width
+        return View(np.zeros((*depth.shape, 3), np.uint8), depth, depth > 0.0,
+                    np.array([[size, 0.0, size], [0.0, size, 0.5 * camera.height], [0.0, 0.0, 1.0]]), pose)
+
+    found = compared(taken, load_scene(find_scene("foam-block")).sample(0).camera)
+    assert [p.points for p in found] == [40 * 30, 80 * 60, 160 * 120, 320 * 240]
+    # of a square of side s the root mean square distance from the middle is s / sqrt(6)
+    assert found[2].gap == pytest.approx(0.5 / 80 / np.sqrt(6.0), rel=0.1) and found[2].normal < 1e-6
+
+
+def test_a_segment_is_cut_into_beams_of_the_same_plant():
+    plant = Plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0, 0.1, 0.1], [0, 0, 0.3]]), np.array([-1, 0, 1, 1]),
+                  np.array([0.0, 3e-3, 2e-3, 1e-3]), np.zeros(4), np.zeros((4, 3)), np.full(4, 1e9), np.full(4, 500.0),
+                  np.zeros(4, int), ("wood",))
+    cut = parted(plant, 2)
+    assert np.allclose(cut.nodes[:, 2], [0, 0.05, 0.1, 0.1, 0.1, 0.2, 0.3]) and cut.parent.tolist() == [-1, 0, 1, 2, 3,
+                                                                                                       2, 5]
+    assert cut.radius[1:].tolist() == [3e-3, 3e-3, 2e-3, 2e-3, 1e-3, 1e-3] and parted(plant, 1) is plant
+    assert cut.lengths().sum() == pytest.approx(plant.lengths().sum())

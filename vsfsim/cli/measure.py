@@ -1,5 +1,5 @@
 """`vsfsim measure ...`: time and error, measured by the scripts in `benchmarks/` of a checkout, whose commands are in
-`benchmarks/commands.py`, `benchmarks/datasets/commands.py` and `benchmarks/trust/commands.py`."""
+`benchmarks/commands.py` and the `commands.py` of the folders in `benchmarks/`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def _commands() -> dict[str, Any]:
     root = str(checkout())
     if root not in sys.path:
         sys.path.insert(0, root)  # worker processes inherit the path
-    return {name: command for module in ("commands", "datasets.commands", "trust.commands") for name, command in
+    modules = ("commands", "datasets.commands", "trade.commands", "trust.commands")
+    return {name: command for module in modules for name, command in
             typer.main.get_group(importlib.import_module(f"benchmarks.{module}").app).commands.items()}
 
 

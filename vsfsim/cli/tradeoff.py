@@ -22,6 +22,9 @@ def tradeoff(scene: SceneName,
                                                               "seeds of a [press].")] = 4,
              objects: Annotated[int, typer.Option(min=1, help="The first so many objects of the scene.")] = 1,
              tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
+             axis: Annotated[list[str] | None, typer.Option(help="Vary only this: mesh, tolerance, frames, nodes, "
+                                                                 "precision, device, arm, camera or together; may be "
+                                                                 "given again. Default: all that there are.")] = None,
              budget: Annotated[str | None, typer.Option(metavar="TIME",
                                                         help="Begin nothing new after this time, e.g. 90s, 10m, 2h; "
                                                              "default: make all points.")] = None,
@@ -41,16 +44,20 @@ def tradeoff(scene: SceneName,
     loaded = load_scene(find_scene(scene))
     seconds = None if budget is None else seconds_of("--budget", budget)
     from vsfsim.generate.trade import command  # takes seconds; a mistake in the scene is reported before
+    from vsfsim.generate.trade.setting import AXES
     from vsfsim.physics.tiers import TIERS
 
     for name in tier or []:
         check_choice("--tier", name, TIERS)
+    for name in axis or []:
+        check_choice("--axis", name, AXES)
     folder = out or Path("tradeoff") / loaded.name
     with Progress("tradeoff") as progress:
         found, changed = command.tradeoff(loaded, folder, touches=touches, objects=objects, seed=seed,
-                                          device=device, budget=seconds, tiers_only=tuple(tier or ()), check=check,
-                                          progress=progress)
-    words = [found.text(), f"page: {folder / 'tradeoff.html'}", *(f"changed: {sentence}" for sentence in changed)]
+                                          device=device, budget=seconds, tiers_only=tuple(tier or ()),
+                                          axes=tuple(axis or ()), check=check, progress=progress)
+    page = [f"page: {folder / 'tradeoff.html'}"] * bool(found.points)
+    words = [found.text(), *page, *(f"changed: {sentence}" for sentence in changed)]
     report("\n".join(words), {**found.table(), "changed": changed}, json)
     if changed:
         raise typer.Exit(3)

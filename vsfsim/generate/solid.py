@@ -45,14 +45,17 @@ class Subject:
         """The random stream that touch number ``touch`` is aimed with."""
         return np.random.default_rng(self.job.stream(Stream.AIM, touch))
 
-    def again(self, tier: str, options: Mapping[str, Any], *, edges: EdgePath | None = None) -> Subject:
+    def again(self, tier: str, options: Mapping[str, Any], *, edges: EdgePath | None = None,
+              precision: str | None = None) -> Subject:
         """The same object under the same picture, modelled at another tier and with other options of the recipe (see
-        `Job.scene`), with small elements along ``edges`` (see `edge_refine`).
+        `Job.scene`), with small elements along ``edges`` (see `edge_refine`), solved in another precision.
 
         Raises:
             SceneError, MeshError: it cannot be built.
         """
-        recipe = dataclasses.replace(self.job.recipe, tier=tier, options={**self.job.recipe.options, **options})
+        old = self.job.recipe
+        recipe = dataclasses.replace(old, tier=tier, options={**old.options, **options},
+                                     precision=precision or old.precision)
         job = dataclasses.replace(self.job, recipe=recipe)
         scene = job.scene()
         model = tiers.build(scene, tier, seed=job.stream(Stream.BODY), cache=job.cache, edges=edges)

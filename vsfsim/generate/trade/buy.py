@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene import SceneFile
@@ -14,9 +16,12 @@ from vsfsim.data.store import open_store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.curve import limits
+from vsfsim.generate.trade.front import Point
+from vsfsim.generate.trade.made import Touched
 from vsfsim.generate.trade.runs import DatasetTouches
 from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
 from vsfsim.physics import tiers
+from vsfsim.physics.convergence import Limit
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
@@ -59,38 +64,69 @@ def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int,
     subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=seed, device=device,
                              cache=cache)
     said(f"--accuracy {100 * accuracy:g} %: a pilot on {subject.what} chooses tier and element size")
-    bounds, shares = [], []
-    for k in range(subject.count):
-        runs = [subject.near(k, setting, level) for level, setting in enumerate(subject.ground.ladder())]
-        bounds.append(limits([r.edge[0] for r in runs], [r.curves[0] for r in runs],
-                             tiers.TIERS[LIMIT_TIER].tolerance))
-        shares.append(runs[-1].curves[0].share)
+    bounds, shares = known_limits(subject)
     known = sum(own["force"].known for own in bounds)
     if not known:
         raise SceneError(f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but of no touch of the pilot is the "
                          f"limit known: {bounds[0]['force'].why}. Give a finer resolution in [object].")
-    best, chosen = None, None
-    for setting in candidates(loaded, subject.ground.resolution, device):
-        p = front.point(setting.key, setting.tier or "", subject.run(setting), bounds, shares, shows=True)
-        if best is None or p.error + p.bar < best.error + best.bar:
+    points = ((setting, front.point(setting.key, setting.tier or "", subject.run(setting), bounds, shares, shows=True))
+              for setting in candidates(loaded, subject.ground.resolution, device))
+    chosen, best = choose(points, accuracy)
+    if chosen is None:
+        assert best is not None
+        raise SceneError(f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but {too_much(best)}, or give a finer "
+                         f"resolution in [object].")
+    setting, p = chosen
+    said(f"chosen: {p.key}, {p.frame:.2g} s a frame; error {100 * p.error:.2g} % on the worst of {known} touches, "
+         f"limit known to {100 * p.bar:.2g} %, {100 * p.marked:.0f} % of the frames in contact marked")
+    return str(setting.tier), {
+        "accuracy": {"asked": accuracy, "expected": _short(p.error), "limit": _short(p.bar), "touches": known},
+        "resolution": setting.resolution}
+
+
+def known_limits(subject: Touched) -> tuple[list[dict[str, Limit]], list[np.ndarray]]:
+    """The limits of all touches, and of each the depths of its frames over the deepest."""
+    bounds, shares = [], []
+    for k in range(subject.count):
+        runs = [subject.near(k, setting, level) for level, setting in enumerate(subject.ground.ladder())]
+        bound, share = limits([r.edge[0] for r in runs], [r.curves[0] for r in runs],
+                              tiers.TIERS[LIMIT_TIER].tolerance)
+        bounds.append(bound)
+        shares.append(share)
+    return bounds, shares
+
+
+def choose(points: Iterable[tuple[Setting, Point]], accuracy: float) -> tuple[tuple[Setting, Point] | None,
+                                                                                        Point | None]:
+    """The setting that a pilot takes, None if no one keeps the accuracy; and the most exact point that was looked at,
+    None if there was none.
+
+    Args:
+        points: settings with what they miss, cheap ones first; no more are taken than it needs.
+        accuracy: asked for [-].
+    """
+    best: Point | None = None
+    chosen: tuple[Setting, Point] | None = None
+    for setting, p in points:
+        if best is None or _off(p) < _off(best):
             best = p
         if p.error + p.bar <= MARGIN * accuracy:
             chosen = chosen or (setting, p)
             if p.marked <= MARKED:
                 chosen = setting, p
                 break
-    if chosen is not None:
-        setting, p = chosen
-        said(f"chosen: {p.key}, {p.frame:.2g} s a frame; error {100 * p.error:.2g} % on the worst of {known} touches, "
-             f"limit known to {100 * p.bar:.2g} %, {100 * p.marked:.0f} % of the frames in contact marked")
-        return str(setting.tier), {
-            "accuracy": {"asked": accuracy, "expected": _short(p.error), "limit": _short(p.bar), "touches": known},
-            "resolution": setting.resolution}
-    assert best is not None
+    return chosen, best
+
+
+def _off(p: Point) -> float:
+    return float(np.nan_to_num(p.error + p.bar, nan=np.inf))
+
+
+def too_much(best: Point) -> str:
+    """Why an accuracy is not to be had, and what can be asked for."""
     least = (best.error + best.bar) / MARGIN
-    raise SceneError(f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but the most exact setting of the pilot, "
-                     f"{best.key}, is off by {100 * best.error:.2g} % with a limit known to {100 * best.bar:.2g} %. "
-                     f"Ask for {100 * least:.2g} % or more, or give a finer resolution in [object].")
+    return (f"the most exact setting of the pilot, {best.key}, is off by {100 * best.error:.2g} % with a limit known "
+            f"to {100 * best.bar:.2g} %. Ask for {100 * least:.2g} % or more")
 
 
 def candidates(loaded: SceneFile, resolution: float | None, device: str) -> list[Setting]:

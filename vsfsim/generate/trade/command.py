@@ -18,14 +18,17 @@ from vsfsim.core.scene import SceneFile
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
-from vsfsim.generate.trade import front
+from vsfsim.generate.trade import front, pictures
 from vsfsim.generate.trade.curve import limits
 from vsfsim.generate.trade.front import Point
+from vsfsim.generate.trade.made import Run, Touched
 from vsfsim.generate.trade.page import page
-from vsfsim.generate.trade.runs import Run, Touched, touched
-from vsfsim.generate.trade.setting import LIMIT_TIER, Setting
+from vsfsim.generate.trade.pictures import Picture
+from vsfsim.generate.trade.runs import touched
+from vsfsim.generate.trade.setting import AXES, LIMIT_TIER, Setting
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
+from vsfsim.physics.runtime import devices
 
 LINES = "points.jsonl"
 _SAME = ("format", "scene", "scene_sha256", "seed", "touches", "objects", "device", "version", "commit")
@@ -52,17 +55,23 @@ class Tradeoff:
     """Settings that the budget did not reach."""
     machine: str
     """Kind of machine."""
+    pictures: tuple[Picture, ...] = ()
+    """Of the scene's camera, with fewer and more pixels."""
 
     def sentences(self) -> list[str]:
         """One a goal."""
-        return [front.sentence(goal, self.points) for goal in front.GOALS]
+        return [front.sentence(goal, self.points) for goal in front.GOALS if self.points]
 
     def text(self) -> str:
         """For the terminal."""
-        out = [f"{self.scene}: {self.what}", *self.limit, "", front.text(self.points),
-               "* on the front   ~ error below that of the limit, not ranked   x tier does not show the scene's needs",
-               "", *self.sentences(), *(f"note: {sentence}" for sentence in self.notes())]
-        return "\n".join(out)
+        out = [f"{self.scene}: {self.what}", *self.limit]
+        if self.points:
+            out += ["", front.text(self.points), "* on the front   ~ error below that of the limit, not ranked   "
+                    "x tier does not show the scene's needs"]
+        if self.pictures:
+            out += ["", "Camera: distance and angle of the normals from a picture of 16 times as many pixels as the "
+                    "scene's.", pictures.text(self.pictures)]
+        return "\n".join([*out, "", *self.sentences(), *(f"note: {sentence}" for sentence in self.notes())])
 
     def notes(self) -> list[str]:
         """What could not be made, and what is left."""
@@ -73,7 +82,8 @@ class Tradeoff:
         """For JSON."""
         return {"scene": self.scene, "what": self.what, "machine": self.machine, "limit": list(self.limit),
                 "points": [dataclasses.asdict(p) for p in self.points], "sentences": self.sentences(),
-                "refused": dict(self.refused), "left": self.left}
+                "refused": dict(self.refused), "left": self.left,
+                "pictures": [dataclasses.asdict(p) for p in self.pictures]}
 
 
 class _Lines:
@@ -119,8 +129,8 @@ def read_lines(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]], bool]:
 
 
 def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0, device: str = "cpu",
-             budget: float | None = None, tiers_only: tuple[str, ...] = (), check: Path | None = None,
-             cache: Path | None = None,
+             budget: float | None = None, tiers_only: tuple[str, ...] = (), axes: tuple[str, ...] = (),
+             check: Path | None = None, cache: Path | None = None,
              progress: Callable[[int, int, str], None] | None = None) -> tuple[Tradeoff, list[str]]:
     """Measure what settings cost and miss on a scene, and write lines, page and table into a folder.
 
@@ -133,6 +143,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         device: Warp device.
         budget: begin nothing new after this time [s]; None for all.
         tiers_only: only these tiers; empty for all.
+        axes: only these of `vsfsim.generate.trade.setting.AXES`; empty for all that the scene has.
         check: lines of a run to compare with, or None.
         cache: folder of filled meshes, or None for the user's own.
         progress: called with (done, in all, what).
@@ -141,8 +152,8 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         What was found, and where it differs from ``check``.
 
     Raises:
-        VsfsimError: neither [touches] nor [press], a budget that ends before the first point, a folder or a stored
-            front of another run, or no touch whose limit is known.
+        VsfsimError: neither [touches] nor [press], an axis that the scene does not have, a budget that ends before the
+            first point, a folder or a stored front of another run, or no touch whose limit is known.
     """
     until = time.perf_counter() + (_LIMIT_SECONDS if budget is None else budget)
     stored = _stored(check, loaded)
@@ -150,8 +161,12 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                      "seed": seed, "touches": touches, "objects": objects, "device": device,
                      "version": vsfsim.__version__, "commit": commit(), "machine": machine_kind()}
     lines = _Lines(out / LINES, circumstances)
+    seen = _seen(loaded, axes, seed, device)
+    if set(axes) == {"camera"}:
+        return Tradeoff(loaded.name, "its camera", (), (), {}, 0, str(circumstances["machine"]), seen), []
     subject = touched(loaded, touches=touches, objects=objects, seed=seed, device=device, cache=cache)
-    sweep = [s for s in subject.ground.sweep() if not tiers_only or (s.tier or "bubble") in tiers_only]
+    others = [alias for words in devices() if (alias := words.split(" ")[0]) != device]
+    sweep = [s for s in subject.ground.sweep(axes, others[:1]) if not tiers_only or (s.tier or "bubble") in tiers_only]
     if not sweep:
         raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be touched here; there are "
                           f"{', '.join(subject.ground.pressable) or 'none, because the scene has no [object]'}.")
@@ -165,9 +180,10 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         row = lines.rows.get(key) or lines.add({"key": key, "ladder": [
             subject.near(k, setting, level).table() for level, setting in enumerate(subject.ground.ladder())]})
         runs = [Run.read(mesh) for mesh in row["ladder"]]
-        bounds.append(limits([r.edge[0] for r in runs], [r.curves[0] for r in runs],
-                             tiers.TIERS[LIMIT_TIER].tolerance))
-        shares.append(runs[-1].curves[0].share)
+        bound, share = limits([r.edge[0] for r in runs], [r.curves[0] for r in runs],
+                              tiers.TIERS[LIMIT_TIER].tolerance)
+        bounds.append(bound)
+        shares.append(share)
         if progress is not None:
             progress(k + 1, total, key)
     points, refused, left = [], {}, 0
@@ -192,7 +208,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                           f"{len(bounds)} of {subject.count} touches is found. It is kept in {lines.file}; run the "
                           f"same command again to go on, with a longer --budget or fewer --touches.")
     found = Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), tuple(_said(bounds)), refused, left,
-                     str(circumstances["machine"]))
+                     str(circumstances["machine"]), seen)
     write_atomic(out / "tradeoff.html", page(f"Speed against accuracy: {found.scene}", [found.what, *found.limit],
                                              found.points, found.sentences(), found.notes()).encode())
     return found, front.differences(found.points, stored) if check is not None else []
@@ -211,9 +227,19 @@ def _made(subject: Touched, setting: Setting, bounds: list[dict[str, Limit]], sh
             "error": p.error if np.isfinite(p.error) else None, "run": run.table()}
 
 
+def _seen(loaded: SceneFile, axes: tuple[str, ...], seed: int, device: str) -> tuple[Picture, ...]:
+    if axes and "camera" not in axes:
+        return ()
+    if not {"touches", "camera"} <= loaded.tree.keys():
+        if axes:
+            raise VsfsimError(f"{loaded.path}: --axis is 'camera', but {AXES['camera']}.")
+        return ()
+    return tuple(pictures.pictures(loaded, seed=seed, device=device))
+
+
 def _shows(loaded: SceneFile, setting: Setting) -> bool:
     """Whether the tier shows what the scene needs."""
-    if setting.tier is None:
+    if setting.tier not in tiers.TIERS:
         return True
     try:
         tiers.choose(loaded.sample(0), setting.tier)

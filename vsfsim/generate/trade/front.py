@@ -12,7 +12,7 @@ import numpy as np
 
 from vsfsim.core.text_table import text_table
 from vsfsim.generate.trade.curve import Curve, Distance, distance
-from vsfsim.generate.trade.runs import Run
+from vsfsim.generate.trade.made import Run
 from vsfsim.physics.convergence import Limit
 
 GOALS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
-from vsfsim.core.system.process_memory import held_memory, peak_memory
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import jobs_of
@@ -21,7 +18,9 @@ from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import kernels_of
 from vsfsim.generate.solid import Retouching, Subject, prepare
-from vsfsim.generate.trade.curve import Curve, of_press, of_touch
+from vsfsim.generate.trade.arm import ArmTouches
+from vsfsim.generate.trade.curve import of_press, of_touch
+from vsfsim.generate.trade.made import Meter, Run, Touched, together
 from vsfsim.generate.trade.near import near
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.generate.truth import probe_stiffness
@@ -30,71 +29,6 @@ from vsfsim.physics.runtime import compile_kernels
 
 CANDIDATES = 3
 """Touches that are drawn for each that is taken."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """The touches under one setting."""
-
-    curves: tuple[Curve, ...]
-    """One a touch."""
-    once: float
-    """CPU time of what is made once an object: meshes and factors [s]."""
-    cpu: float
-    """CPU time of all touches, without that [s]."""
-    wall: float
-    """The same on the clock [s]."""
-    memory: float
-    """Largest memory that the process held meanwhile [MiB]."""
-    frames: int
-    """Frames that were solved, the way back too."""
-    edge: tuple[float, ...] = field(default=())
-    """Of the elements that matter to each touch [m]."""
-
-    def table(self) -> dict[str, Any]:
-        """For JSON."""
-        return {**dataclasses.asdict(self), "curves": [c.table() for c in self.curves], "edge": list(self.edge)}
-
-    @classmethod
-    def read(cls, table: dict[str, Any]) -> Run:
-        """As `table` gave it."""
-        return cls(**{**table, "curves": tuple(Curve.read(c) for c in table["curves"]), "edge": tuple(table["edge"])})
-
-
-class Touched(Protocol):
-    """Touches of a scene that can be made again."""
-
-    ground: Ground
-    count: int
-    """Touches."""
-    what: str
-    """The touches in words."""
-
-    def run(self, setting: Setting) -> Run:
-        """All touches.
-
-        Raises:
-            VsfsimError: the setting cannot be built.
-        """
-        ...
-
-    def near(self, number: int, setting: Setting, level: int) -> Run:
-        """Touch ``number`` alone, on a mesh of its own that is finer where it is touched, on a level of the ladder."""
-        ...
-
-
-class _Meter:
-    """CPU time, time on the clock and the largest memory since its start."""
-
-    def __init__(self) -> None:
-        held_memory(reset=True)
-        self.restart()
-
-    def restart(self) -> None:
-        self._cpu, self._wall = time.process_time(), time.perf_counter()
-
-    def read(self) -> tuple[float, float, float]:
-        return time.process_time() - self._cpu, time.perf_counter() - self._wall, peak_memory()
 
 
 class DatasetTouches:
@@ -107,6 +41,7 @@ class DatasetTouches:
         loaded: the scene.
         touches: of each object.
         objects: how many.
+        first: number of the first.
         seed: as of `vsfsim generate`.
         device: Warp device.
         cache: folder of filled meshes, or None for the user's own.
@@ -115,9 +50,9 @@ class DatasetTouches:
         SceneError: the scene cannot be touched so.
     """
 
-    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu",
-                 cache: Path | None = None):
-        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
+    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, first: int = 0, seed: int = 0,
+                 device: str = "cpu", cache: Path | None = None):
+        recipe = make_recipe(loaded, seed=seed, objects=first + objects, views=1, touches=CANDIDATES * touches)
         scene = loaded.sample(0)
         self.ground = _ground(scene, recipe.tier, scene.required_touches.frames[1], device)
         effector = effector_of(scene)
@@ -126,7 +61,7 @@ class DatasetTouches:
         compile_kernels(kernels_of(scene, recipe.precision), device)
         self.subjects: list[Subject] = []
         self.aims: list[list[Aim]] = []
-        for job in jobs_of(recipe, loaded.path, ".", cache):
+        for job in jobs_of(recipe, loaded.path, ".", cache)[first:]:
             subject = prepare(job, device=device)
             drawn = effector.aim(subject, device=device)
             self.subjects.append(subject)
@@ -143,7 +78,7 @@ class DatasetTouches:
             self._warm.add(setting.tier)
             self._run(self.subjects[0], self.aims[0][:1], _brief(setting))
         parts = [self._run(subject, aims, setting) for subject, aims in zip(self.subjects, self.aims, strict=True)]
-        return _together(parts)
+        return together(parts)
 
     def near(self, number: int, setting: Setting, level: int) -> Run:
         """See `Touched`."""
@@ -152,10 +87,10 @@ class DatasetTouches:
         return self._run(subject, [a], setting, level)
 
     def _run(self, subject: Subject, aims: list[Aim], setting: Setting, level: int | None = None) -> Run:
-        meter = _Meter()
+        meter = Meter()
         tier = setting.tier
         assert tier is not None
-        own = (subject.again(tier, setting.options()) if level is None
+        own = (subject.again(tier, setting.options(), precision=setting.precision) if level is None
                else near(subject, aims[0], self._effector.manner(subject.scene).reach, setting.options(), level))
         once, _, _ = meter.read()
         meter.restart()
@@ -198,17 +133,18 @@ class ScenePress:
         if not self._warm:
             self._warm = True
             self._run(self._seeds[0], _brief(setting))
-        return _together([self._run(seed, setting) for seed in self._seeds])
+        return together([self._run(seed, setting) for seed in self._seeds])
 
     def near(self, number: int, setting: Setting, level: int) -> Run:
         """See `Touched`; a press has its elements where it touches on every mesh."""
         return self._run(self._seeds[number], setting)
 
     def _run(self, seed: int, setting: Setting) -> Run:
-        meter = _Meter()
+        meter = Meter()
         varied = _varied(self._loaded, setting)
         request = PressRequest(seed=seed, tier=setting.tier, device=setting.device, cache=self._cache,
-                               tolerance=setting.tolerance)
+                               tolerance=setting.tolerance,
+                               precision=setting.precision or "float64")
         result = effector_of(varied.sample(seed)).press(varied, request)
         cpu, wall, memory = meter.read()
         solve = float(np.sum(result.more["seconds"]))
@@ -217,14 +153,16 @@ class ScenePress:
                    memory, len(result.depth), (edge,))
 
 
-def touched(loaded: SceneFile, *, touches: int, objects: int, seed: int, device: str, cache: Path | None) -> Touched:
-    """The touches of a scene, or its press.
+def touched(loaded: SceneFile, *, touches: int, objects: int, seed: int, device: str, cache: Path | None,
+            first: int = 0) -> Touched:
+    """The touches of a scene's objects from the ``first`` one on, or its press.
 
     Raises:
         SceneError: it has neither.
     """
     if "touches" in loaded.tree:
-        return DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device, cache=cache)
+        make = ArmTouches if loaded.sample(0).effector == "arm" else DatasetTouches
+        return make(loaded, touches=touches, objects=objects, first=first, seed=seed, device=device, cache=cache)
     if "press" not in loaded.tree:
         raise SceneError(f"{loaded.path}: there is neither [touches] nor [press], so there is nothing whose error and "
                          f"time could be measured. Add one of them.")
@@ -251,13 +189,14 @@ def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> 
     effector = effector_of(scene)
     if not isinstance(effector, Retouching):
         raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another mesh. "
-                         f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
+                         f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object, and for "
+                         f"an [arm] on plants.")
     manner, order = effector.manner(scene), list(tiers.TIERS)
     if tier is None:
         return Ground(None, None, frames, manner.nodes, (), device)
     start = max(tier, "fem-coarse", key=order.index)
     return Ground(start, tiers.element_size(scene.required_object, start, scene.probe), frames, manner.nodes,
-                  tuple(name for name in manner.tiers if name != "fem-fine"), device)
+                  tuple(name for name in manner.tiers if name != "fem-fine"), device, single=manner.nodes is None)
 
 
 def _brief(setting: Setting) -> Setting:
@@ -274,9 +213,3 @@ def _varied(loaded: SceneFile, setting: Setting) -> SceneFile:
         if value is not None:
             tree[table][key] = value
     return dataclasses.replace(loaded, tree=tree)
-
-
-def _together(parts: Sequence[Run]) -> Run:
-    return Run(tuple(c for p in parts for c in p.curves), sum(p.once for p in parts), sum(p.cpu for p in parts),
-               sum(p.wall for p in parts), max(p.memory for p in parts), sum(p.frames for p in parts),
-               tuple(h for p in parts for h in p.edge))

@@ -6,12 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from vsfsim.core.errors import VsfsimError
 from vsfsim.physics import tiers
 
 RATIO = 1.3
 """Of the edges of two meshes of a ladder."""
 LIMIT_TIER = "fem"
 """Of the meshes from which the limit of a touch is extrapolated; its law is that of every finer tier."""
+
+
+AXES = {"mesh": "the scene has no mesh", "tolerance": "an arm's touches have the solver's own tolerance",
+        "frames": "the scene's path has corners, or is an arm's",
+        "nodes": "the scene has no [sensor] kind = \"bubble\"",
+        "precision": "what the scene touches is solved in float64 only", "arm": "the scene has no [arm]",
+        "camera": "the scene has no [camera] whose picture aims its touches",
+        "device": "this machine has no other device than the one that is used",
+        "together": "an arm's touches have no settings to put together"}
+"""What a sweep can vary, and why a scene may not have it."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +39,12 @@ class Setting:
     """Readings on the way in."""
     nodes: int | None = None
     """Of a bubble."""
+    precision: str | None = None
+    """Of the solver."""
+    arm: str | None = None
+    """Mode of a robot arm."""
+    parts: int | None = None
+    """Beams of which each segment of a plant is made."""
     device: str = "cpu"
     """Warp device."""
 
@@ -43,6 +60,9 @@ class Setting:
             words.append(f"{self.frames} frame{'s' * (self.frames > 1)}")
         if self.nodes is not None:
             words.append(f"{self.nodes} nodes")
+        if self.parts is not None:
+            words.append(f"{self.parts} beam{'s' * (self.parts > 1)} a segment")
+        words += [word for word in (self.precision, self.arm) if word is not None]
         return ", ".join([*words, *([] if self.device == "cpu" else [self.device])])
 
     def options(self) -> dict[str, Any]:
@@ -68,38 +88,62 @@ class Ground:
     """Tiers that its effector can touch."""
     device: str = "cpu"
     """Warp device."""
+    single: bool = False
+    """Whether it can be solved in single precision."""
+    arm: str | None = None
+    """Mode of its robot arm, or None."""
 
     def ladder(self, meshes: int = 3) -> list[Setting]:
-        """The meshes of the limit, coarsest first; a bubble's grow with the object's."""
+        """The meshes of the limit, coarsest first; a bubble's grow with the object's, and beams are halved."""
+        if self.arm is not None:
+            return [Setting(self.tier, parts=2**k, device=self.device) for k in range(meshes)]
         return [Setting(LIMIT_TIER if self.tier else None, self.resolution and self.resolution * RATIO ** (1 - k),
                         nodes=self.nodes and round(self.nodes * RATIO ** (2 * k)), device=self.device)
                 for k in range(meshes)]
 
-    def sweep(self) -> list[Setting]:
-        """The points, cheap ones first: tiers by element size, then tolerance, frames and nodes alone, then together.
+    def axes(self) -> dict[str, list[Setting]]:
+        """The points along each of `AXES` that the scene has, and the cheapest of all together.
         """
+        base: dict[str, Any] = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
+        if self.arm is not None:
+            other = "dynamic" if self.arm == "kinematic" else "kinematic"
+            return {"mesh": [Setting(**base, parts=parts) for parts in (1, 2)], "arm": [Setting(**base, arm=other)]}
+
         def sizes(tier: str | None) -> list[float | None]:
             levels = (-1, -2) if tier == LIMIT_TIER else (1, 0, -1)
             return [None] if self.resolution is None else [self.resolution * RATIO**level for level in levels]
 
         names: Sequence[str | None] = self.pressable or (None,)
-        out = [Setting(tier, size, device=self.device) for tier in names for size in sizes(tier)]
-        base: dict[str, Any] = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
+        out = {"mesh": [Setting(tier, size, device=self.device) for tier in names for size in sizes(tier)]}
         loose = 10.0 * tiers.TIERS[self.tier].tolerance if self.tier else 5e-3
+        out["tolerance"] = [Setting(**base, tolerance=value) for value in (loose, loose / 100.0)]
         counts = [] if self.frames is None else sorted({max(1, self.frames // 2), 2 * self.frames} - {self.frames})
-        out += [Setting(**base, tolerance=value) for value in (loose, loose / 100.0)]
-        out += [Setting(**base, frames=count) for count in counts]
+        if counts:
+            out["frames"] = [Setting(**base, frames=count) for count in counts]
         if self.nodes is not None:
-            out += [Setting(**base, nodes=count) for count in (self.nodes // 2, 2 * self.nodes)]
+            out["nodes"] = [Setting(**base, nodes=count) for count in (self.nodes // 2, 2 * self.nodes)]
+        if self.single:
+            out["precision"] = [Setting(**base, precision="float32")]
         coarse = {**base, "resolution": sizes(self.tier)[0]}
-        out.append(Setting(**coarse, tolerance=loose))
+        out["together"] = [Setting(**coarse, tolerance=loose)]
         if self.frames is not None and counts[0] < self.frames:
-            out.append(Setting(**coarse, tolerance=loose, frames=counts[0]))
+            out["together"].append(Setting(**coarse, tolerance=loose, frames=counts[0]))
         return out
 
+    def sweep(self, axes: Sequence[str] = (), devices: Sequence[str] = ()) -> list[Setting]:
+        """The points, cheap ones first.
 
-def finer(resolution: float) -> float:
-    """The edge one level finer [m]."""
-    return resolution / RATIO
+        Args:
+            axes: only these; empty for all.
+            devices: other Warp devices, along the axis "device".
 
-
+        Raises:
+            VsfsimError: the scene, or the machine, has no such axis.
+        """
+        found = self.axes()
+        if devices:
+            found["device"] = [Setting(self.tier, self.resolution, parts=None, device=name) for name in devices]
+        for name in axes:
+            if name not in found and name != "camera":
+                raise VsfsimError(f"--axis is '{name}', but {AXES[name]}. There are: {', '.join(found)}.")
+        return [setting for name, own in found.items() if not axes or name in axes for setting in own]

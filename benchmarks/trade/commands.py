@@ -1,0 +1,59 @@
+"""The commands of `vsfsim measure` on speed against accuracy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vsfsim.cli.console import report, step
+from vsfsim.cli.options import JsonFile, check_choice, seconds_of, share_of
+
+app = typer.Typer(rich_markup_mode=None)
+
+
+@app.callback()
+def _group() -> None:
+    """Speed against accuracy."""
+
+
+@app.command()
+def promise(scene: Annotated[list[str] | None,
+                             typer.Argument(metavar="[SCENE]...", help="Names or paths of scenes; default: a block, a "
+                                                                       "shoe, a column, a bubble, a plant.")] = None,
+            accuracy: Annotated[list[str] | None, typer.Option(help="That is asked for; may be given again. Default: "
+                                                                    "5%, 2% and 1%.")] = None,
+            objects: Annotated[int, typer.Option(min=1, help="That are held out.")] = 5,
+            touches: Annotated[int, typer.Option(min=1, help="Of each of these.")] = 4,
+            workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+            out: Annotated[Path, typer.Option(help="Folder of what was made; a later run goes on with it.")] =
+            Path("promise"),
+            budget: Annotated[str | None, typer.Option(metavar="TIME", help="Begin nothing new after this time, e.g. "
+                                                                            "90s or 10m.")] = None,
+            json: JsonFile = None) -> None:
+    """Is an accuracy that `generate --accuracy` buys kept on objects that its pilot has not seen, and at what price?"""
+    from benchmarks.trade.promise import ACCURACIES, measure
+
+    asked = tuple(share_of("--accuracy", text) for text in accuracy or ()) or ACCURACIES
+    found = measure(scene or (), accuracies=asked, objects=objects, touches=touches, workers=workers, out=out,
+                    budget=None if budget is None else seconds_of("--budget", budget), progress=step)
+    report(found.text(), found.record(), json, indent=1)
+
+
+@app.command()
+def ranking(fidelity: Annotated[list[str] | None, typer.Option(help="Only this one beside fem; may be given again.")] =
+            None,
+            objects: Annotated[int, typer.Option(min=4, help="Half of them to learn from.")] = 24,
+            touches: Annotated[int, typer.Option(min=8, help="Of each.")] = 10,
+            workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+            out: Annotated[Path, typer.Option(help="Folder of the data and scores; a later run goes on with it.")] =
+            Path("ranking"), json: JsonFile = None) -> None:
+    """What fidelity does to a ranking of methods: Kendall's tau against the ranking on fem."""
+    from benchmarks.trade.ranking import FIDELITIES, measure
+
+    for name in fidelity or []:
+        check_choice("--fidelity", name, tuple(f.name for f in FIDELITIES))
+    found = measure(fidelities=fidelity or (), objects=objects, touches=touches, workers=workers, out=out,
+                    progress=step)
+    report(found.text(), found.record(), json, indent=1)
