@@ -5,6 +5,7 @@ page; the README's table stands between two marks, since GitHub includes nothing
 test compares them with what ships; the others measure, for minutes, on the machine that they name.
 """
 
+import dataclasses
 import functools
 import importlib
 import re
@@ -119,13 +120,28 @@ def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> st
     operands = [datasets() / dataset] if dataset else []
     found = importlib.import_module(f"benchmarks.{name.replace('-', '_')}").measure(*operands, progress=print)
     words = f"{name} datasets/{dataset}" if dataset else name
-    parts = [f"<!-- vsfsim measure {words}: version {found.version}, commit {found.commit} -->\n"
-             f"{found.machine}, {found.date}.\n"]
-    for table in found.tables[first:first + tables]:
+    return written(found, words, f"{found.machine}, {found.date}.", found.tables[first:first + tables])
+
+
+def written(found: Any, words: str, about: str, tables: list) -> str:
+    """Tables of a measurement below the command that prints them and a sentence ``about`` them."""
+    parts = [f"<!-- vsfsim measure {words}: version {found.version}, commit {found.commit} -->\n{about}\n"]
+    for table in tables:
         rows = [[column.cell(row) for column in table.columns] for row in table.rows]
         parts.append(f"{table.title[0].upper()}{table.title[1:]}:\n\n"
                      + piped([column.title() for column in table.columns], rows))
     return "\n".join(parts)
+
+
+def trust() -> str:
+    """The tables of `vsfsim measure trust` from the presses in measured/trust.jsonl, which took a large machine."""
+    sys.path.insert(0, str(ROOT))
+    found = dataclasses.replace(
+        (known := importlib.import_module("benchmarks.trust").stored(FOLDER / "trust.jsonl")),
+        version=known.settings["version"], commit=known.settings["commit"])
+    of = found.settings
+    return written(found, f"trust --cells {of['cells']} --seed {of['seed']} --limit {of['limit']:g}",
+                   f"{of['cells']} presses of seed {of['seed']}; {'; '.join(found.notes)}.", list(found.tables))
 
 
 def tradeoff(scene: str, **options: Any) -> str:
@@ -152,7 +168,7 @@ def tradeoff(scene: str, **options: Any) -> str:
 
 MEASURED: dict[str, Callable[[], str]] = {
     **{name: partial(result, name) for name in included()},
-    "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
+    "trust": trust, "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
     "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
     "tradeoff-shoes-v3-mini": partial(tradeoff, "shoes-v3-mini", touches=2,

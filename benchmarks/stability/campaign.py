@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import gc
 import json
-import multiprocessing as mp
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.stability.design import Cell
 from benchmarks.stability.judge import LATE, Outcome, Verdict, judge
+from benchmarks.stability.team import Ended, answers, kept
 from vsfsim.core.errors import VsfsimError
 from vsfsim.data.disk import write_atomic
 from vsfsim.physics.solve.frames import Reason
 
+COMMAND = "vsfsim stability"
 FRAMES = 80  # more than any cell has
 SPARE = 180.0  # for meshes, factors and kernels of a cell [s]
 
@@ -26,29 +25,17 @@ def finished(file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
     """The verdicts that a file already holds; a new file gets its first line.
 
     Args:
-        file: JSON lines: first the circumstances, then one verdict a line. A last line that was cut off by an
-            interruption is removed.
+        file: see `team.kept`.
         circumstances: what must be the same for verdicts to be comparable: limit, commit and version.
 
     Raises:
-        VsfsimError: the file cannot be read, or was made under other circumstances.
+        VsfsimError: see `team.kept`.
     """
-    if not file.exists():
-        file.write_text(json.dumps(circumstances) + "\n")
-        return []
-    lines = file.read_text().split("\n")
+    rows = kept(file, circumstances, COMMAND)
     try:
-        found = json.loads(lines[0])
-        rows = [Verdict.of(json.loads(line)) for line in lines[1:-1]]
+        return [Verdict.of(row) for row in rows]
     except (ValueError, KeyError, TypeError) as error:
-        raise VsfsimError(f"{file} is not a file of `vsfsim stability` ({error}). Give another folder.") from None
-    for name, value in circumstances.items():
-        if found.get(name) != value:
-            raise VsfsimError(f"{file} was made with {name} {found.get(name)!r}, and this run has {value!r}; their "
-                              f"cells cannot be put together. Give another folder, or delete the file.")
-    if lines[-1]:
-        file.write_text("\n".join(lines[:-1]) + "\n")
-    return rows
+        raise VsfsimError(f"{file} is not a file of `{COMMAND}` ({error}). Give another folder.") from None
 
 
 def take_over(before: Path, file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
@@ -94,16 +81,6 @@ def _first_line(file: Path) -> dict[str, Any]:
         raise VsfsimError(f"{file} is not a file of `vsfsim stability` ({error}). Give another folder.") from None
 
 
-@dataclass
-class _Worker:
-    """A process that judges cells, and what it is doing."""
-
-    process: mp.process.BaseProcess
-    pipe: Connection
-    cell: Cell | None = None
-    since: float = 0.0
-
-
 def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device: str = "cpu",
         budget: float | None = None, circumstances: dict[str, Any] | None = None,
         progress: Callable[[int, int, str], None] | None = None) -> list[Verdict]:
@@ -129,76 +106,26 @@ def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device
         VsfsimError: see `finished`.
     """
     done = {v.cell.key: v for v in finished(file, {"limit": limit, "device": device, **(circumstances or {})})}
-    waiting = [c for c in cells if c.key not in done][::-1]
-    began, team = time.perf_counter(), [_start(limit, device) for _ in range(min(workers, len(waiting)))]
-    try:
-        with file.open("a") as out:
-            while True:
-                over = budget is not None and time.perf_counter() - began > budget
-                for worker in team:
-                    if worker.cell is None and waiting and not over:
-                        worker.cell, worker.since = waiting.pop(), time.perf_counter()
-                        worker.pipe.send(worker.cell)
-                busy = [w for w in team if w.cell is not None]
-                if not busy:
-                    break
-                ready = wait([w.pipe for w in busy], timeout=1.0)
-                for k, worker in enumerate(team):
-                    verdict = _verdict(worker, ready, limit)
-                    if verdict is None:
-                        continue
-                    out.write(json.dumps(verdict.table()) + "\n")
-                    out.flush()
-                    done[verdict.cell.key] = verdict
-                    if worker.process.is_alive():
-                        worker.cell = None
-                    else:
-                        team[k] = _start(limit, device)
-                    if progress is not None:
-                        progress(sum(c.key in done for c in cells), len(cells), "cells")
-    finally:
-        for worker in team:
-            worker.process.kill()
+    waiting = [c for c in cells if c.key not in done]
+    with file.open("a") as out:
+        for cell, found in answers(waiting, partial(_work, limit=limit, device=device), workers=workers,
+                                   most=FRAMES * LATE * limit + SPARE, budget=budget):
+            if isinstance(found, Ended):
+                outcome = Outcome.LATE if found.late else Outcome.CRASHED
+                found = Verdict(cell, outcome, (found.words,), seconds=found.seconds)
+            out.write(json.dumps(found.table()) + "\n")
+            out.flush()
+            done[cell.key] = found
+            if progress is not None:
+                progress(sum(c.key in done for c in cells), len(cells), "cells")
     return [done[c.key] for c in cells if c.key in done]
 
 
-def _start(limit: float, device: str) -> _Worker:
-    context = mp.get_context("spawn")
-    mine, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(theirs, limit, device), daemon=True)
-    process.start()
-    theirs.close()
-    return _Worker(process, mine)
+def _work(cell: Cell, limit: float, device: str) -> Verdict:
+    found = judge(cell, limit, device)
+    if device != "cpu":
+        import torch
 
-
-def _verdict(worker: _Worker, ready: Sequence[Any], limit: float) -> Verdict | None:
-    """The verdict of a worker that has one, or that had to be ended."""
-    if worker.cell is None:
-        return None
-    spent = time.perf_counter() - worker.since
-    if worker.pipe in ready:
-        try:
-            return worker.pipe.recv()
-        except (EOFError, OSError):
-            worker.process.join()
-            return Verdict(worker.cell, Outcome.CRASHED, (f"the process ended with code {worker.process.exitcode}",),
-                           seconds=spent)
-    if spent > FRAMES * LATE * limit + SPARE:
-        worker.process.kill()
-        worker.process.join()
-        return Verdict(worker.cell, Outcome.LATE, (f"no answer within {spent:.0f} s",), seconds=spent)
-    return None
-
-
-def _work(pipe: Connection, limit: float, device: str) -> None:
-    while True:
-        try:
-            cell = pipe.recv()
-        except EOFError:
-            return
-        pipe.send(judge(cell, limit, device))
-        if device != "cpu":
-            import torch
-
-            gc.collect()
-            torch.cuda.empty_cache()  # for the other processes
+        gc.collect()
+        torch.cuda.empty_cache()  # for the other processes
+    return found

@@ -92,7 +92,8 @@ path = {way}
 rotation = {turns}
 {{frames}}
 """
-    coarse = float(rng.uniform(1.2, 1.8)) if rng.random() < 0.25 else 1.0
+    # the reference of most meshes of tier fem would take minutes
+    coarse = float(rng.uniform(1.2, 1.8)) if rng.random() < (0.6 if tier == "fem" else 0.25) else 1.0
     kinds = (where, "foam" if foam else kind, probe.split(" ")[0], path + (", back" if retract else ""),
              f"mu {friction:g}", "coarse" if coarse > 1.0 else "default mesh", tier, f"depth {depth:.2f}")
     return Press(kinds, tier, text, frames, coarse, retract)

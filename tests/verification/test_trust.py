@@ -1,12 +1,12 @@
 """The trust map: its presses are what users write, at random places, and what it calls wrong is wrong and unmarked."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks import trust
+from benchmarks.stability.team import Ended, Late
 from benchmarks.trust import compare
 from benchmarks.trust.design import Press, press
 from vsfsim.core.errors import VsfsimError
@@ -45,20 +45,40 @@ def test_a_frame_that_is_off_and_not_marked_is_wrong_in_silence(own, outcome, er
     assert error is None or found.error == pytest.approx(error)
 
 
+def one_after_the_other(jobs, work, *, workers, most, budget):
+    """In place of `answers`: verdicts by number, and a process that dies at 3."""
+    known = [compare.Verdict(0, "sound", ("box",), 0.03), compare.Verdict(1, "wrong", ("ball", "slide, wall"), 0.4),
+             compare.Verdict(2, "marked", ("box",), None, 1.0), Ended(False, "it died", 1.0),
+             compare.Verdict(4, "no reference", ("box",), words="it took too long")]
+    return [(job, known[job[1]]) for job in jobs]
+
+
 def test_the_report_counts_and_a_run_goes_on(tmp_path, monkeypatch):
-    rows = [compare.Verdict(0, "sound", ("box",), 0.03), compare.Verdict(1, "wrong", ("ball",), 0.4),
-            compare.Verdict(2, "marked", ("box",), None, 1.0), compare.Verdict(3, "no reference", ("box",))]
-    asked = []
-    monkeypatch.setattr(trust, "judge", lambda seed, number: asked.append(number) or rows[number])
+    monkeypatch.setattr(trust, "answers", one_after_the_other)
+    monkeypatch.setattr(trust, "_compile", lambda: None)
     file = tmp_path / "cells.jsonl"
     trust.measure(2, 5, file)
-    found = trust.measure(4, 5, file).record()
-    assert asked == [0, 1, 2, 3] and len(file.read_text().splitlines()) == 4
+    with file.open("a") as out:
+        out.write('{"number": 2, "outc')  # a run that was killed
+    found = trust.measure(5, 5, file).record()
+    assert [row["number"] for row in found["every_cell"]] == [0, 1, 2, 3, 4]
     every = found["shares"][0]
-    assert every["number"] == 3 and every["wrong"] == pytest.approx(1 / 3) and every["within_5"] == pytest.approx(1 / 3)
-    assert [row["number"] for row in found["wrong"]] == [1]
-    with pytest.raises(VsfsimError, match="another seed"):
+    assert (every["cells"], every["judged"]) == (5, 3) and every["without"] == pytest.approx(0.4)
+    assert every["wrong"] == pytest.approx(1 / 3) and every["within_5"] == every["marked"] == every["wrong"]
+    assert [row["number"] for row in found["wrong"]] == [1] and "wall" in [row["kind"] for row in found["shares"]]
+    assert {row["why"] for row in found["others"]} == {"crashed: it died", "no reference: it took too long"}
+    assert trust.stored(file).record()["shares"] == found["shares"]
+    with pytest.raises(VsfsimError, match="made with seed 5"):
         trust.measure(1, 6, file)
-    file.write_text(json.dumps([1]))
-    with pytest.raises(VsfsimError, match="not a file of"):
-        trust.measure(1, 5, file)
+
+
+def late(*_):
+    raise Late
+
+
+@pytest.mark.parametrize(("what", "outcome", "words"), [
+    (late, "not judged", "the press took too long"), (lambda *_: 1 / 0, "crashed", "ZeroDivisionError")])
+def test_what_goes_wrong_in_a_cell_is_a_verdict(what, outcome, words, monkeypatch):
+    monkeypatch.setattr(compare, "_press", what)
+    found = compare.judge((5, 0), limit=1.0)
+    assert found.outcome == outcome and words in found.words and found.kinds
