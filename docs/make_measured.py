@@ -171,6 +171,7 @@ MEASURED: dict[str, Callable[[], str]] = {
     "trust": trust, "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
     "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
+    "built": partial(measurement, "built", 1),
     "tradeoff-shoes-v3-mini": partial(tradeoff, "shoes-v3-mini", touches=2,
                                       tiers_only=("vsf", "linear", "fem-coarse", "fem")),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}

@@ -57,3 +57,12 @@ def ranking(fidelity: Annotated[list[str] | None, typer.Option(help="Only this o
     found = measure(fidelities=fidelity or (), objects=objects, touches=touches, workers=workers, out=out,
                     progress=step)
     report(found.text(), found.record(), json, indent=1)
+
+
+@app.command()
+def effectivity(json: JsonFile = None) -> None:
+    """Estimates of the force's error, by the contact's radius and by a dual-weighted residual, on S1 and S2."""
+    from benchmarks.trade.effectivity import measure
+
+    found = measure(progress=step)
+    report(found.text(), found.record(), json, indent=1)

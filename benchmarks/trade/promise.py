@@ -39,7 +39,7 @@ SCENES = ("foam-block", "shoes-v3-mini", "column", "shoes-v2-punyo-mini", "plant
 """An even body, a shell of many parts, layers, a bubble on a shell, a plant under an arm."""
 ACCURACIES = (0.05, 0.02, 0.01)
 EAGER = 4
-"""Processes from which on all that may be asked for is made at once."""
+"""Processes from which on the whole pilot is made at once, and not only as far as it chooses."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,9 +114,8 @@ def audit_error(curve: Curve, finer: Curve) -> float:
 def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:
     """One an accuracy: what was chosen, kept and paid."""
     if trial.pieces.workers > EAGER:
-        all_ = [p for ladder in trial.ladders() for p in ladder]
-        all_ += [trial.piece(n, s) for s in trial.settings for n in (*trial.pilot, *trial.held)]
-        trial.pieces.ask(all_)
+        costly = [trial.piece(n, s) for s in reversed(trial.settings) for n in trial.pilot]
+        trial.pieces.ask(costly + [p for ladder in trial.ladders() for p in reversed(ladder)])
     ladders = trial.ladders()
     found = iter(trial.pieces.ask(p for ladder in ladders for p in ladder))
     bounds, shares = [], []
@@ -132,11 +131,15 @@ def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:
         return [{"said": "the time was over in the pilot"}]
     if not any(own["force"].known for own in bounds):
         return [{"said": f"refused: of no touch of the pilot is the limit known; {bounds[0]['force'].why}"}]
-    return [{"asked": asked, **_row(trial, asked, bounds, shares)} for asked in accuracies]
+    choices = {asked: choose(trial.points(bounds, shares), asked) for asked in accuracies}
+    dearest = max((trial.settings.index(chosen[0]) for chosen, _ in choices.values() if chosen), default=-1)
+    audits = [p for chosen, _ in choices.values() if chosen for p in trial.audits(chosen[0])]
+    trial.pieces.ask([*audits, *(trial.piece(n, s) for s in trial.settings[dearest::-1] for n in trial.held)]
+                     if dearest >= 0 else [])
+    return [{"asked": asked, **_row(trial, asked, *choices[asked])} for asked in accuracies]
 
 
-def _row(trial: Trial, asked: float, bounds: list[dict[str, Limit]], shares: list[np.ndarray]) -> dict[str, Any]:
-    chosen, best = choose(trial.points(bounds, shares), asked)
+def _row(trial: Trial, asked: float, chosen: tuple[Setting, Point] | None, best: Point | None) -> dict[str, Any]:
     if best is None:
         return {"said": "the time was over in the pilot"}
     if chosen is None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import Device, JsonFile, SceneName, Seed, check_choice, seconds_of
+from vsfsim.cli.options import Device, JsonFile, SceneName, Seed, check_choice, picture_option, seconds_of
 
 app = typer.Typer()
 
@@ -31,6 +31,7 @@ def tradeoff(scene: SceneName,
              check: Annotated[Path | None, typer.Option(metavar="FILE", exists=True, dir_okay=False,
                                                         help="Compare with the points.jsonl of an earlier run, costs "
                                                              "by their ratios; exit code 3 where they differ.")] = None,
+             picture: Annotated[Path | None, picture_option("Also draw error against time here.")] = None,
              seed: Seed = 0, device: Device = "cpu", json: JsonFile = None) -> None:
     """Measure what a cheaper simulation of a scene costs its readings.
 
@@ -56,6 +57,10 @@ def tradeoff(scene: SceneName,
         found, changed = command.tradeoff(loaded, folder, touches=touches, objects=objects, seed=seed,
                                           device=device, budget=seconds, tiers_only=tuple(tier or ()),
                                           axes=tuple(axis or ()), check=check, progress=progress)
+    if picture is not None and found.points:
+        from vsfsim.generate.trade.plot import draw
+
+        draw(found.points, f"{found.scene}: {found.what}", picture)
     page = [f"page: {folder / 'tradeoff.html'}"] * bool(found.points)
     words = [found.text(), *page, *(f"changed: {sentence}" for sentence in changed)]
     report("\n".join(words), {**found.table(), "changed": changed}, json)

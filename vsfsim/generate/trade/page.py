@@ -11,7 +11,7 @@ from vsfsim.generate.trade.front import Point
 
 WIDTH, HEIGHT = 900, 500  # of the chart [px]
 LEFT, RIGHT, TOP, BOTTOM = 70, 110, 16, 48  # around its axes [px]
-_COLOURS = {"vsf": "#7f7f7f", "spring": "#cc79a7", "linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73",
+COLOURS = {"vsf": "#7f7f7f", "spring": "#cc79a7", "linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73",
             "fem-fine": "#d55e00", "bubble": "#56b4e9"}
 """Of the tiers (Okabe and Ito 2008, which people with colour blindness tell apart)."""
 _STYLE = """
@@ -84,7 +84,7 @@ def chart(points: Sequence[Point]) -> str:
                    f'stroke="var(--faint)" stroke-dasharray="6 4"/><text class="faint" x="{WIDTH - RIGHT - 6}" '
                    f'y="{y.at(bar) - 5:.1f}" text-anchor="end">error of the limit</text>')
     for number, tier in enumerate(dict.fromkeys(p.tier for p in shown)):
-        colour = _COLOURS.get(tier, "#8c6bb1")
+        colour = COLOURS.get(tier, "#8c6bb1")
         own = sorted((p for p in shown if p.tier == tier), key=lambda p: p.cpu)
         line = [p for p in own if p.key.count(",") <= 1]  # by element size alone
         if len(line) > 1:
