@@ -13,7 +13,6 @@ import numpy as np
 from vsfsim.physics import tiers
 from vsfsim.physics.solve import newton, tangent_factor, touches
 from vsfsim.physics.solve.branch import Branch
-from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver
 
 _NEVER = 10**9  # iterations after which something is done
@@ -36,15 +35,9 @@ MECHANISMS: dict[str, tuple[str, Patch]] = {
         Branch, bar=lambda *_: None, mark=lambda *_, **__: None,
         repeats=lambda _self, columns, _pose: np.zeros(len(columns), bool))),
     "doubts": ("a step that lacks energy is made again in shorter ones", _set(touches, _DOUBTS=0)),
-    "softening": ("softer contact leads a body that goes deep", _set(
-        Solver, _far_from_balance=lambda _self, measure: measure < 0.0)),
     # without it the cell "box" keeps two of four frames, at eight times the CPU time
     "correction": ("every Newton step is corrected by a condensed problem", _set(
         newton, correct=lambda _balance, _columns, direction, *_: direction)),
-    "modes": ("a line search follows modes of negative curvature", _set(Equilibrium, _follows_modes=False)),
-    "shifts": ("a tangent with negative curvature is shifted", _set(newton, _SHIFTS=0)),
-    "second-order": ("a step of a nearly incompressible body is corrected at its end", _set(
-        Equilibrium, _second_order=lambda self, columns, _residual: self.evaluate(columns))),
     "local factors": ("a factor of the most deformed nodes corrects the factor at rest", _set(
         tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER)),
     "factors": ("a factor of a deformed state preconditions", _set(

@@ -22,7 +22,7 @@ class Contact(Protocol):
     has_friction: bool
     """Whether any pair of surfaces has a friction coefficient above 0."""
     softening: torch.Tensor
-    """Factor on the contact stiffness (B,) [-]: 1, but on the way to a frame that is hard to reach."""
+    """Factor on the contact stiffness (B,) [-]: 1, but 0 while an object comes to rest under its weight."""
     dof: torch.Tensor
     """Degrees of freedom of the patches (B, 3 s); -1 is padding."""
     mask: torch.Tensor

@@ -29,7 +29,7 @@ from vsfsim.physics.solve import path
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.prediction import Known
-from vsfsim.physics.solve.touches import FAR, Rows, Solver
+from vsfsim.physics.solve.touches import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
 _ENOUGH = 200  # nodes of the sensor that are looked at
@@ -249,11 +249,6 @@ class CoupledSolver(Solver):
         # the condensed problem costs as much as a Newton step here, and the extrapolation is the better guess except
         # where the path turns, where there is only the other one
         return super()._guesses(now, last, pose, here)[-1:]
-
-    def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
-        # the condensed problem finds the contact of a soft pair from anywhere; a measure of 1 is often just a membrane
-        # slightly off its pressure
-        return measure > FAR
 
     def _record(self, converged: np.ndarray) -> None:
         u = self._balance.u

@@ -36,8 +36,7 @@ def linear_tolerance(options: SolverOptions, near: torch.Tensor, left: torch.Ten
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
-                     plain: bool = False, deadline: float = float("inf"), shift: torch.Tensor | None = None,
-                     factors: TangentFactors | None = None, mode: torch.Tensor | None = None,
+                     plain: bool = False, deadline: float = float("inf"), factors: TangentFactors | None = None,
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`, or by `gmres` where the contact is not symmetric.
 
@@ -49,12 +48,12 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
-        plain, deadline, shift, mode: see `pcg.solve`.
+        plain, deadline: see `pcg.solve`.
         factors: of deformed states, which precondition the touches that have one; they note the iterations.
 
     Returns:
-        Directions (3 n, k) [m]; iterations of each (k,); the negative curvature that each met (k,) [-], 0 for none and
-        with `gmres`; the contact stiffness used (k, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool, none with `gmres`; and
+        the contact stiffness used (k, 3 s, 3 s) [N/m].
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
@@ -122,19 +121,15 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     if not contact.symmetric:
         direction, steps = gmres.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                        deadline=deadline)
-        return direction, steps, torch.zeros_like(tolerance), stiffness
-    direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
-                                           plain=plain, deadline=deadline, shift=shift, mode=mode)
+        return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool), stiffness
+    direction, steps, curved = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
+                                         plain=plain, deadline=deadline)
     if factors is not None:
-        factors.count(columns, steps, negative)
+        factors.count(columns, steps, curved)
         # a factor in short numbers may round to an indefinite one: then there is no step, and it is dropped
         none = ((steps == 0) & (residual != 0.0).any(dim=0)).nonzero()[:, 0]
         if len(none) and factors.drop(columns[none]):
-            inner = None if mode is None else torch.zeros_like(mode[:, none])
-            direction[:, none], steps[none], negative[none], stiffness[none] = newton_direction(
+            direction[:, none], steps[none], curved[none], stiffness[none] = newton_direction(
                 elasticity, contact, columns[none], residual[:, none], near=near[none], tolerance=tolerance[none],
-                iterations=iterations, plain=plain, deadline=deadline, shift=None if shift is None else shift[none],
-                factors=factors, mode=inner)
-            if mode is not None:
-                mode[:, none] = inner
-    return direction, steps, negative, stiffness
+                iterations=iterations, plain=plain, deadline=deadline, factors=factors)
+    return direction, steps, curved, stiffness

@@ -4,8 +4,8 @@
 
 Each linear system is solved by `pcg`, or by `gmres` where contact is not symmetric, preconditioned by the rest-state
 inverse with the contact block inverted exactly, or by a factor of a deformed state (`tangent_factor`).
-Far from the solution, and after a step that failed, the tangent is projected to positive semi-definite; near it, and
-under planes, the true one serves, and one that has negative curvature is shifted until it has none (`_descend`).
+Far from the solution, after a step that failed, and where the true tangent meets negative curvature, the tangent is
+projected to positive semi-definite; else the true one serves.
 
 The *measure* of a touch is the sum of the lengths of its unbalanced nodal forces over that of the acting ones [-].
 """
@@ -26,11 +26,9 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
-from vsfsim.physics.solve.step import LARGE, correct, farther
+from vsfsim.physics.solve.step import correct
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
-_SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3  # of negative curvature: least, from which on it creeps; times
-_SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, that points on the wrong side of a body may cost before a touch counts as lost
 _BARRED, _SHORT = 2, 0.1
 State = dict[str, torch.Tensor]
@@ -160,9 +158,7 @@ class Equilibrium:
         idle = torch.zeros_like(least, dtype=torch.int64)
         rounded = torch.zeros_like(stuck)  # at the floor of rounding
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
-        self._foreign = torch.zeros_like(self.every, dtype=torch.bool)  # whose tangent belongs to another state
         self._barred = torch.zeros_like(self.every)  # steps in a row that points on the wrong side of a body kept short
-        self._shift = torch.zeros(len(self.every), dtype=torch.float64, device=self.device)
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
@@ -204,14 +200,11 @@ class Equilibrium:
             # that of the step before is as good. Under planes contact has no geometric term, which spoils the true one.
             far = (before > 0.3) | safe[open_]
             convex = safe[open_] if self.contact.shifts and not has_friction and self.contact.flat else far
-            fresh = renew[open_] | (before > 0.05) | self._foreign[active]
-            fresh |= self.factors.renew(active, self.u, deadline)
-            self._foreign[active] = False
+            fresh = renew[open_] | (before > 0.05) | self.factors.renew(active, self.u, deadline)
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
-            direction, steps, curved, stiffness, mode = self._descend(active, state["residual"][:, open_], ~far,
-                                                                      idle[open_] > 0)
+            direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far)
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
@@ -219,11 +212,6 @@ class Equilibrium:
             if self.contact.shifts or not bool(follows.all()):
                 plain = correct(self, active, direction, stiffness, state["residual"][:, open_])
             plain = plain if self.contact.shifts else torch.where(follows, direction, plain)
-            slow = ((idle[open_] > 0) & ~far).nonzero()[:, 0]
-            if self._follows_modes and len(slow):
-                plain[:, slow] = farther(self, active[slow], plain[:, slow], (direction[:, slow], mode[:, slow]),
-                                         stiffness[slow], state["residual"][:, open_[slow]],
-                                         state["wrong_side"][open_[slow]])
             moved = self._step(active, open_, (plain, direction), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
@@ -249,81 +237,35 @@ class Equilibrium:
         self.reason[columns[balanced & (state["det"] < CRUSHED)].cpu().numpy()] = Reason.CRUSHED
         self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
-    @property
-    def _follows_modes(self) -> bool:
-        """Whether a line search follows modes of negative curvature: without friction the potential tells which of two
-        states of a solid is the better one, and on a patch that is not large what is tried costs little."""
-        return self.contact.shifts and not self.contact.has_friction and self.contact.dof.shape[1] <= LARGE
-
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
         with clock.measure("tangents"):
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
-    def _descend(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
-                 creeps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any, torch.Tensor]:
-        """Directions of descent (3 n, k) [m], the iterations that they took (k,), which met negative curvature (k,)
-        bool, the contact stiffness that they were found with, and modes of negative curvature to follow (3 n, k) [m], 0
-        for none.
+    def _descend(self, columns: torch.Tensor, residual: torch.Tensor,
+                 near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
+        """Directions of descent (3 n, k) [m], the iterations that they took (k,), and which met negative curvature (k,)
+        bool: these are found with the projected tangent, without the geometric term of the contact."""
+        direction, steps, curved, stiffness = self._direction(columns, residual, near)
+        if bool(curved.any()) and clock.now() <= self._deadline:
+            self._tangent(columns[curved], projected=True)
+            direction[:, curved], more, _, stiffness[curved] = self._direction(
+                columns[curved], residual[:, curved], torch.zeros_like(near[curved]))
+            steps[curved] += more
+        return direction, steps, curved, stiffness
 
-        A tangent with negative curvature is shifted until it has none, in units of the preconditioner (Nocedal and
-        Wright 2006, algorithm 3.3); later iterations begin with a part of that shift. Along a mode that is just
-        unstable a step then multiplies what has begun, where the projected tangent, which has lost all negative terms
-        of its elements, creeps. That one is taken where shifts do not suffice, or are so large that they creep, too.
-
-        Before that the geometric term of the contact is left out, without which the tangent is convex under a ball that
-        is deep in a body: its surface may slide around the ball, and the equilibrium that is nearest is a saddle. Where
-        the residual ``creeps`` (k,) bool, the shift leads on from there, or without friction the mode itself, along
-        which the potential tells how far (Steihaug 1983, with a line search in place of a trust region).
-        """
-        shift = self._shift[columns]
-        mode = torch.zeros((len(self.u), len(columns)), dtype=self.real, device=self.device)
-        direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift, mode=mode)
-        curved = negative > 0.0
-        if self._follows_modes:
-            negative[creeps & near] = 0.0
-        mode[:, ~(creeps & near)] = 0.0
-        shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)
-        at = (curved & ~creeps).nonzero()[:, 0]
-        if self.contact.shifts and len(at):
-            near = near.clone()
-            near[at] = False
-            direction[:, at], more, negative[at], stiffness[at] = self._direction(columns[at], residual[:, at],
-                                                                                  near[at])
-            steps[at] += more
-        for _ in range(_SHIFTS if self.contact.shifts else 0):
-            at = ((negative > 0.0) & (shift < _MOST_SHIFT)).nonzero()[:, 0]
-            if not len(at) or clock.now() > self._deadline:
-                break
-            shift[at] = torch.maximum(4.0 * shift[at] + 2.0 * negative[at], torch.full_like(shift[at], _SHIFT))
-            direction[:, at], more, negative[at], _ = self._direction(columns[at], residual[:, at], near[at],
-                                                                      shift=shift[at])
-            steps[at] += more
-        left = negative > 0.0
-        if bool(left.any()) and clock.now() <= self._deadline:
-            shift[left] = 0.0
-            self._tangent(columns[left], projected=True)
-            direction[:, left], more, _, stiffness[left] = self._direction(
-                columns[left], residual[:, left], torch.zeros_like(near[left]))
-            steps[left] += more
-        self._shift[columns] = shift
-        return direction, steps, curved, stiffness, mode
-
-    def _direction(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
-                   iterations: int | None = None, shift: torch.Tensor | None = None, mode: torch.Tensor | None = None,
-                   ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
+                   near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
         opt = self.options
         left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
-                                iterations=iterations or opt.cg, plain=opt.cg_plain, deadline=self._deadline,
-                                tolerance=linear_tolerance(opt, near, left), shift=shift, factors=self.factors,
-                                mode=mode)
+                                iterations=opt.cg, plain=opt.cg_plain, deadline=self._deadline,
+                                tolerance=linear_tolerance(opt, near, left), factors=self.factors)
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, directions: tuple[torch.Tensor, torch.Tensor],
               state: State, tolerance: float) -> torch.Tensor:
-        """Halve the step until the potential falls by Armijo's rule, or the residual decreases where rounding hides the
-        fall.
+        """Halve the step until the potential falls, along ``directions`` (3 n, k) [m] in turn, or the residual
+        decreases where rounding hides the fall.
 
-        ``directions`` (3 n, k) [m]: at every length the first is tried, and where it fails the second.
         ``at``: entries of ``columns`` in ``state``, which is updated. Returns which touches moved (k,) bool.
         """
         base = self.u[:, columns]
@@ -331,7 +273,7 @@ class Equilibrium:
         slopes = [(state["residual"][:, at] * direction).sum(dim=0) for direction in directions]
         step = torch.ones_like(slopes[0])
         differ = (directions[0] != directions[1]).any(dim=0)
-        barred = torch.zeros_like(differ)
+        barred = torch.zeros_like(step, dtype=torch.bool)
 
         def accepted(new: State, pending: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
             way = step[pending] * slope[pending]
@@ -347,7 +289,7 @@ class Equilibrium:
             barred[pending] |= good & beyond
             return good & ~beyond
 
-        moved, pending = torch.zeros_like(differ), torch.arange(len(columns), device=self.device)
+        moved, pending = torch.zeros_like(barred), torch.arange(len(columns), device=self.device)
         for halvings in range(12):
             if halvings and clock.now() > self._deadline:
                 break
@@ -358,12 +300,6 @@ class Equilibrium:
                 self.u[:, columns[trying]] = base[:, trying] + step[trying].to(self.real) * direction[:, trying]
                 new = self.evaluate(columns[trying])
                 good = accepted(new, trying, slope)
-                bent = (~good).nonzero()[:, 0]
-                if len(bent) and self.model.keeps_volume:
-                    later = self._second_order(columns[trying[bent]], new["residual"][:, bent])
-                    for key in new:
-                        new[key][..., bent] = later[key]
-                    good[bent] = accepted(later, trying[bent], slope)
                 done = trying[good]
                 for key in state:
                     state[key][..., at[done]] = new[key][..., good]
@@ -379,20 +315,6 @@ class Equilibrium:
             self.u[:, columns[pending]] = base[:, pending]
             self.evaluate(columns[pending])
         return moved
-
-    def _second_order(self, columns: torch.Tensor, residual: torch.Tensor) -> State:
-        """Correct a step at its end, where ``residual`` (3 n, k) [N] is unbalanced; returns the state there.
-
-        Points move along straight lines, which at second order of the step changes a volume that hardly can change
-        (Maratos effect; Nocedal and Wright 2006, section 15.5). A few iterations take most of that back, where halving
-        the step would leave a sixteenth of it.
-        """
-        self._tangent(columns, projected=True)
-        self._foreign[columns] = True
-        more, steps, _, _ = self._direction(columns, residual, torch.zeros_like(columns, dtype=torch.bool), _SECOND)
-        self.cg[columns.cpu().numpy()] += steps.cpu().numpy()
-        self.u[:, columns] += more
-        return self.evaluate(columns)
 
 
 def _size(v: torch.Tensor) -> torch.Tensor:

@@ -18,7 +18,6 @@ import torch
 from vsfsim.physics import clock
 
 Operator = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
-_LEAST = 1e-6  # negative curvature that is told [-]
 _COMPACT = 0.7  # share of running columns under which the others are dropped from the tensors
 
 
@@ -29,9 +28,8 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
           iterations: int, plain: bool = False, deadline: float = float("inf"),
-          shift: torch.Tensor | None = None,
-          mode: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Solve (A + ``shift`` M) x = ``right`` from x = 0.
+          ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Solve A x = ``right`` from x = 0.
 
     Args:
         multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument names the columns of ``right``
@@ -43,39 +41,29 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             preconditioner's norm.
         deadline: `clock.now` after which no iteration begins and the preconditioner is not used again [s]; x is
             then what was reached, a direction of descent all the same.
-        shift: of each column (k,) [-], none by default. It costs no product with M: M p follows from the residuals.
-        mode: takes the direction of negative curvature of each column that meets one (3 n, k): descent, as long as the
-            step would be if the curvature were positive.
 
     Returns:
-        x (3 n, k), iterations of each column (k,), and the negative curvature that each met, -p.(A + shift M) p / p.M p
-        (k,) [-], 0 for none: such a column keeps its last x, or the first direction.
+        x (3 n, k), iterations of each column (k,), and which met negative curvature (k,) bool: such a column keeps its
+        last x, or the first direction.
     """
     which: torch.Tensor | None = None
     out = torch.zeros_like(right)
     x = out
     r = right.clone()
     z = precondition(r, None)
-    p, mp = z.clone(), r.clone()  # M p is r where p is M^-1 r, and p changes by residuals only
+    p = z.clone()
     rz = column_dots(r, z)
     start = (column_dots(r, r) if plain else rz).clamp(min=1e-300)
     running = rz > 0.0
-    negative = torch.zeros_like(rz)
+    curved = torch.zeros_like(rz, dtype=torch.bool)
     steps = torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
     for step in range(iterations):
         if step and clock.now() > deadline:
             break
         ap = multiply(p, which)
-        if shift is not None:
-            ap = ap + shift.to(ap.dtype) * mp
         pap = column_dots(p, ap)
         bad = running & ~(pap > 0.0)
-        if bool(bad.any()):
-            met = torch.where(bad, (-pap / column_dots(p, mp).clamp(min=1e-300)).clamp(min=_LEAST), 0.0)
-            negative[slice(None) if which is None else which] += met
-            if mode is not None:
-                at = bad.nonzero()[:, 0]
-                mode[:, at if which is None else which[at]] = p[:, at] * (rz / (-pap).clamp(min=1e-300))[at].to(p.dtype)
+        curved[slice(None) if which is None else which] |= bad
         steps[slice(None) if which is None else which] += running
         if step == 0:
             x += p * bad
@@ -98,7 +86,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             if left == 0:
                 break
         beta = torch.where(goes_on, fresh / torch.where(rz > 0.0, rz, 1.0), 0.0).to(right.dtype)
-        p, mp = z + beta * p, r + beta * mp
+        p = z + beta * p
         rz = torch.where(running, fresh, rz)
         running = goes_on
         if left < _COMPACT * len(running):
@@ -106,10 +94,9 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
                 out[:, which] = x
             keep = running.nonzero()[:, 0]
             which = keep if which is None else which[keep]
-            x, r, p, mp = x[:, keep], r[:, keep], p[:, keep], mp[:, keep]
+            x, r, p = x[:, keep], r[:, keep], p[:, keep]
             rz, start, tolerance = rz[keep], start[keep], tolerance[keep]
-            shift = None if shift is None else shift[keep]
             running = torch.ones_like(keep, dtype=torch.bool)
     if which is not None:
         out[:, which] = x
-    return out, steps, negative
+    return out, steps, curved

@@ -13,7 +13,6 @@ _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its cor
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
 LARGE = 1500
 """Unknowns of a patch from which on a condensed problem costs more than the linear system whose step it corrects."""
-_TIMES = (0.01, 1000.0)  # shortest and longest step along a mode, over that which its curvature suggests
 
 
 class Balance(Protocol):
@@ -66,46 +65,3 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
                  >= (_DESCENDS if slides else _CORRECTED) * (residual * direction).sum(dim=0))
         direction = torch.where(falls, corrected, direction)
     return direction
-
-
-def farther(balance: Balance, columns: torch.Tensor, step: torch.Tensor, way: tuple[torch.Tensor, torch.Tensor],
-            stiffness: torch.Tensor, residual: torch.Tensor, wrong_side: torch.Tensor) -> torch.Tensor:
-    """The step (3 n, k) [m] of least potential among ``step`` and further ones, where the potential falls so slowly
-    that an equilibrium is far.
-
-    Along a mode that is just unstable the fall begins with what there is of it, which is little: Newton's step
-    stays near a saddle. What is tried here costs a fraction of a linear system.
-
-    Args:
-        columns: touches (k,).
-        step: Newton's direction, corrected for the contact at its end.
-        way: Newton's direction, and the mode of negative curvature that goes on from its end; without one (0)
-            multiples of the direction are tried.
-        stiffness, residual: see `correct`.
-        wrong_side: of the present state (k,).
-    """
-    base, best = balance.u[:, columns].clone(), step.clone()
-    balance.u[:, columns] = base + step
-    least = balance.evaluate(columns)["potential"]
-    mode = (way[1] != 0.0).any(dim=0)
-    start, line = torch.where(mode, way[0], 0.0), torch.where(mode, way[1], 2.0 * way[0])
-
-    def falls(at: torch.Tensor, times: float) -> torch.Tensor:
-        balance.evaluate_contact(columns[at], base[:, at])
-        longer = correct(balance, columns[at], start[:, at] + times * line[:, at], stiffness[at], residual[:, at])
-        balance.u[:, columns[at]] = base[:, at] + longer
-        new = balance.evaluate(columns[at])
-        good = ((new["potential"] < least[at]) & (new["wrong_side"] <= wrong_side[at])
-                & (new["potential"] >= balance.least[columns[at]]) & (new["det"] > 0.0))
-        best[:, at[good]], least[at[good]] = longer[:, good], new["potential"][good]
-        return good
-
-    every = torch.arange(len(columns), device=balance.u.device)
-    good = falls(every, 1.0)
-    for at, factor in ((every[good], 2.0), (every[~good & mode], 0.25)):
-        times = factor
-        while len(at) and _TIMES[0] <= times <= _TIMES[1]:
-            good = falls(at, times)
-            at, times = at[good if factor > 1.0 else ~good], factor * times
-    balance.u[:, columns] = base
-    return best

@@ -84,18 +84,17 @@ class TangentFactors:
         """The local factor that corrects the factor of a touch, or None."""
         return self._local[touch] if self._softening[touch] == float(self._contact.softening[touch]) else None
 
-    def count(self, columns: torch.Tensor, steps: torch.Tensor, negative: torch.Tensor) -> None:
-        """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,), and the
-        ``negative`` curvature that it met (k,) [-].
+    def count(self, columns: torch.Tensor, steps: torch.Tensor, curved: torch.Tensor) -> None:
+        """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,), and
+        which of them met negative curvature (k,) bool.
 
-        A tangent with negative curvature is shifted by the preconditioner, which must be far from that tangent to make
-        a step: until the next frame such a touch has no local factor (a slender column that buckles took 706 conjugate
-        gradients with one and 296 without).
+        A local factor of a tangent with negative curvature serves badly: until the next frame such a touch has none (a
+        slender column that buckles took 706 conjugate gradients with one and 296 without).
         """
         if not self._serves:
             return
-        for b, number, curvature in zip(columns.tolist(), steps.tolist(), negative.tolist(), strict=True):
-            if curvature > 0.0:
+        for b, number, indefinite in zip(columns.tolist(), steps.tolist(), curved.tolist(), strict=True):
+            if indefinite:
                 self._local[b], self._no_local[b] = None, True
             if self._tried[b] and number > _GAIN * self._tried[b]:
                 self._own[b], self._local[b], self._lost[b] = None, None, True

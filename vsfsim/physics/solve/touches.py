@@ -2,9 +2,9 @@
 
 All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
 two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
-`Equilibrium`, through softer contact where a body is met deep. A touch that fails is approached again in halved steps;
-states that let a body through are barred, and equilibria to which the object snapped are not taken (`branch`). A frame
-in which all of this fails is marked and never counts as data. With friction every step remembers where points stuck.
+`Equilibrium`. A touch that fails is approached again in halved steps; states that let a body through are barred, and
+equilibria to which the object snapped are not taken (`branch`). A frame in which all of this fails is marked and never
+counts as data. With friction every step remembers where points stuck.
 """
 
 from __future__ import annotations
@@ -36,11 +36,8 @@ from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.precision import is_single, limits, to_double
 from vsfsim.physics.solve.prediction import Known, guesses, predict
-from vsfsim.physics.solve.softened import lead
 from vsfsim.physics.threads import torch_threads
 
-FAR = 100.0
-"""Measure at the start of a frame above which softer contact leads the way; at 1 nothing balances the contact yet."""
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
 _NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
 _UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
@@ -325,11 +322,6 @@ class Solver:
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        # softer contact leads a body that goes deep into a soft wall in one frame, and lets one through that touched it
-        far = columns[self._far_from_balance(state["measure"]) & ~(self._touched[columns] & contact.shifts)]
-        if len(far):
-            lead(balance, far, begin, deadline)
-            state = balance.evaluate(columns)
         aim, host = balance.options.tolerance, columns.cpu().numpy()
         for _ in range(_GROWTHS):
             balance.solve(columns, state, aim, deadline)
@@ -357,11 +349,6 @@ class Solver:
                 balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
                 return
         balance.reason[host] = Reason.PATCH
-
-    def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
-        """Which touches are so far off, by their ``measure`` (k,), that softer contact should lead the way (k,) bool. A
-        nearly incompressible body begins far off by its change of volume alone."""
-        return ((measure - 1.0).abs() < 0.03) | ((measure > FAR) & (not self.model.keeps_volume))
 
     def _linear_frame(self, before: np.ndarray, way: list[np.ndarray], deadline: float) -> Rows:
         """One frame of the `linear` tier."""
