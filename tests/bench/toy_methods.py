@@ -64,6 +64,18 @@ class Constant:
         self.value = json.loads((folder / "constant.json").read_text())
 
 
+class Choosy(Oracle):
+    """Writes what it is offered, and chooses the last or answers with ``answer``."""
+
+    def __init__(self, *, folder="", answer="last"):
+        super().__init__(folder=folder)
+        self.answer = answer
+
+    def choose(self, view, so_far, offered):
+        self.log([len(so_far), *(name_of(action.poses) for action in offered)])
+        return len(offered) - 1 if self.answer == "last" else self.answer
+
+
 class Seeded(Constant):
     """Its answer is its seed."""
 

@@ -21,6 +21,7 @@ from vsfsim.bench.method import (
     Reading,
     Specimen,
     build_method,
+    checked_choice,
     checked_prediction,
     find_method,
     frozen,
@@ -133,8 +134,9 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
         ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
         ("save and load keep what was learned",
          lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
-        ("stiffness is finite and not negative", lambda: _stiffness(fitted(), mock)),
-        ("predict_std is finite and not negative", lambda: _predict_std(fitted(), mock)),
+        ("stiffness is finite and not negative", lambda: _adapted(fitted(), mock, _stiffness_here)),
+        ("predict_std is finite and not negative", lambda: _adapted(fitted(), mock, _predict_std_here)),
+        ("choose names one of the offered touches", lambda: _adapted(fitted(), mock, _choose_here)),
     )
     return tuple(_try(clause, test) for clause, test in clauses)
 
@@ -147,7 +149,7 @@ def _brief(learned: Callable[[], Method], values: Mapping[str, Any], mock: _Mock
     def adapts(support: Sequence[Reading]) -> None:
         answers.append(_answer(instance[0], mock, support))
         checked_prediction(instance[0].predict([]), [], [])
-        for extra in (_stiffness_here, _predict_std_here):
+        for extra in (_stiffness_here, _predict_std_here, _choose_here):
             with contextlib.suppress(_NotOffered):
                 extra(instance[0], mock)
 
@@ -336,10 +338,11 @@ def _save_load(fitted: Callable[[], Method], fresh: Callable[[], Method], mock: 
         raise MethodError("a loaded method answers differently from the one that was saved.")
 
 
-def _stiffness(method: Method, mock: _Mock) -> None:
+def _adapted(method: Method, mock: _Mock, here: Callable[[Method, _Mock], None]) -> None:
+    """Test an optional function without a touch and after some."""
     for support in ([], mock.support):
         method.adapt(mock.view, support)
-        _stiffness_here(method, mock)
+        here(method, mock)
 
 
 def _stiffness_here(method: Method, mock: _Mock) -> None:
@@ -357,12 +360,6 @@ def _stiffness_here(method: Method, mock: _Mock) -> None:
                               f"numbers >= 0.")
 
 
-def _predict_std(method: Method, mock: _Mock) -> None:
-    for support in ([], mock.support):
-        method.adapt(mock.view, support)
-        _predict_std_here(method, mock)
-
-
 def _predict_std_here(method: Method, mock: _Mock) -> None:
     if not hasattr(method, "predict_std"):
         raise _NotOffered("no predict_std()")
@@ -370,6 +367,12 @@ def _predict_std_here(method: Method, mock: _Mock) -> None:
                                 [f"touch {i} (predict_std)" for i in range(len(mock.actions))])
     if any((std < 0.0).any() for std in spread):
         raise MethodError("predict_std gave a negative standard deviation; it must be 0 or greater.")
+
+
+def _choose_here(method: Method, mock: _Mock) -> None:
+    if not hasattr(method, "choose"):
+        raise _NotOffered("no choose()")
+    checked_choice(method.choose(mock.view, mock.support, mock.actions), len(mock.actions))
 
 
 def _digest(mock: _Mock) -> str:

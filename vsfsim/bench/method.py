@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import operator
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -105,6 +106,9 @@ class Method(Protocol):
 
     - ``stiffness(points (k, 3)) -> Estimate``;
     - ``predict_std(touches) -> standard deviations (T, d) of the readings``, one array a touch;
+    - ``choose(view, so_far, offered) -> index into offered``, in a task whose support is chosen: which of the offered
+      touches, a sequence of `Action`, to make next. ``so_far`` are the readings of those made, to which the method has
+      adapted. The touches are offered in an order drawn for each run;
     - ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world transform (4, 4)`` of a stiff object of known shape
       (closed meshes that may overlap), hidden in the one that was touched.
 
@@ -281,6 +285,22 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
                               f"{LARGEST_READING:g}, and its square must stay finite.")
         out.append(array)
     return out
+
+
+def checked_choice(index: Any, offered: int) -> int:
+    """What `choose` returned, as an index of one of ``offered`` touches.
+
+    Raises:
+        MethodError: it is no whole number from 0 to offered - 1.
+    """
+    try:
+        found = operator.index(index)
+    except TypeError:
+        found = -1
+    if isinstance(index, bool) or not 0 <= found < offered:
+        raise MethodError(f"choose returned {plain(repr(index), longest=60)}; it must return the index of one of the "
+                          f"{offered} offered touches, 0 to {offered - 1}.")
+    return found
 
 
 def _real(prediction: Any, name: str) -> np.ndarray:

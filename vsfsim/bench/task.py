@@ -85,6 +85,8 @@ class Protocol:
     """With cross-validation, draws of the support set; else 0."""
     trainings: int = 0
     """With cross-validation, trainings of a method with a ``seed``, each with another seed; else 0."""
+    chosen: bool = False
+    """A method with `choose` names its support touches itself, one after the other; others are given the drawn ones."""
 
     def runs(self, *, seeded: bool) -> tuple[int, ...]:
         """Numbers of the runs of a method that takes a ``seed``, or does not."""
@@ -204,7 +206,7 @@ def parse_task(text: str, path: str | Path) -> Task:
             raise TaskError(f"{o.where}: seed {development.seed} and folder '{development.folder}' must both differ "
                             f"from those of [dataset], so that no object is in both.")
     protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed", "folds", "draws",
-                                                  "trainings")))
+                                                  "trainings", "support")))
     o = top.section("observation", ("kind",))
     noise = _noise(top.section("noise", ("kind", *(f.name for f in fields(Noise)))))
     m = top.section("metrics", ("primary", "ranking_shot"))
@@ -263,20 +265,23 @@ def _protocol(t: Table) -> Protocol:
     if (not isinstance(shots, list) or not shots or sorted(set(shots)) != shots
         or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots)):
         raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
-    query, seed = t.count("query", None, 1), t.count("seed", None, 0)
+    query, seed, given = t.count("query", None, 1), t.count("seed", None, 0), t.text("support", "drawn")
+    if given not in ("drawn", "chosen"):
+        raise TaskError(f"{t.where}: support is '{given}'; it is drawn (at random) or chosen (by the method).")
     if "folds" not in t.table:
         odd = [key for key in ("draws", "trainings") if key in t.table]
         if odd:
             raise TaskError(f"{t.where}: {odd[0]} belongs to cross-validation; give folds too, or give train, test and "
                             f"seeds without it.")
         return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
-                        query, seed)
+                        query, seed, chosen=given == "chosen")
     odd = [key for key in ("train", "test", "seeds") if key in t.table]
     if odd:
         raise TaskError(f"{t.where}: {odd[0]} and folds exclude each other. With cross-validation every object is a "
                         f"test object once; give folds, draws and trainings.")
     draws, trainings = t.count("draws", None, 1), t.count("trainings", None, 1)
-    return Protocol("", "", tuple(shots), draws * trainings, query, seed, t.count("folds", None, 2), draws, trainings)
+    return Protocol("", "", tuple(shots), draws * trainings, query, seed, t.count("folds", None, 2), draws, trainings,
+                    given == "chosen")
 
 
 def _noise(t: Table) -> Noise:

@@ -188,7 +188,8 @@ def evaluate(task: TaskName,
                 else presets.Choice(name, "", {}) for name in names]
         rows = [presets.Choice(row.method, row.preset, {**row.parameters, **given}) for row in rows]
     elif every:
-        every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value)
+        every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value,
+                                    chosen=wanted.protocol.chosen)
         rows = [row for row in every_row if preset in ("", row.preset)]
         rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
     if every or fan != HERE:

@@ -18,7 +18,7 @@ from vsfsim.core.shelf import methods
 
 def test_every_shipped_method_has_a_preset_and_every_preset_builds_its_method():
     shipped = {name for name, entry in methods().items() if entry.value.startswith("vsfsim.baselines.")}
-    rows = {name: choices(name) for name in OBSERVATIONS}
+    rows = {name: choices(name, chosen=True) for name in OBSERVATIONS}
     assert {row.method for one in rows.values() for row in one} == shipped
     for row in (row for one in rows.values() for row in one):
         method = find_method(row.method)
@@ -37,6 +37,7 @@ def test_a_preset_knows_the_observation():
     assert on_gpu == {"sbml", "imaml", "imaml-vision"}, "and only where it does"
     assert not any("device" in row.parameters for row in choices("normal-force"))
     assert shoes.stem == "sbml.paper"
+    assert not any("surface-gp-" in row.method for row in choices("normal-force")), "they differ by their choice alone"
 
 
 @pytest.mark.parametrize("field", ["grid-vsf", "neural-vsf"])

@@ -106,7 +106,8 @@ def _index(boards: Sequence[Board]) -> str:
 def _question(task: Task) -> str:
     """What a task asks, as a heading of the first page."""
     answer = task.metric.answer
-    return f"{answer.capitalize()}: {task.observation.name}" if answer == Answer.READINGS else answer.capitalize()
+    what = f"{answer.capitalize()}: {task.observation.name}" if answer == Answer.READINGS else answer.capitalize()
+    return f"{what}, after touches that the method chooses" if task.protocol.chosen else what
 
 
 def _foot() -> str:

@@ -71,15 +71,18 @@ def on_device(choice: Choice, device: str, observation: str) -> Choice:
     return replace(choice, parameters={**choice.parameters, "device": device})
 
 
-def choices(observation: str, device: str = "", answer: str = "readings") -> list[Choice]:
+def choices(observation: str, device: str = "", answer: str = "readings", *, chosen: bool = False) -> list[Choice]:
     """All methods with all their presets that a task can rank, the one with the papers' settings first.
 
     Args:
         observation: name of what is read. device: that the methods use which a GPU makes faster; "" for their own.
-        answer: what the task's metric scores, a value of `vsfsim.bench.metrics.Answer`.
+        answer: what the task's metric scores, a value of `vsfsim.bench.metrics.Answer`. chosen: its support
+        is chosen by the method, so that methods which differ by their choice alone take part.
     """
     out = []
     for method, table in _table().items():
+        if table.get("chooses", False) and not chosen:
+            continue
         if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
             out += [on_device(preset(method, name, observation, answer), device, observation)
                     for name in PRESETS if name in table]

@@ -34,12 +34,12 @@ from vsfsim.bench.isolation import limits
 from vsfsim.bench.isolation.keeper import adopt_orphans, end_descendants, hide_memory
 from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.isolation.wire import Channel, Closed
-from vsfsim.bench.method import Method, build_method, checked_prediction, find_method, parameters_of
+from vsfsim.bench.method import Method, build_method, checked_choice, checked_prediction, find_method, parameters_of
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.shelf import methods
 
-OPTIONAL = ("predict_std", "stiffness", "locate")
+OPTIONAL = ("predict_std", "stiffness", "locate", "choose")
 """Functions of a method that the scorer asks for where they exist."""
 
 
@@ -159,6 +159,14 @@ class _Server:
     def do_adapt(self, _: Any) -> Any:
         self.method.adapt(self.view, self.support)
         return {"offers": [name for name in OPTIONAL if callable(getattr(self.method, name, None))]}, (), b""
+
+    def do_choose(self, offered: Any) -> Any:
+        return {}, [np.array([float(checked_choice(self.method.choose(self.view, list(self.support), offered),
+                                                   len(offered)))])], b""
+
+    def do_made(self, reading: Any) -> Any:
+        self.support = [*self.support, reading]
+        return {}, (), b""
 
     def do_predict(self, payload: Any) -> Any:
         actions, names = payload

@@ -376,6 +376,10 @@ class Trial:
         self.adapt_s += time.perf_counter() - start
         self.offers = frozenset(str(name) for name in reply.head.get("offers", ()))
 
+    def made(self, reading: Any) -> None:
+        """Give one more touch to the support set, for the next `adapt`."""
+        self._process._ask(self._channel, "made", reading, f"a touch for {self._where}")
+
     def ask(self, function: str, payload: Any, shapes: Sequence[tuple[int, ...]] | None) -> tuple[np.ndarray, ...]:
         """What a function of the method answers.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from vsfsim.bench.isolation.process import MethodProcess
 from vsfsim.bench.isolation.process import Trial as Asked
-from vsfsim.bench.method import LARGEST_READING
+from vsfsim.bench.method import LARGEST_READING, checked_choice
 from vsfsim.bench.trials.subject import Subject, Trial
 from vsfsim.core.errors import MethodError
 from vsfsim.data.disk import write_atomic
@@ -53,8 +53,10 @@ def run_trial(process: MethodProcess, subject: Subject, trial: Trial) -> Answers
     names = [f"{name} of {where}" for name in subject.names]
     shapes = [(len(action.time), action.size) for action in subject.actions]
     mean = std = column_mean = pose = readings_std = None
-    with process.trial(subject.view, [subject.pool[i] for i in trial.support], where) as asked:
+    with process.trial(subject.view, [subject.pool[i] for i in trial.support if not trial.offered], where) as asked:
         asked.adapt()
+        if trial.offered:
+            trial = replace(trial, support=_choose(asked, subject, trial))
         readings = asked.ask("predict", (subject.actions, names), shapes)
         _check_readings(readings, names)
         if "predict_std" in asked.offers:
@@ -73,6 +75,26 @@ def run_trial(process: MethodProcess, subject: Subject, trial: Trial) -> Answers
         if "locate" in asked.offers and subject.hidden is not None:
             pose = _pose(asked, subject.hidden, where)
     return Answers(trial, readings, readings_std, mean, std, column_mean, pose, asked.adapt_s, asked.predict_s)
+
+
+def _choose(asked: Asked, subject: Subject, trial: Trial) -> tuple[int, ...]:
+    """Make as many touches as the support has, each as the method chooses it; the drawn ones if it does not choose.
+
+    Returns:
+        Their indices, in order.
+    """
+    if "choose" not in asked.offers:
+        for index in trial.support:
+            asked.made(subject.pool[index])
+        asked.adapt()
+        return trial.support
+    left, made = list(trial.offered), []
+    for _ in trial.support:
+        (answer,) = asked.ask("choose", [subject.plans[k] for k in left], [(1,)])
+        made.append(left.pop(checked_choice(int(answer[0]) if np.isfinite(answer[0]) else None, len(left))))
+        asked.made(subject.pool[made[-1]])
+        asked.adapt()
+    return tuple(made)
 
 
 def _check_readings(readings: Iterable[np.ndarray], names: Iterable[str]) -> None:

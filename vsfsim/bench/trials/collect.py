@@ -13,13 +13,12 @@ from typing import Any
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodProcess
 from vsfsim.bench.method import contents_of
-from vsfsim.bench.protocol import support
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials import answers as kept
 from vsfsim.bench.trials.answers import Answers, run_trial
 from vsfsim.bench.trials.reader import Reader
 from vsfsim.bench.trials.stages import Stage, first_run, stages
-from vsfsim.bench.trials.subject import Subject, Trial
+from vsfsim.bench.trials.subject import Subject, Trial, asked_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
 from vsfsim.core.system.content import differences
@@ -166,8 +165,7 @@ class Collector:
 
     def _run_stage(self, process: MethodProcess, subjects: Sequence[Subject], stage: Stage) -> None:
         protocol = self.task.protocol
-        trials = [(subject, Trial(subject.name, label, run, support(subject, subject.draw, label, protocol.draw_of(run),
-                                                                    protocol)))
+        trials = [(subject, asked_of(subject, label, run, protocol))
                   for run in stage.runs for subject in subjects for label in stage.shots(run, protocol)]
         before, total = self._finished(), self._total()
         finished = 0

@@ -9,10 +9,10 @@ import numpy as np
 from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.method import Action, Reading, frozen_view
 from vsfsim.bench.metrics import Answer
-from vsfsim.bench.protocol import Draw, Recording, divide
+from vsfsim.bench.protocol import Draw, Recording, divide, support
 from vsfsim.bench.reached_points import reached
 from vsfsim.bench.stiffness_metrics import FEWEST_POINTS
-from vsfsim.bench.task import Task
+from vsfsim.bench.task import Protocol, Task
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, View
 
@@ -29,6 +29,9 @@ class Trial:
     """Of the support draw."""
     support: tuple[int, ...]
     """Indices of the support touches."""
+    offered: tuple[int, ...] = ()
+    """Indices of the touches that a method with `choose` takes its support from, in the drawn order; () where it is
+    given ``support``."""
 
     @property
     def where(self) -> str:
@@ -52,6 +55,8 @@ class Subject:
     """Which touches are queries, and which may be given."""
     pool: dict[int, Reading]
     """The touches that may be given, by index."""
+    plans: dict[int, Action]
+    """Of the same touches before they are made."""
     actions: tuple[Action, ...]
     """Of the query touches."""
     points: np.ndarray
@@ -80,7 +85,7 @@ class Subject:
         columns = Columns.of(places, view).points if ranked is Answer.MASK else None
         hidden = inclusions.known_object()[:2] if inclusions is not None and ranked is Answer.POSE else None
         return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw,
-                   {i: recording.readings[i] for i in draw.pool},
+                   {i: recording.readings[i] for i in draw.pool}, {i: recording.queries[i].action for i in draw.pool},
                    tuple(recording.queries[i].action for i in draw.query),
                    places[touched(places, view)], columns, hidden)
 
@@ -93,6 +98,15 @@ class Subject:
     def asks_stiffness(self) -> bool:
         """Whether enough points were reached."""
         return len(self.points) >= FEWEST_POINTS
+
+
+def asked_of(subject: Subject, label: str, run: int, protocol: Protocol) -> Trial:
+    """The trial of a test object at shot ``label`` in a run."""
+    draw, pool = protocol.draw_of(run), subject.draw.pool
+    given = support(subject, subject.draw, label, draw, protocol)
+    choice = protocol.chosen and 0 < len(given) < len(pool)
+    return Trial(subject.name, label, run, given,
+                 support(subject, subject.draw, str(len(pool)), draw, protocol) if choice else ())
 
 
 def touched(points: np.ndarray, view: ObjectView) -> np.ndarray:
