@@ -1,5 +1,5 @@
-"""`surface-gp-farthest` and `surface-gp-variance`: the process of `surface-gp`, which names the touches that it is given
-in a task whose support is chosen. `surface-gp` itself is given touches at random there.
+"""`surface-gp-farthest` and `surface-gp-variance`: the process of `surface-gp`, which chooses the touches that it is
+given in a task whose support is chosen. `surface-gp` itself is given touches at random there.
 
 `farthest` takes the touch farthest from those made (farthest-point traversal, Gonzalez, Clustering to minimize the
 maximum intercluster distance, 1985); `variance` the one whose readings have the greatest variance under the process

@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "vsf": {"core", "data", "physics"},
     "generate": {"core", "data", "physics", "robot", "sensing", "vsf"},
     "press": {"core", "data", "physics", "robot", "sensing", "generate"},
-    "view": {"core", "data", "generate"},
+    "view": {"core", "data", "generate", "bench"},
     "bench": {"core", "data"},
     "active": {"core", "data", "bench"},
     "papers": {"core", "data", "bench"},
@@ -80,7 +80,7 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
                 "cli": {"rich"},
-                "robot": {"mujoco_menagerie"}, "generate": {"yaml"}, "benchmarks": {"pyvista"}}
+                "robot": {"mujoco_menagerie"}, "view": {"rerun"}, "generate": {"yaml"}, "benchmarks": {"pyvista"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`; Menagerie's arm is an option, not a
 dependency."""
 

@@ -68,7 +68,7 @@ def test_a_choice_that_was_not_offered_is_refused(chosen, toy_dataset, answer):
     if answer == 8:
         with pytest.raises(MethodError, match="choose returned 8"):
             evaluate("toy_methods:Choosy", chosen, toy_dataset, parameters={"answer": 8}, check=False)
-        with pytest.raises(MethodError, match="choose names one of the offered|choose returned"):
+        with pytest.raises(MethodError, match="choose returned"):
             evaluate("toy_methods:Choosy", chosen, toy_dataset, parameters={"answer": 8})
 
 

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -149,19 +150,141 @@ def test_bad_input_is_refused_and_nothing_is_written(words, found, folder, vsfsi
     assert sorted(tmp_path.rglob("*")) == before and (tmp_path / "there.html").read_text() == "mine"
 
 
+def drawn(Image, page, where):
+    """The page in a browser, of 900 by 700 pixels: (H, W, 3)."""
+    picture = page.with_suffix(".png")
+    subprocess.run(["chromium", "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+                    "--enable-unsafe-swiftshader", "--window-size=900,700", "--virtual-time-budget=2000",
+                    f"--screenshot={picture}", f"file://{page}#{where}"], check=True, capture_output=True, timeout=120)
+    return np.asarray(Image.open(picture).convert("RGB")).astype(int)
+
+
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
 def test_a_browser_draws_the_object_and_the_cut_takes_part_of_it_away(folder, vsfsim, tmp_path):
     Image = pytest.importorskip("PIL.Image")
     assert vsfsim("view", folder, "--html", "page.html", cwd=tmp_path).returncode == 0
 
     def coloured(cut):
-        picture = tmp_path / f"{cut}.png"
-        subprocess.run(["chromium", "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-                        "--enable-unsafe-swiftshader", "--window-size=900,700", "--virtual-time-budget=2000",
-                        f"--screenshot={picture}", f"file://{tmp_path}/page.html#axis=z&cut={cut}"],
-                       check=True, capture_output=True, timeout=120)
-        image = np.asarray(Image.open(picture).convert("RGB")).astype(int)[120:, 110:500]
+        image = drawn(Image, tmp_path / "page.html", f"axis=z&cut={cut}")[120:, 110:500]
         return int((np.ptp(image, axis=2) > 25).sum())
 
     whole, half = coloured(1), coloured(0.3)
     assert whole > 5000 and half < 0.95 * whole and half > 0.2 * whole
+
+
+FOLDS = """
+name = "toy-v1"
+description = "A toy."
+dataset = { folder = "toy", scene = "<mock>", seed = 0, objects = 2, views = 1, touches = 3, tier = "vsf" }
+protocol = { folds = 2, draws = 1, trainings = 1, shots = [0, 1], query = 2, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.1, tare_frames = 0, seed = 0 }
+metrics = { primary = "rmse_ratio", ranking_shot = 1 }
+"""
+
+METHOD = """
+import numpy as np
+
+class Steep:
+    def meta_fit(self, specimens):
+        pass
+    def adapt(self, view, support):
+        self.steepness = 100.0 * (1 + len(support))
+    def predict(self, touches):
+        return [self.steepness * np.arange(len(t.time))[:, None] for t in touches]
+    def stiffness(self, points):
+        from vsfsim.bench.method import Estimate
+        return Estimate(3.0 + points[:, 0], np.ones(len(points)))
+"""
+
+
+@pytest.fixture(scope="module")
+def result(folder, tmp_path_factory):
+    """A result file with its predictions and maps, and its dataset."""
+    from vsfsim.bench.evaluate import evaluate
+    from vsfsim.bench.isolation.limits import Isolation
+    from vsfsim.bench.task import parse_task
+
+    where, dataset = tmp_path_factory.mktemp("result"), Dataset.open(folder)
+    (where / "steep.py").write_text(METHOD)
+    before = os.getcwd()
+    os.chdir(where)  # where the method is
+    evaluate("steep:Steep", parse_task(FOLDS, "toy-v1.toml"), dataset, check=False, isolation=Isolation("process"),
+             curves=where / "steep.predictions.npz").save(where / "steep.json")
+    os.chdir(before)
+    return where / "steep.json", dataset
+
+
+def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp_path, monkeypatch):
+    from vsfsim.bench.result import Result
+    from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP
+    from vsfsim.view import scored
+    from vsfsim.view.command import view
+
+    path, dataset = result
+    monkeypatch.setattr(scored, "_dataset", lambda result: dataset)
+    view(str(path), tmp_path / "page.html")
+    table = data_of((tmp_path / "page.html").read_bytes())
+    assert table["reading"] == "normal-force [N]" and table["shots"] == ["0", "1", "all"] and table["map"][1] == "N/m"
+    m, q = Result.load(path).maps, Result.load(path).queries
+    assert m["object"], "the mock has probed points"
+    for shown, of in zip(table["objects"], dataset, strict=True):
+        mine = [k for k, name in enumerate(m["object"]) if name == of.name and m["truth"][k] > 0]
+        where = (np.array([[m[axis][k] for axis in "xyz"] for k in mine]) - MAP_ORIGIN) * MAP_STEP
+        truth, mean = (np.array([m[key][k] for k in mine]) for key in ("truth", "mean"))
+        assert np.allclose(values(shown["points"]), where, atol=1e-5)
+        assert np.allclose(values(shown["log_modulus"])[:, 0], np.log10(truth), atol=1e-3)
+        told = values(shown["estimate"])[:, 0] - np.log10(mean)
+        assert np.ptp(told) < 1e-3 and np.median(told) == pytest.approx(np.median(np.log10(truth / mean)), abs=1e-3)
+        assert [t["number"] for t in shown["touches"]] == sorted({t for t, o in zip(q["touch"], q["object"], strict=True)
+                                                                  if o == of.name})
+        for t in shown["touches"]:
+            clean = -(of.touches[t["number"]].force @ of.touches[t["number"]].axis)
+            assert np.allclose(t["reading"], clean, atol=1e-4)
+            steps = np.arange(len(clean))
+            assert np.allclose(t["predicted"], [100.0 * steps, 200.0 * steps, 200.0 * steps], rtol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
+def test_a_browser_draws_the_estimate_beside_the_truth(tmp_path):
+    from vsfsim.view.encode import quantised
+    from vsfsim.view.subject import of_body
+
+    Image = pytest.importorskip("PIL.Image")
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (200, 3))
+    one = {**of_body(points, np.full(200, 1e3), np.zeros(200, int)), "estimate": quantised(np.full((200, 1), 6.0)),
+           "name": "ball", "about": "", "probe_radius": None, "touches": [], "picture": None}
+    (tmp_path / "pair.html").write_bytes(page("pair", [one]))
+    image = drawn(Image, tmp_path / "pair.html", "cut=1")
+    halves = image[300:620, :260], image[300:620, 260:520]  # the aside takes 380 of 900 pixels
+    shapes = [np.ptp(half, axis=2) > 25 for half in halves]
+    assert shapes[0].sum() > 2000 and abs(int(shapes[0].sum()) - int(shapes[1].sum())) < 0.02 * shapes[0].sum()
+    low, high = (half[shape].mean(axis=0) for half, shape in zip(halves, shapes, strict=True))
+    assert low[2] > low[1] and high[1] > high[2], "viridis: violet for the least and yellow for the most"
+
+
+def test_a_result_without_its_dataset_shows_maps_and_one_without_either_says_what_to_do(result, tmp_path, monkeypatch):
+    from vsfsim.core.errors import TaskError
+    from vsfsim.view import scored
+
+    path, _ = result
+    monkeypatch.setattr(scored, "_dataset", lambda result: None)
+    _, words, shown, _ = scored.of_result(path, 12)
+    assert "the dataset is not on this machine" in words and [o["touches"] for o in shown] == [[], []]
+    monkeypatch.setattr(scored, "_maps", lambda result: {})
+    with pytest.raises(TaskError, match="there is nothing to show"):
+        scored.of_result(path, 12)
+
+
+def test_a_recording_holds_what_the_page_holds(folder, tmp_path):
+    pytest.importorskip("rerun")
+    from vsfsim.core.errors import DatasetError
+    from vsfsim.view.command import view
+
+    view(str(folder), tmp_path / "page.html", rerun=tmp_path / "toy.rrd")
+    assert (tmp_path / "toy.rrd").read_bytes()[:4] == b"RRF2" and (tmp_path / "toy.rrd").stat().st_size > 10_000
+    assert not list(tmp_path.glob(".*"))
+    with pytest.raises(DatasetError, match="exists already"):
+        view(str(folder), tmp_path / "other.html", rerun=tmp_path / "toy.rrd")
+    assert not (tmp_path / "other.html").exists()

@@ -115,17 +115,22 @@ def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE|RESULT",
 
 
 @app.command()
-def view(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="Folder of a dataset, or a scene.")],
+def view(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE|RESULT",
+                                           help="Folder of a dataset, a scene, or a result file (.json).")],
          html: PageFile = None,
-         objects: Annotated[int, typer.Option(min=1, help="Object views of a dataset to show, at most.")] = 12,
+         objects: Annotated[int, typer.Option(min=1, help="Object views of a dataset or result shown, at most.")] = 12,
+         rerun: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write a recording (.rrd) for the Rerun "
+                                                                        "viewer; needs the extra 'rerun'.")] = None,
          seed: Seed = 0, json: JsonFile = None) -> None:
-    """Write a page to look at a dataset, or at a scene's object, in a browser.
+    """Write a page to look at a dataset, a scene's object, or a result, in a browser.
 
     The page is one file that needs no network: the object coloured by Young's modulus, to be turned and cut; touches,
-    forces and pressures frame by frame; the RGB-D picture. Of a scene it holds object 0 of the seed.
+    forces and pressures frame by frame; the RGB-D picture. Of a scene it holds object 0 of the seed. Of a result of
+    `vsfsim evaluate` it holds the true and the estimated stiffness side by side, and after `evaluate --keep
+    predictions` the predicted readings over the true ones.
     """
     from vsfsim.view.command import view as run
 
     with Progress("view") as progress:
-        lines, numbers = run(what, html, objects=objects, seed=seed, progress=progress)
+        lines, numbers = run(what, html, objects=objects, seed=seed, rerun=rerun, progress=progress)
     report("\n".join(lines), numbers, json)

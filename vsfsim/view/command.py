@@ -1,4 +1,4 @@
-"""`vsfsim view`: the page of a dataset or of a scene's object."""
+"""`vsfsim view`: the page of a dataset, of a scene's object, or of a result."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
 from vsfsim.view.page import page
+from vsfsim.view.rerun_file import write_rerun
+from vsfsim.view.scored import of_result
 from vsfsim.view.subject import of_drawing, of_view
 
 
-def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0,
+def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0, rerun: Path | None = None,
          progress: Callable[[int, int, str], None] | None = None) -> tuple[list[str], dict[str, Any]]:
-    """Write the page of a dataset folder or of a scene.
+    """Write the page of a dataset folder, of a scene or of a result.
 
     Args:
-        what: folder of a dataset, name of a scene, or path of its .toml file.
-        out: the HTML file, which must not exist; None for the name of the dataset or the scene here.
-        objects: object views of a dataset to show, at most.
+        what: folder of a dataset, name of a scene, path of its .toml file, or a result file (.json).
+        out: the HTML file, which must not exist; None for the name of the dataset, scene or result here.
+        objects: object views of a dataset or result to show, at most.
         seed: of a scene's object.
+        rerun: file of a recording for the Rerun viewer, written as well; None for none.
         progress: called with (done, in all, what).
 
     Returns:
@@ -30,9 +33,14 @@ def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0
 
     Raises:
         DatasetError: neither a dataset nor a scene, a damaged dataset, or a file that exists or cannot be written.
+        TaskError: what ends in .json is no result, or has nothing to show.
         SceneError, MeshError: the scene's object cannot be built.
     """
-    if is_dataset(what):
+    about: dict[str, Any] = {}
+    if Path(what).suffix == ".json":
+        path = _new(out or Path(f"{Path(what).stem}.html"))
+        title, words, shown, about = of_result(Path(what), objects, progress)
+    elif is_dataset(what):
         path = _new(out or Path(f"{Path(what).resolve().name}.html"))
         data = Dataset.open(what)
         title = f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}"
@@ -48,9 +56,12 @@ def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0
         name, drawing = draw_scene(what, seed)
         title, words = f"{name}, {drawing.subtitle or f'seed {seed}'}", drawing.lines[0]
         shown = [of_drawing(name, drawing)]
-    content = page(title, shown)
+    content = page(title, shown, **about)
+    if rerun is not None:
+        write_rerun(rerun, title, shown, about)
     write_atomic(path, content)
-    return ([f"{title}: {words}", f"page: {path}, {len(content) / 1e6:.1f} MB; open it in a browser"],
+    return ([f"{title}: {words}", f"page: {path}, {len(content) / 1e6:.1f} MB; open it in a browser",
+             *([f"recording: {rerun}; open it with `rerun {rerun}`"] if rerun else [])],
             {"page": str(path), "title": title, "objects": [one["name"] for one in shown], "bytes": len(content)})
 
 

@@ -71,23 +71,29 @@ class Balls {
   }
 
   // place (3 n), radius (n) in metres, colour (3 n) from 0 to 1
-  load(place, radius, colour) {
+  load(place, radius, colour) { this.put([place, radius, colour]); this.count = radius.length; }
+  tint(colour) { this.put([null, null, colour]); }
+
+  put(columns) {
     const gl = this.gl;
-    [[place, 3], [radius, 1], [colour, 3]].forEach(([values, width], k) => {
+    columns.forEach((values, k) => {
+      if (!values) return;
       const [where, buffer] = this.buffers[k];
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(where);
-      gl.vertexAttribPointer(where, width, gl.FLOAT, false, 0, 0);
+      gl.vertexAttribPointer(where, k === 1 ? 1 : 3, gl.FLOAT, false, 0, 0);
     });
-    this.count = radius.length;
   }
 
   // camera: turn (rows: right, up, towards the eye), middle, scale [px/m], shift [px]; reach [m] bounds the depth;
-  // cut: axis number and place in the world, or null
-  draw(camera, reach, cut) {
+  // cut: axis number and place in the world, or null; pane: left edge and width of the part of the
+  // canvas that is drawn [px]
+  draw(camera, reach, cut, pane) {
     const gl = this.gl, {turn, middle, scale, shift} = camera, {width, height} = gl.canvas;
     gl.viewport(0, 0, width, height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(pane.left, 0, pane.width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix3fv(this.at("turn"), true, turn.flat());

@@ -31,6 +31,12 @@ def quantised(values: np.ndarray) -> dict[str, Any]:
             "data": base64_of(np.rint((values - low) / span * STEPS).astype(np.uint16))}
 
 
+def values_of(table: dict[str, Any]) -> np.ndarray:
+    """The rows (n, k) of what `quantised` made."""
+    raw = np.frombuffer(base64.b64decode(table["data"]), "<u2").reshape(-1, len(table["low"]))
+    return np.array(table["low"]) + raw / STEPS * np.array(table["span"])
+
+
 def png_uri(image: np.ndarray) -> str:
     """An image as the address of a PNG that it holds itself.
 

@@ -14,36 +14,42 @@ function values({low, span, data}) {                     // rows of low.length c
   for (let i = 0; i < out.length; i++) out[i] = low[i % k] + raw.getUint16(2 * i, true) / STEPS * span[i % k];
   return out;
 }
-const maps = data.objects.map(o => o.log_modulus).filter(Boolean);
+const [quantity, unit] = data.map ?? ["Young's modulus E, logarithmic", "Pa"];
+const maps = data.objects.flatMap(o => [o.log_modulus, o.estimate]).filter(Boolean);
 const lowest = Math.min(...maps.map(m => m.low[0])), highest = Math.max(...maps.map(m => m.low[0] + m.span[0]));
 const number = (x, digits = 3) => x === null ? "–" : Number(x.toPrecision(digits)).toString();
-function pascal(log) {
-  const power = Math.min(Math.floor(log / 3), 3);
-  return `${number(10 ** (log - 3 * power), 2)} ${["Pa", "kPa", "MPa", "GPa"][Math.max(power, 0)]}`;
+function withUnit(log) {
+  const power = Math.max(Math.min(Math.floor(log / 3), 3), 0);
+  return `${number(10 ** (log - 3 * power), 2)} ${["", "k", "M", "G"][power]}${unit}`;
 }
 const colour = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 // ---- choices -----------------------------------------------------------------------------------------------------
 
-function chooseObject(k) {
-  state.object = (k + data.objects.length) % data.objects.length;
-  const o = data.objects[state.object], place = values(o.points), radius = values(o.radius);
-  const log = o.log_modulus && values(o.log_modulus), tint = new Float32Array(place.length);
-  for (let i = 0; i < radius.length; i++) {
+function tints(column, count) {                          // colours of the balls, or grey
+  const log = column && values(column), tint = new Float32Array(3 * count);
+  for (let i = 0; i < count; i++) {
     const c = log ? mix(VIRIDIS, (log[i] - lowest) / Math.max(highest - lowest, 1e-6)) : BARE;
     for (let n = 0; n < 3; n++) tint[3 * i + n] = c[n] / 255;
   }
+  return tint;
+}
+
+function chooseObject(k) {
+  state.object = (k + data.objects.length) % data.objects.length;
+  const o = data.objects[state.object], place = values(o.points), radius = values(o.radius);
+  const tint = tints(o.log_modulus, radius.length), estimate = o.estimate && tints(o.estimate, radius.length);
   const low = o.points.low, high = low.map((v, n) => v + o.points.span[n]), thick = Math.max(...radius);
   shown = {o, low, high, thick, middle: low.map((v, n) => 0.5 * (v + high[n])),
-           reach: 0.5 * Math.hypot(...o.points.span) + thick};
+           reach: 0.5 * Math.hypot(...o.points.span) + thick, tint, estimate};
   balls.load(place, radius, tint);
   $("object").value = state.object;
   $("about").textContent = `${o.about}${o.regions.length ? `; parts: ${o.regions.join(", ")}` : ""}`;
   $("touching").hidden = !o.touches.length;
-  $("touch").replaceChildren(...o.touches.map((t, n) => new Option(`${n}${t.touched ? "" : ", no contact"}`, n)));
+  $("touch").replaceChildren(...o.touches.map((t, n) => new Option(`${t.number ?? n}${t.touched ? "" : ", no contact"}`, n)));
   $("pictures").hidden = !o.picture;
   if (o.picture) showPictures(o.picture);
-  $("legend").hidden = !log && !o.touches.length;
+  $("legend").hidden = !o.log_modulus && !o.touches.length;
   chooseTouch(0);
 }
 
@@ -76,9 +82,11 @@ function play() {
 
 function camera() {
   const [cy, sy, cp, sp] = [Math.cos(state.yaw), Math.sin(state.yaw), Math.cos(state.pitch), Math.sin(state.pitch)];
-  const {width, height} = $("body"), fit = 0.44 * Math.min(width, height * 1.2) / shown.reach;
+  const {width, height} = $("body");
+  const fit = 0.44 * Math.min(width / (shown.estimate ? 2 : 1), height * 1.2) / shown.reach;
   return {turn: [[-sy, cy, 0], [-sp * cy, -sp * sy, cp], [cp * cy, cp * sy, sp]], middle: shown.middle,
-          scale: fit * state.zoom, shift: state.shift.map(v => v * devicePixelRatio)};
+          scale: fit * state.zoom,                        // of a pair, of the truth in the left half
+          shift: state.shift.map((v, n) => v * devicePixelRatio - (shown.estimate && !n ? width / 4 : 0))};
 }
 function pixel(view, p) {                                // of a point, from the top left of the canvas, and its depth
   const q = view.turn.map(row => row.reduce((sum, v, n) => sum + v * (p[n] - view.middle[n]), 0));
@@ -115,7 +123,21 @@ function draw() {
   fitted($("body"));
   const {low, high, thick, reach, o} = shown, view = camera(), pen = fitted($("marks")), a = state.axis;
   const place = low[a] - thick + state.cut * (high[a] - low[a] + 2 * thick);
-  balls.draw(view, reach, state.cut < 1 ? {axis: a, place} : null);
+  const cutting = state.cut < 1 ? {axis: a, place} : null, {width, height} = $("body");
+  if (shown.estimate) {                                  // the truth left, the estimate right, turned together
+    const half = Math.floor(width / 2), d = devicePixelRatio, [right, up] = view.shift;
+    balls.tint(shown.estimate);
+    balls.draw({...view, shift: [right + width / 2, up]}, reach, cutting, {left: half, width: width - half});
+    balls.tint(shown.tint);
+    balls.draw(view, reach, cutting, {left: 0, width: half});
+    line(pen, [[half, 0], [half, height]], colour("line"), 1);
+    pen.fillStyle = colour("front");
+    pen.font = `${13 * d}px system-ui`;
+    pen.textAlign = "right";
+    pen.fillText("true", half - 12 * d, 20 * d);
+    pen.textAlign = "left";
+    pen.fillText("estimated", half + 12 * d, 20 * d);
+  } else balls.draw(view, reach, cutting, {left: 0, width});
   $("cut-at").textContent = state.cut < 1 ? `${"xyz"[a]} ≤ ${(1e3 * place).toFixed(1)} mm` : "whole";
   $("cut").value = 1000 * state.cut;
   $("axis").selectedIndex = a;
@@ -153,7 +175,8 @@ function drawFrame(pen, view, touch) {
   $("reading").textContent = `frame ${k}: travel ${number(1e3 * touch.travel[k])} mm, normal force ` +
     `${number(touch.normal_force[k])} N${pressure}${good ? "" : ", NOT CONVERGED"}`;
   $("reading").style.color = good ? "" : colour("bad");
-  curve($("force"), "normal force [N]", t => t.normal_force);
+  if (touch.predicted) curve($("force"), data.reading, t => t.reading, touch.predicted);
+  else curve($("force"), "normal force [N]", t => t.normal_force);
   $("pressure").hidden = !touch.pressure;
   if (touch.pressure) curve($("pressure"), "pressure change [Pa]", t => t.pressure);
 }
@@ -190,104 +213,6 @@ function axes(pen, view) {
   pen.textAlign = "right";
   pen.fillText(`${number(1e3 * length)} mm`, x, y + 15 * d);
   pen.textAlign = "left";
-}
-
-// Values over travel: the chosen touch with its frames, the others faint; a frame that did not converge is a cross.
-function curve(canvas, title, of) {
-  const pen = fitted(canvas), d = devicePixelRatio, {width, height} = canvas;
-  const [left, right, top, bottom] = [44 * d, width - 10 * d, 20 * d, height - 30 * d];
-  const all = shown.o.touches.filter(t => of(t));
-  const x = all.flatMap(t => t.travel), y = all.flatMap(of).filter(v => v !== null).concat(0);
-  const [x0, x1, y0, y1] = [Math.min(...x), Math.max(...x), Math.min(...y), Math.max(...y)];
-  const spot = (t, k) => [left + (t.travel[k] - x0) / (x1 - x0 || 1) * (right - left),
-                          bottom - ((of(t)[k] ?? 0) - y0) / (y1 - y0 || 1) * (bottom - top)];
-  line(pen, [[left, top], [left, bottom], [right, bottom]], colour("faint"), 1);
-  pen.fillStyle = colour("front");
-  pen.font = `${11 * d}px system-ui`;
-  pen.fillText(title, 4 * d, 12 * d);
-  pen.textAlign = "right";
-  pen.fillText(number(y1, 2), left - 4 * d, top + 8 * d);
-  pen.fillText(number(y0, 2), left - 4 * d, bottom);
-  pen.fillText(`travel ${number(1e3 * x1, 2)} mm`, right, bottom + 16 * d);
-  pen.textAlign = "left";
-  pen.fillText(`${number(1e3 * x0, 2)} mm`, left, bottom + 16 * d);
-  const path = t => t.travel.map((_, k) => k).filter(k => of(t)[k] !== null).map(k => spot(t, k));
-  const chosen = shown.o.touches[state.touch];
-  pen.globalAlpha = 0.25;
-  all.filter(t => t !== chosen).forEach(t => line(pen, path(t), colour("touch"), 1));
-  pen.globalAlpha = 1;
-  line(pen, path(chosen), colour("chosen"), 2);
-  chosen.travel.forEach((_, k) => {
-    const [px, py] = spot(chosen, k), r = (k === state.frame ? 5 : 2.5) * d;
-    if (!chosen.converged[k]) {
-      line(pen, [[px - r, py - r], [px + r, py + r]], colour("bad"), 2);
-      line(pen, [[px - r, py + r], [px + r, py - r]], colour("bad"), 2);
-      return;
-    }
-    pen.fillStyle = colour(k === state.frame ? "push" : "chosen");
-    pen.beginPath();
-    pen.arc(px, py, r, 0, 7);
-    pen.fill();
-  });
-}
-
-function showPictures(picture) {
-  $("depth-range").textContent = `depth, ${picture.near} m (light) to ${picture.far} m (dark)`;
-  for (const name of ["rgb", "depth"]) {
-    const image = new Image();
-    image.onload = () => {
-      if (shown.o.picture !== picture) return;
-      picture[`${name}Image`] = image;
-      drawTargets();
-    };
-    image.src = picture[name];
-  }
-}
-function drawTargets() {
-  const {picture, touches} = shown.o;
-  if (!picture) return;
-  for (const name of ["rgb", "depth"]) {
-    const image = picture[`${name}Image`], canvas = $(name);
-    if (!image) continue;
-    Object.assign(canvas, {width: image.width, height: image.height});
-    const pen = canvas.getContext("2d");
-    pen.drawImage(image, 0, 0);
-    touches.forEach((touch, k) => {
-      const p = picture.to_camera.slice(0, 3).map(row => row[3] + touch.target.reduce((s, v, n) => s + row[n] * v, 0));
-      const q = picture.intrinsics.map(row => row.reduce((s, v, n) => s + v * p[n], 0));
-      pen.strokeStyle = colour(k === state.touch ? "chosen" : "touch");
-      pen.lineWidth = k === state.touch ? 3 : 1.5;
-      pen.beginPath();
-      pen.arc(q[0] / q[2] + 0.5, q[1] / q[2] + 0.5, k === state.touch ? 7 : 3, 0, 7);
-      pen.stroke();
-    });
-  }
-}
-
-function legend() {
-  const part = (tag, name, text) => Object.assign(document.createElement(tag), {className: name, textContent: text});
-  const box = $("legend");
-  if (maps.length) {
-    const bar = part("div", "bar", ""), ticks = part("div", "ticks", "");
-    bar.style.background = `linear-gradient(to top, ${VIRIDIS.join(",")})`;
-    for (let k = 0; k <= 4; k++) {
-      const tick = part("span", "", pascal(lowest + k / 4 * (highest - lowest)));
-      tick.style.top = `${100 - 25 * k}%`;
-      ticks.append(tick);
-    }
-    box.append(part("div", "", "Young's modulus E, logarithmic"), bar, ticks);
-  }
-  if (data.objects.some(o => o.touches.length)) {
-    const key = part("div", "key", "");
-    for (const [name, text] of [["touch", "touch: where and how it presses"], ["chosen", "chosen touch and its probe"],
-                                ["push", "force on the probe, in this frame"]]) {
-      const row = part("div", "", text), stroke = part("i", "", "");
-      stroke.style.background = `var(--${name})`;
-      row.prepend(stroke);
-      key.append(row);
-    }
-    box.append(key);
-  }
 }
 
 // ---- mouse, fingers and keys -------------------------------------------------------------------------------------

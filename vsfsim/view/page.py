@@ -12,21 +12,23 @@ START, END = '<script type="application/json" id="data">', "</script>"
 """What stands before and after the objects in a page."""
 
 
-def page(title: str, objects: Sequence[dict[str, Any]]) -> bytes:
+def page(title: str, objects: Sequence[dict[str, Any]], **about: Any) -> bytes:
     """One HTML file that shows objects, without anything from outside.
 
     Args:
         title: of the page.
         objects: what `vsfsim.view.subject` makes of each.
+        about: of all objects, see `vsfsim.view.scored`: ``map``, what their colours are and its unit; ``reading``, name
+            and unit of the predicted readings; ``shots``, their labels.
     """
     part = {name: files(__package__).joinpath(name).read_text(encoding="utf-8")
-            for name in ("page.html", "page.css", "page.js", "draw.js")}
+            for name in ("page.html", "page.css", "page.js", "charts.js", "draw.js")}
     # No text of a dataset may end the element that holds it.
-    data = json.dumps({"title": title, "objects": list(objects)}, separators=(",", ":"),
+    data = json.dumps({"title": title, "objects": list(objects), **about}, separators=(",", ":"),
                       allow_nan=False).replace("<", "\\u003c")
     out = part["page.html"]
     for key, text in (("TITLE", html.escape(title)), ("STYLE", part["page.css"]), ("DATA", START + data + END),
-                      ("DRAW", part["draw.js"]), ("SCRIPT", part["page.js"])):
+                      ("DRAW", part["draw.js"]), ("CHARTS", part["charts.js"]), ("SCRIPT", part["page.js"])):
         before, after = out.split(f"@{key}@", 1)
         out = before + text + after
     return out.encode()

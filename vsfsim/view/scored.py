@@ -1,0 +1,109 @@
+"""What the page shows of a result: true and estimated stiffness side by side, and predicted readings over true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsfsim.bench.result import Result
+from vsfsim.bench.stiffness_metrics import scale_of
+from vsfsim.bench.task import load_task
+from vsfsim.bench.trials.curves import Curves
+from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP
+from vsfsim.core.errors import DatasetError, TaskError
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.records import ObjectView, Touch
+from vsfsim.view.encode import quantised, rounded
+from vsfsim.view.subject import of_body, of_view
+
+_FLOOR = 1e-2  # an estimate is shown down to this share of the smallest true stiffness of its object
+
+
+def of_result(path: Path, objects: int,
+              progress: Callable[[int, int, str], None] | None = None) -> tuple[str, str, list[dict[str, Any]], dict]:
+    """The objects of a result file, the first ``objects`` of them.
+
+    Returns:
+        Title, a line that says what is shown, the objects, and what the page says of all of them.
+
+    Raises:
+        TaskError: the file is no result, or neither its dataset nor an estimate of the stiffness is there to show.
+    """
+    result = Result.load(path)
+    curves, dataset = Curves.beside(result, path), _dataset(result)
+    maps = _maps(result)
+    names = sorted({*result.queries.get("object", ()), *maps})
+    if not names or (dataset is None and not maps):
+        raise TaskError(f"{path}: there is nothing to show. It holds no estimate of the stiffness, and the dataset of "
+                        f"{result.task} is not on this machine. Set $VSFSIM_DATASETS to the folder that has it.")
+    shown = []
+    for number, name in enumerate(names[:objects]):
+        shown.append(_object(name, dataset, curves, maps.get(name)))
+        if progress is not None:
+            progress(number + 1, min(len(names), objects), "object views")
+    parts = ["true and estimated stiffness" if maps else "no estimate of the stiffness",
+             "predictions over readings" if curves and dataset else
+             "no predictions (evaluate --keep predictions keeps them)" if dataset else
+             "no touches, because the dataset is not on this machine"]
+    about: dict[str, Any] = {"map": ["stiffness under a small cone", "N/m"]} if maps else {}
+    if curves is not None:
+        about |= {"reading": f"{result.observation} [{result.unit}]", "shots": list(curves.shots)}
+    return (f"{result.method} on {result.task}", f"{len(shown)} of {len(names)} object views: {', '.join(parts)}",
+            shown, about)
+
+
+def _dataset(result: Result) -> Dataset | None:
+    """The dataset that was asked, where it is on this machine."""
+    try:
+        found = Dataset.open(load_task(result.task).dataset.path())
+    except (DatasetError, TaskError):
+        return None
+    return found if found.sha256 == result.dataset_sha256 else None
+
+
+def _maps(result: Result) -> dict[str, np.ndarray]:
+    """Place [m], true stiffness [N/m] and estimate in the same unit (k, 5), by object view."""
+    if not result.maps:
+        return {}
+    m = result.maps
+    rows = np.column_stack([*((np.array(m[axis], float) - MAP_ORIGIN) * MAP_STEP for axis in "xyz"),
+                            np.array(m["truth"], float), np.array(m["mean"], float)])
+    out = {}
+    for name in dict.fromkeys(m["object"]):
+        mine = rows[[one == name for one in m["object"]]]
+        mine = mine[mine[:, 3] > 0.0]  # a cone that met nothing has no stiffness
+        if len(mine):
+            mine[:, 4] = np.maximum(mine[:, 4] * 10.0 ** -scale_of(mine[:, 4], mine[:, 3]), _FLOOR * mine[:, 3].min())
+            out[name] = mine
+    return out
+
+
+def _object(name: str, dataset: Dataset | None, curves: Curves | None, found: np.ndarray | None) -> dict[str, Any]:
+    view = None if dataset is None else dataset.load(name)
+    one = of_view(view) if view is not None else {"name": name, "probe_radius": None, "touches": [], "picture": None}
+    if found is not None:
+        one |= of_body(found[:, :3], found[:, 3], np.zeros(len(found), int))
+        one |= {"estimate": quantised(np.log10(found[:, 4:])),
+                "about": f"{len(found)} probed places; the estimate is scaled by one factor"}
+    if view is not None and curves is not None:
+        asked = [k for k, view_name in enumerate(curves.objects) if view_name == name]
+        one["touches"] = [{**one["touches"][int(curves.touches[k])], **_curve(view, curves, k)} for k in asked]
+    return one
+
+
+def _curve(view: ObjectView, curves: Curves, k: int) -> dict[str, Any]:
+    """Readings of a query touch in its recorded frames: true, and predicted by shot, means over runs. Of a reading of
+    several numbers its norm."""
+    touch: Touch = view.touches[int(curves.touches[k])]
+    frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
+    plan = np.arange(len(touch.time)) if touch.planned_frame is None else touch.planned_frame
+
+    def told(values: np.ndarray) -> Any:
+        size = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
+        return rounded(np.where(plan >= 0, size[plan], np.nan), 4)
+
+    return {"number": int(curves.touches[k]), "reading": told(curves.truth[frames]),
+            "predicted": [told(by_run[:, frames].mean(axis=0)) for by_run in curves.predicted]}
