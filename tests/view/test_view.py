@@ -236,8 +236,8 @@ def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp
         assert np.allclose(values(shown["log_modulus"])[:, 0], np.log10(truth), atol=1e-3)
         told = values(shown["estimate"])[:, 0] - np.log10(mean)
         assert np.ptp(told) < 1e-3 and np.median(told) == pytest.approx(np.median(np.log10(truth / mean)), abs=1e-3)
-        assert [t["number"] for t in shown["touches"]] == sorted({t for t, o in zip(q["touch"], q["object"], strict=True)
-                                                                  if o == of.name})
+        asked = {t for t, o in zip(q["touch"], q["object"], strict=True) if o == of.name}
+        assert [t["number"] for t in shown["touches"]] == sorted(asked)
         for t in shown["touches"]:
             clean = -(of.touches[t["number"]].force @ of.touches[t["number"]].axis)
             assert np.allclose(t["reading"], clean, atol=1e-4)
