@@ -14,7 +14,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.bubble.sheet import Balanced, Sheet
 
-_GROWTH, _MOST = 1.4, 1e4  # ratio of the volumes of two steps, and of the last and the first one
+_GROWTH, _MOST_TIMES = 1.4, 1e4  # ratio of the volumes of two steps, and of the last and the first one
 _LEAST = 1e-3  # smallest growth of the volume in a step
 _SECANT = 60  # iterations of regula falsi
 
@@ -56,7 +56,7 @@ def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tu
     while states[-1].pressure < pressure:
         now = states[-1]
         volume = growth * now.volume
-        if volume > _MOST * first.volume:
+        if volume > _MOST_TIMES * first.volume:
             break
         found = sheet.at_volume(*_ahead(states, volume), volume)
         if found is None:

@@ -26,7 +26,7 @@ GROWTH = 0.8
 _PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 _PASSES = 60  # rounds of division; three halve an edge
 _LONGEST = 1.3  # longest edge of a tetrahedron over the size asked for: a cube's five have its edge and its diagonal
-_MOST = (2, 12_000)  # tetrahedra that there may be: so many times those before, and so many more
+_MOST_TETS = (2, 12_000)  # tetrahedra that there may be: so many times those before, and so many more
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def refine_near(solid: Solid, edges: EdgePath, part: float) -> tuple[Solid, floa
     places, which = edges.meets(solid)
     if not len(places):
         return solid, part
-    near, most = cKDTree(places), _MOST[0] * len(solid.tets) + _MOST[1]
+    near, most = cKDTree(places), _MOST_TETS[0] * len(solid.tets) + _MOST_TETS[1]
     while True:
         vertices, tets, parent = _divide(solid.vertices, solid.tets, near, _LONGEST * part * edges.half[which], most)
         if len(tets) <= most:

@@ -20,7 +20,7 @@ SHARE = 1.0 / 3.0
 SHARP = 0.6
 _GROWTH = 0.2  # of the edge with the distance from what touches: bands of one size are then five triangles wide
 _LEVELS = 5  # a triangle is cut so often at most
-_MOST = 20_000  # nodes; as many as [sensor] may ask for
+_MOST_NODES = 20_000  # nodes; as many as [sensor] may ask for
 
 Wishes = tuple[tuple[float, tuple[int, ...]], ...]
 """Where a mesh is to be finer: for every body that touches, the edge on the free dome [m] and the nodes of the even
@@ -79,7 +79,7 @@ def finer(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple
         longer = size > wanted
         if not longer.any():
             break
-        if len(flat) + 2 * int(longer.sum()) > _MOST:
+        if len(flat) + 2 * int(longer.sum()) > _MOST_NODES:
             break
         flat, faces, rim, dome = _cut(flat, faces, rim, semi_axes, dome, longer)
     return flat, faces, rim

@@ -31,7 +31,7 @@ MAX_TETS = 2_000_000
 _FINER = (1.0, 1 / 1.4, 1 / 2, 1 / 2.8)
 """Sizes of lattices that are tried, over the size asked for; the first is kept whose box and volume are within 2 %."""
 _ENOUGH = 0.05  # difference up to which a lattice is preferred to fTetWild, whose mesh differs from run to run [-]
-_MOST = 60_000  # tetrahedra of a lattice that is finer than asked for, at most
+_MOST_TETS = 60_000  # tetrahedra of a lattice that is finer than asked for, at most
 _SHARP = np.radians(35.0)  # between the normals of two faces whose common edge the filling shall keep
 _DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL file has seven
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
@@ -117,7 +117,7 @@ def _best(surface: Surface, volume: float, resolution: float,
     problem = None
     for part in _FINER:
         size = part * resolution
-        if part < 1.0 and DENSITY * volume / size**3 > _MOST:
+        if part < 1.0 and DENSITY * volume / size**3 > _MOST_TETS:
             break
         vertices, tets = fill_lattice(within, low, high, size)
         if not len(tets):
