@@ -329,22 +329,25 @@ def leaderboard(results: Annotated[list[Path] | None,
     from vsfsim.papers.results import ship as ship_studies
 
     pages, tables, boards = [], [], []
-    for name in [task] if task else list(shelf.tasks()):
-        wanted = load_task(name)
-        paths = list(results or [])
-        if not paths and (Path("results") / wanted.name).is_dir():
-            paths = [Path("results") / wanted.name]
-        found = board.collect(wanted, paths)
-        boards.append(found)
-        if ship is not None:
-            board.ship(found, ship / f"{name}.json")
-            ship_studies(name, ship / "studies" / f"{name}.json")
-        pages.append((board.markdown if markdown else board.text)(found))
-        tables.append(board.table(found))
+    names = [task] if task else list(shelf.tasks())
+    with Progress("leaderboard") as told:
+        for name in names:
+            told(len(boards), len(names), name)
+            wanted = load_task(name)
+            paths = list(results or [])
+            if not paths and (Path("results") / wanted.name).is_dir():
+                paths = [Path("results") / wanted.name]
+            boards.append(found := board.collect(wanted, paths))
+            if ship is not None:
+                board.ship(found, ship / f"{name}.json")
+                ship_studies(name, ship / "studies" / f"{name}.json")
+            pages.append((board.markdown if markdown else board.text)(found))
+            tables.append(board.table(found))
     if html is not None:
         from vsfsim.bench.board.site import write_site
 
-        files = write_site(boards, html)
+        with Progress("pages") as progress:
+            files = write_site(boards, html, progress)
         report(f"{len(files)} pages; open {files[0]}", tables[0] if task else tables, json)
         return
     report("\n\n".join(pages), tables[0] if task else tables, json)

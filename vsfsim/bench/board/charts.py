@@ -20,6 +20,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 _MAP = ((0.0, (68, 1, 84)), (0.25, (59, 82, 139)), (0.5, (33, 145, 140)), (0.75, (94, 201, 98)), (1.0, (253, 231, 37)))
 """Viridis (van der Walt and Smith 2015) at five places."""
 _LEVELS = 31  # colours of a map, less one
+_GRID = 2  # pixels: places of a map are rounded to it, and those of one colour that meet are one dot
 
 
 @dataclass(frozen=True)
@@ -154,10 +155,12 @@ def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: f
     share = np.log(np.maximum(values, low) / low) / math.log(high / low)
     level = np.rint(_LEVELS * np.minimum(share, 1.0)).astype(int)
     out = []
-    for one in np.unique(level):  # a path a colour: a point is then 8 letters of the page and not 60
-        dots = "".join(f"M{a} {b}h0" for a, b in np.rint(np.column_stack([x, y])[level == one]).astype(int))
-        out.append(f'<path class="dots" stroke-width="{2.0 * radius:.1f}" stroke="{colour_of(one / _LEVELS)}" '
-                   f'd="{dots}"/>')
+    for one in np.unique(level):  # a path a colour, each place from the one before: a point is 6 letters and not 60
+        at = np.unique(np.rint(np.column_stack([x, y])[level == one] / _GRID).astype(int), axis=0)
+        steps = np.diff(at, axis=0, prepend=0)
+        dots = "".join(f"m{a}{'' if b < 0 else ' '}{b}z" for a, b in steps.tolist())
+        out.append(f'<path stroke="{colour_of(one / _LEVELS)}" d="{dots}"/>')
+    out = [f'<g class="dots" transform="scale({_GRID})" stroke-width="{2.0 * radius / _GRID:.1f}">', *out, "</g>"]
     tall = float(2 * margin + scale * spread[second]) + 26.0
     axes = "xyz"
     out.append(_text(margin, tall - 8.0, f"{name} ({axes[first]} right, {axes[second]} up)"))
@@ -166,7 +169,9 @@ def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: f
 
 def scale_bar(low: float, high: float, unit: str) -> str:
     """The colours of `stiffness_map`."""
-    out = [f'<rect x="{10 + 4 * k}" y="6" width="4.5" height="14" fill="{colour_of(k / 69)}"/>' for k in range(70)]
+    step = 280 / (len(_MAP) - 1) / 4
+    out = [f'<rect x="{10 + step * k:g}" y="6" width="{step + 0.5:g}" height="14" '
+           f'fill="{colour_of(k / (4 * len(_MAP) - 5))}"/>' for k in range(4 * (len(_MAP) - 1))]
     out += [_text(10, 36, f"{low:.3g}"), _text(290, 36, f"{high:.3g} {unit}", "end"),
             _text(150, 36, "logarithmic", "middle", soft=True)]
     return _svg(300, 42, out, "colours")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -37,13 +37,14 @@ _COLUMNS = ("stiffness: Spearman's rank correlation of the estimate with the tru
             "and 90 %: fraction of readings within the central interval that the method gives; right are 0.5 and 0.9.")
 _TIMES = "Meta-fit: time of a training; adapt and predict: of a new object and of a touch."
 
+Progress = Callable[[int, int, str], None]
 ByView = dict[str, list[tuple[str, np.ndarray]]]
 """By object view, what some methods say of it."""
 MOST_LINES = 8
-"""Methods in a chart; a table has them all."""
+"""Methods in a chart, and maps of an object; a table has them all."""
 
 
-def write_site(boards: Sequence[Board], out: Path) -> list[Path]:
+def write_site(boards: Sequence[Board], out: Path, progress: Progress = lambda *_: None) -> list[Path]:
     """Write the pages of some tasks into a folder, which is made if missing.
 
     Returns:
@@ -53,7 +54,8 @@ def write_site(boards: Sequence[Board], out: Path) -> list[Path]:
         TaskError: the folder or a file of it cannot be written.
     """
     pages: dict[str, str] = {"index.html": _index(boards)}
-    for board in boards:
+    for done, board in enumerate(boards):
+        progress(done, len(boards), board.task.name)
         names = labels_of([row.result for row in board.rows])
         pages[_of_task(board.task)] = _task_page(board, names)
         for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
@@ -131,16 +133,15 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
     over, ceiling = over_objects(board.task), possible(board)
     head = ["rank", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []),
             *(["difference to the best"] if over else []), "stiffness", "50 %", "90 %", "evidence"]
-    rows: list[list[Cell]] = []
+    rows = list[list[Cell]]()
     best = next((row for row in board.rows if row.rank == 1), None)
     for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
         rows.append([str(row.rank or "-"), link(_of_method(task, number), f"{name} ~" if row.other_bits else name),
                      *(_cell(row, task, label) for label in labels),
                      *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
                      *([_difference(row, best, task)] if over else []), *_other_scores(row, task), row.result.evidence])
-    body = [paragraph(task.description)]
-    if task.superseded_by:
-        body.append(paragraph(f"This task is {superseded(task)}."))
+    body = [paragraph(task.description),
+            *([paragraph(f"This task is {superseded(task)}.")] if task.superseded_by else [])]
     body += [paragraph(_how(board), note=True),
              table(head, rows, text=(1, len(head) - 1), caption=_COLUMNS)]
     body += [paragraph(f"{line}.", note=True) for line in column_notes(board)]
@@ -150,8 +151,9 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
         body += _comparison(board, names)
     costs: list[list[Cell]] = [[name, *_costs(row)] for row, name in zip(board.rows, names, strict=True)]
     if costs:
-        body += ["<h2>Time and memory</h2>",
-                 table(["method", "meta-fit", "adapt", "predict", "memory"], costs, caption=_TIMES)]
+        body += ["<h2>Time, memory, and how each row was made</h2>",
+                 table(["method", "meta-fit", "adapt", "predict", "memory", "sandbox", "command"], costs,
+                       text=(0, 5), long=(6,), caption=_TIMES)]
     body += _literature(board)
     objects = _objects(board)
     if objects:
@@ -267,7 +269,8 @@ def _costs(row: Row) -> list[str]:
     t = row.result.timing
     per = [("meta_fit_s", "fits"), ("adapt_s", "adapts"), ("predict_s", "predicts")]
     times = [_seconds(t[what] / max(t.get(count, 1.0), 1.0)) if what in t else "" for what, count in per]
-    return [*times, f"{row.result.peak_memory_mib:.0f} MiB" if row.result.peak_memory_mib else ""]
+    return [*times, f"{row.result.peak_memory_mib:.0f} MiB" if row.result.peak_memory_mib else "",
+            row.result.isolation or "not run here", command_of(row.result)]
 
 
 def _seconds(value: float) -> str:
@@ -352,12 +355,11 @@ def _object_table(board: Board, names: Sequence[str], objects: Sequence[str]) ->
 
 
 def _estimates(board: Board, names: Sequence[str]) -> dict[str, ByView]:
-    """What the ranked methods say of the stiffness, by object and view: of each method its name and, a row a point,
+    """What the first ranked methods say of the stiffness, by object and view: of each its name and, a row a point,
     place, truth and estimate (k, 5)."""
     out: dict[str, ByView] = {}
-    for row, label in zip(board.rows, names, strict=True):
-        if not row.rank or not row.result.maps:
-            continue
+    having = [(row, name) for row, name in zip(board.rows, names, strict=True) if row.rank and row.result.maps]
+    for row, label in having[:MOST_LINES]:
         columns = row.result.maps
         views = np.array(columns["object"])
         values = np.array([columns[key] for key in ("x", "y", "z", "truth", "mean")], float).T
