@@ -328,7 +328,7 @@ def leaderboard(results: Annotated[list[Path] | None,
     from vsfsim.core import shelf
     from vsfsim.papers.results import ship as ship_studies
 
-    pages, tables, boards = [], [], []
+    pages, tables, boards = [], [], list[board.Board]()
     names = [task] if task else list(shelf.tasks())
     with Progress("leaderboard") as told:
         for name in names:
