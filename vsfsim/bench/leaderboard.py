@@ -300,11 +300,11 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
 
 
 def possible(board: Board) -> dict[str, float]:
-    """By shot, the mean ratio of the ceiling that ran at the data's own tier; {} where the board has none, or does not
-    rank by the error over that of predicting zero."""
+    """By shot, the mean ratio of the lowest ceiling that ran at the data's own tier; {} where the board has none, or
+    does not rank by the error over that of predicting zero."""
     found = [row.scores["rmse_ratio"] for row in board.rows if row.mark == CEILING
              and board.task.primary == "rmse_ratio" and not row.result.parameters.get("tier")]
-    return {shot: score.mean for shot, score in found[0].items()} if found else {}
+    return {shot: min(one[shot].mean for one in found if shot in one) for shot in found[0]} if found else {}
 
 
 def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> float | None:

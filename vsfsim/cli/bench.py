@@ -112,8 +112,8 @@ def _again(path: Path, name: str | None) -> None:
 def evaluate(task: TaskName,
              method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method,
                                                               help="Name of a method (`vsfsim methods`), or "
-                                                                   "module:attribute. Give it again for more methods. "
-                                                                   "resim: the true object, a ceiling.")
+                                                                   "module:attribute; may be given again. Ceilings: "
+                                                                   "resim, the true object; fem-map, its mesh.")
                                ] = None,
              every: Annotated[bool, typer.Option("--all", help="All methods that ship, with all their presets; results "
                                                                "that are there already are kept. With --set "

@@ -20,6 +20,7 @@ from vsfsim.core.plain_text import plain
 
 METHOD_GROUP = "vsfsim.methods"
 CEILING_GROUP = "vsfsim.ceilings"
+FITTED_GROUP = "vsfsim.fitted_ceilings"
 EFFECTOR_GROUP = "vsfsim.effectors"
 FAMILY_GROUP = "vsfsim.families"
 
@@ -153,10 +154,12 @@ def methods() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def ceilings() -> dict[str, importlib.metadata.EntryPoint]:
-    """What knows the true object, by name: `vsfsim.generate.resim.again`, and the entry points of the group
-    ``vsfsim.ceilings``, each a function like it."""
-    shipped = importlib.metadata.EntryPoint("resim", "vsfsim.generate.resim:again", CEILING_GROUP)
-    return {ep.name: ep for ep in (*importlib.metadata.entry_points(group=CEILING_GROUP), shipped)}
+    """What knows the true object, by name: the entry points of the group ``vsfsim.ceilings``, each a function like
+    `vsfsim.generate.resim.again`, and of ``vsfsim.fitted_ceilings``, each like `vsfsim.generate.fem_map.fitted`."""
+    shipped = (importlib.metadata.EntryPoint("resim", "vsfsim.generate.resim:again", CEILING_GROUP),
+               importlib.metadata.EntryPoint("fem-map", "vsfsim.generate.fem_map:fitted", FITTED_GROUP))
+    return {ep.name: ep for group in (CEILING_GROUP, FITTED_GROUP)
+            for ep in (*importlib.metadata.entry_points(group=group), *(one for one in shipped if one.group == group))}
 
 
 def effectors() -> list[str]:

@@ -21,9 +21,9 @@ from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.job import jobs_of
+from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.recipe import check_files
-from vsfsim.generate.solid import prepare
+from vsfsim.generate.solid import Subject, prepare
 
 
 class Planned(Protocol):
@@ -52,6 +52,11 @@ def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = ""
         SceneError: the effector cannot repeat a plan, or has not this tier.
         DatasetError: a file that the scene names has changed.
     """
+    return retouch(prepare(job_of(recipe, name, tier), device=device), plans, device=device)
+
+
+def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
+    """The view ``name`` to make again; arguments and errors as `again`."""
     path = find_scene(recipe.scene) if recipe.scene in scenes() else Path(f"{recipe.scene}.toml")
     check_files(recipe, path)
     effector = effector_of(parse_scene(recipe.scene_text, path).sample(0))
@@ -60,10 +65,15 @@ def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = ""
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their plans: its effector "
                          f"takes no paths. Rigid probes ([probe] in the scene) do.")
     job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
-    if tier:
-        chosen = effector.check(job.scene(), tier, recipe.precision)
-        job = dataclasses.replace(job, recipe=dataclasses.replace(recipe, tier=chosen))
-    subject, unknown = prepare(job, device=device), np.full(3, np.nan)
+    if not tier:
+        return job
+    chosen = effector.check(job.scene(), tier, recipe.precision)
+    return dataclasses.replace(job, recipe=dataclasses.replace(recipe, tier=chosen))
+
+
+def retouch(subject: Subject, plans: Sequence[Planned], *, device: str) -> list[Touch]:
+    """One touch a plan, in their order, of an object whose `job_of` can be made again."""
+    touch, unknown = effector_of(subject.scene).touch, np.full(3, np.nan)  # type: ignore[attr-defined]
     out: dict[int, Touch] = {}
     for frames in dict.fromkeys(len(plan.poses) for plan in plans):
         mine = [k for k, plan in enumerate(plans) if len(plan.poses) == frames]

@@ -237,9 +237,17 @@ def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
           cache: Path | None = None, edges: EdgePath | None = None) -> Model:
     """The model of a scene at a tier, in the world frame; arguments and errors as `body`."""
+    return model_of(scene, tier, *body(scene, tier, seed=seed, focus=focus, cache=cache, edges=edges))
+
+
+def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model:
+    """The model of a body from `body`, or of one with other moduli (m, 4) [Pa] on the same tetrahedra.
+
+    Raises:
+        SceneError, MeshError: it cannot be built.
+    """
     spec = scene.object
     where = f"{scene.source} [object]"
-    solid, values = body(scene, tier, seed=seed, focus=focus, cache=cache, edges=edges)
     turn, shift = placement(spec)
     tolerance = 1e-6 * float(np.ptp(solid.vertices[:, 2]))
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":

@@ -2,11 +2,14 @@
 
 A ceiling is an entry point of the group `vsfsim.ceilings`, a function that is given a dataset's recipe, the name of an
 object view and the actions of its query touches, and returns the touches. `resim` makes them again with the true mesh
-and field (`vsfsim.generate.resim`); its error is what the task's questions leave open to a perfect model.
+and field (`vsfsim.generate.resim`); its error is what the task's questions leave open to a perfect model. One of the
+group `vsfsim.fitted_ceilings` is given the readings of each trial as ``support``, too: `fem-map`
+(`vsfsim.generate.fem_map`) fits the true mesh's moduli to them. Other keyword parameters are set by ``--set``.
 """
 
 from __future__ import annotations
 
+import inspect
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,11 +23,11 @@ import numpy as np
 
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.presets import Choice
-from vsfsim.bench.method import Action, contents_of
+from vsfsim.bench.method import Action, Reading, contents_of
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.predictions import result_of
-from vsfsim.bench.protocol import divide, record
+from vsfsim.bench.protocol import divide, record, support
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
@@ -33,60 +36,68 @@ from vsfsim.bench.trials.folds import test_names
 from vsfsim.bench.trials.subject import Trial
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
-from vsfsim.core.shelf import ceilings
+from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 
-PARAMETERS = {"tier": "", "device": "cpu"}
-"""Of every ceiling: the tier of its simulation, "" for the dataset's own, and its Warp device."""
-
 
 def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
-    """The ceilings that a task can have: where it asks for readings of touches by a rigid probe."""
+    """The ceilings that `--all` makes of a task that asks for readings of touches by a rigid probe. Those that are
+    fitted to a support take a minute of a core for each, and are asked by their names."""
     scene = parse_scene(dataset.recipe.scene_text, f"{dataset.recipe.scene}.toml").sample(0)
     asked = task.metric.answer is Answer.READINGS and scene.effector == "probe"
-    return [Choice(name, "", {}) for name in ceilings()] if asked else []
+    return [Choice(name, "", {}) for name, entry in ceilings().items() if asked and entry.group == CEILING_GROUP]
 
 
 def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
                      processes: int = 1, progress: Callable[[int, int, str], None] | None = None,
                      out: Path | None = None, keep: str = "") -> Result:
-    """The result of a ceiling: the same answers at every number of touches.
+    """The result of a ceiling: the same answers at every number of touches, unless it takes a support.
 
     Args:
-        name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. parameters: over
-        `PARAMETERS`. processes: objects at the same time. progress: called with (objects done, of how many, name).
+        name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. parameters: over those of
+        its function. processes: answers at the same time. progress: called with (answers made, of how many, object).
         out: result file, or None. keep: as of `vsfsim.bench.commands.evaluate.evaluate`.
 
     Raises:
         MethodError: an unknown parameter.
         VsfsimError: the dataset's object cannot be asked again.
     """
+    entry = ceilings()[name]
+    takes = {key: one.default for key, one in inspect.signature(entry.load()).parameters.items()
+             if one.kind is one.KEYWORD_ONLY}
+    takes.pop("support", None)
+    fits = entry.group == FITTED_GROUP
     for key in parameters or {}:
-        if key not in PARAMETERS:
-            raise MethodError(f"the ceiling {name} has no parameter '{key}'. {did_you_mean(key, PARAMETERS)}")
-    given = {**PARAMETERS, **(parameters or {})}
-    names = test_names(dataset, task.protocol)
-    asked = {}
+        if key not in takes:
+            raise MethodError(f"the ceiling {name} has no parameter '{key}'. {did_you_mean(key, takes)}")
+    given = {**takes, **(parameters or {})}
+    names, trials, asked = test_names(dataset, task.protocol), [], {}
     for one in names:
         view = dataset.blind().load(one)
-        queries = record(view, task).queries
-        asked[one] = [queries[index].action for index in divide(view, task.protocol).query]
+        recording, draw = record(view, task), divide(view, task.protocol)
+        queries = [recording.queries[index].action for index in draw.query]
+        for shot in task.protocol.labels:
+            for run in task.protocol.runs(seeded=False):
+                known = support(view, draw, shot, task.protocol.draw_of(run), task.protocol) if fits else ()
+                trials.append(Trial(one, shot, run, known))
+                asked[one, known] = queries, [recording.readings[index] for index in known]
     began = time.perf_counter()
-    work = partial(_ask, ceilings()[name], dataset.recipe, given)
-    said: dict[str, tuple[list[np.ndarray], int]] = {}
-    for one, answer in zip(names, _each(work, names, [asked[one] for one in names], processes), strict=True):
-        said[one] = answer
+    work = partial(_ask, entry, dataset.recipe, given)
+    said: dict[tuple[str, tuple[int, ...]], tuple[list[np.ndarray], int]] = {}
+    for which, answer in zip(asked, _each(work, list(asked), list(asked.values()), processes), strict=True):
+        said[which] = answer
         if progress is not None:
-            progress(len(said), len(names), one)
+            progress(len(said), len(asked), which[0])
     lost = sum(number for _, number in said.values())
-    answers = [Answers(Trial(one, shot, run, ()), tuple(said[one][0]), None, None, None, None, None, 0.0, 0.0)
-               for one in names for shot in task.protocol.labels for run in task.protocol.runs(seeded=False)]
-    notes = ("a ceiling: it knows the true object and no touch",
+    answers = [Answers(trial, tuple(said[trial.subject, trial.support][0]), None, None, None, None, None, 0.0, 0.0)
+               for trial in trials]
+    notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
     result = result_of(answers, task, dataset, method=name, entry=ceilings()[name].value, parameters=given,
                        notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents_of(name, given),
-                       timing={"predict_s": time.perf_counter() - began, "predicts": sum(map(len, asked.values()))})
+                       timing={"predict_s": time.perf_counter() - began,
+                               "predicts": sum(len(queries) for queries, _ in asked.values())})
     if out is not None:
         result.save(out)
         if keep:
@@ -94,20 +105,22 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     return result
 
 
-def _each(work: Callable[..., Any], names: Sequence[str], asked: Sequence[list[Action]], processes: int
-          ) -> Iterator[Any]:
+def _each(work: Callable[..., Any], which: Sequence[tuple[str, tuple[int, ...]]],
+          asked: Sequence[tuple[list[Action], list[Reading]]], processes: int) -> Iterator[Any]:
     if processes == 1:
-        yield from map(work, names, asked)
+        yield from map(work, which, asked)
         return
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(work, names, asked)
+        yield from pool.map(work, which, asked)
 
 
-def _ask(ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any], name: str, actions: Sequence[Action]
-         ) -> tuple[list[np.ndarray], int]:
+def _ask(ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any], which: tuple[str, tuple[int, ...]],
+         asked: tuple[list[Action], list[Reading]]) -> tuple[list[np.ndarray], int]:
     """Readings (T, d) of each action, and the number of frames that had no answer of their own."""
+    (name, known), (actions, readings) = which, asked
+    more = {"support": readings} if known else {}
     out, lost = [], 0
-    for action, touch in zip(actions, ceiling.load()(recipe, name, actions, **parameters), strict=True):
+    for action, touch in zip(actions, ceiling.load()(recipe, name, actions, **more, **parameters), strict=True):
         row = OBSERVATIONS[action.observation]
         values = row.channel.clean(touch)
         if values is None:

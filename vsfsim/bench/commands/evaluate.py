@@ -33,7 +33,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
 
     Args:
         method: name of an installed method, module:attribute, or a class of an importable module. It runs in a process
-            of its own. "resim" is the ceiling (`vsfsim.bench.commands.ceiling`).
+            of its own. "resim" and "fem-map" are ceilings (`vsfsim.bench.commands.ceiling`).
         task: name of a shipped task, path of a .toml file, or a loaded task.
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
         parameters: of the method's constructor, over its defaults.

@@ -153,11 +153,11 @@ class RigidContact(PointStiffness):
                                                self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
         missing = self._by_place and MissingCompliance(self.model, self.response, self.compliance, self._points)
-        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, self._places(
+        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, self.places(
             self.rest.view(batch, nodes, 3)), on=self._sinks, missing=missing or None)
         self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
 
-    def _places(self, x: torch.Tensor) -> torch.Tensor:
+    def places(self, x: torch.Tensor) -> torch.Tensor:
         """Vectors at the nodes of the patches (B, s, 3) interpolated to the Gauss points (B, 6 f, 3)."""
         return self._points @ x if self._sums is None else self._sums.places(x)
 
@@ -316,7 +316,7 @@ class RigidContact(PointStiffness):
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        places, origin = self._places(self._x)[columns], wp.to_torch(self._pose[0])[columns]  # origin (k, K, 3)
+        places, origin = self.places(self._x)[columns], wp.to_torch(self._pose[0])[columns]  # origin (k, K, 3)
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
 
@@ -345,7 +345,7 @@ class RigidContact(PointStiffness):
 
     def local_share(self, columns: torch.Tensor) -> torch.Tensor:
         """See `LocalIndentation.share`."""
-        gone = (self._places(self._x - self.rest.view_as(self._x)) * self.normal)[columns].sum(dim=2)
+        gone = (self.places(self._x - self.rest.view_as(self._x)) * self.normal)[columns].sum(dim=2)
         return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,

@@ -354,6 +354,10 @@ class Elasticity:
                     wp.array(places, dtype=wp.int32, device="cpu"), matrix,
                     wp.array(values, dtype=wp.float64, device="cpu", copy=False)])
 
+    def of_elements(self, block: int) -> np.ndarray:
+        """Nodal forces of each element of one block at the last `forces` (m, 3 a, B) [N], until the next product."""
+        return self._part[block][0].numpy()
+
     def remembered(self, block: int) -> np.ndarray:
         """The state of the tangents of one block (m, state_size, B), read back to assemble a matrix on the host."""
         return self._state[block].numpy()

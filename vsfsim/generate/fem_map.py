@@ -1,0 +1,121 @@
+"""`fem-map`: the true mesh with moduli that are fitted to the support touches, a ceiling of what touches can tell
+(`vsfsim evaluate --method fem-map`).
+
+It knows the object's form, its parts and their elastic laws, but no modulus. With ``field`` "parts" log E of each part
+has the mean and deviation of that part in the dataset's other objects; with "smooth" log E is a Gaussian process over
+the object that knows no parts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.records import Touch
+from vsfsim.data.streams import Stream
+from vsfsim.generate.job import Job, jobs_of
+from vsfsim.generate.resim import Planned, job_of, retouch
+from vsfsim.generate.solid import Subject, prepare
+from vsfsim.physics import tiers
+from vsfsim.physics.inverse.modulus_fit import Noise, Press, Presser, Prior, fit_modulus
+from vsfsim.physics.inverse.smooth_field import smooth_basis
+from vsfsim.physics.model import Model
+
+FIELDS = ("parts", "smooth")
+"""Where log E may vary: from part to part, or smoothly."""
+NOISE = Noise(0.2, 0.03)
+"""Of the readings: that of the tared sensor of the tasks (0.15 N in a frame and 0.1 N in all of them), and what the
+derivative of a step leaves."""
+
+_OTHERS = 16  # objects that the prior is learned from
+_LEAST_STD = 0.3  # of log E of a part whose modulus the others share [-]
+_REACH = 0.06  # over which log E is alike where it varies smoothly [m]
+
+
+class Known(Protocol):
+    """A touch that was made."""
+
+    @property
+    def action(self) -> Planned:
+        """What was done."""
+
+    @property
+    def value(self) -> np.ndarray:
+        """Normal forces (T, 1) [N]."""
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Whether a frame has one (T,) bool."""
+
+
+def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequence[Known] = (), tier: str = "",
+           device: str = "cpu", field: str = "parts") -> list[Touch]:
+    """Build the object of a view from its recipe, fit its moduli to the ``support`` and touch it.
+
+    Args:
+        recipe: of the dataset. name: of the object view. plans: of the touches that are asked.
+        support: of the same object.
+        tier: of the simulation; "" for the dataset's own.
+        device: Warp device of the touches that are asked; the fit runs on the CPU.
+        field: one of `FIELDS`.
+
+    Raises:
+        SceneError: the effector cannot repeat a plan, has not this tier, or rubs against the object; or the tier has no
+            tetrahedra or no large strain.
+    """
+    if field not in FIELDS:
+        raise SceneError(f"field is '{field}'. {did_you_mean(field, FIELDS)}")
+    job = job_of(recipe, name, tier)
+    subject = prepare(job, device=device)
+    scene, model = subject.scene, subject.model
+    if scene.required_object.friction:
+        raise SceneError(f"fem-map differentiates touches without friction, and scene '{recipe.scene}' has friction = "
+                         f"{scene.required_object.friction:g}.")
+    if not tiers.TIERS[job.recipe.tier].nonlinear:
+        raise SceneError(f"fem-map needs a tier of large strain; give --set tier=fem-coarse instead of "
+                         f"'{job.recipe.tier}'.")
+    prior = _prior(job, subject, field)
+
+    def model_of(log_modulus: np.ndarray) -> Model:
+        return tiers.model_of(scene, job.recipe.tier, model.solid, np.repeat(np.exp(log_modulus)[:, None], 4, axis=1))
+
+    presses = [Press(one.action.poses, one.action.axis, np.where(one.valid, one.value[:, 0], np.nan))
+               for one in support]
+    presser = Presser(scene.probe, scene.mount_stiffness, subject.limits())
+    theta, _ = fit_modulus(model_of, prior, presses, presser, NOISE)
+    return retouch(dataclasses.replace(subject, model=model_of(prior.basis @ theta)), plans, device=device)
+
+
+def _prior(job: Job, subject: Subject, field: str) -> Prior:
+    """Of log E of the object, from the others of its dataset."""
+    solid = subject.model.solid
+    others = [one for one in jobs_of(job.recipe, job.path, "", None)
+              if one.object_index != job.object_index and one.view_index == 0][:_OTHERS]
+    if not others:
+        raise SceneError(f"fem-map learns its prior from the other objects of the dataset, and scene "
+                         f"'{job.recipe.scene}' has {job.name} alone.")
+    rows = []
+    for other in others:
+        body, values = tiers.body(other.scene(), job.recipe.tier, seed=other.stream(Stream.BODY), cache=other.cache)
+        log, region = np.log(values).mean(axis=1), np.asarray(body.region)
+        own = {part: float(log[region == k].mean()) for k, part in enumerate(body.region_names) if (region == k).any()}
+        rows.append([own.get(part, np.nan) for part in solid.region_names])
+    table = np.array(rows)
+    level = float(np.nanmean(table))
+    known = np.isfinite(table).any(axis=0)
+    mean = np.where(known, np.nanmean(np.where(known, table, level), axis=0), level)
+    if field == "parts":
+        std = np.where(known, np.nanstd(np.where(known, table, level), axis=0), np.nanstd(table))
+        basis = (np.asarray(solid.region)[:, None] == np.arange(len(mean))).astype(float)
+        return Prior(basis, mean, np.diag(np.maximum(std, _LEAST_STD) ** 2))
+    centre = subject.model.mesh.points[subject.model.mesh.tets[:, :4]].mean(axis=1)
+    basis = smooth_basis(centre, reach=_REACH, std=max(float(np.nanstd(table)), _LEAST_STD))
+    return Prior(np.concatenate([np.ones((len(centre), 1)), basis], axis=1),
+                 np.concatenate([[level], np.zeros(basis.shape[1])]),
+                 np.diag(np.concatenate([[max(float(np.nanstd(np.nanmean(table, axis=1))), _LEAST_STD) ** 2],
+                                         np.ones(basis.shape[1])])))

@@ -1,0 +1,156 @@
+"""The moduli that explain touches: maximum a posteriori by Gauss and Newton's method through the solver.
+
+With log E = B theta over the elements, theta of a Gaussian prior, and forces F(theta) of the solver read with errors of
+deviation s, the fit minimises
+
+    sum ((F(theta) - y) / s)^2 / 2 + (theta - m) . C^-1 (theta - m) / 2
+
+by steps of the linearised problem (Nocedal and Wright 2006, section 10.3) whose derivatives are those of `sensitivity`.
+Every run begins at the equilibria of the one before, and shares the factor of the first, which only preconditions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.shape import ProbeShape
+from vsfsim.physics.inverse.sensitivity import Sensitivity
+from vsfsim.physics.model import Model
+from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.mount import Mount
+
+STEPS = 4
+"""Steps of the fit; after three the error of a shoe's queries changes by less than 0.01 of zero's."""
+_LONGEST = 1.2  # change of a coefficient in a step: of a modulus by 3.3 [-]
+_STILL = 0.03  # change of log E under which the fit has ended [-]
+_GAIN = 0.02  # share of what is minimised that a step must be expected to take off
+_HALVINGS = 1  # of a step that explains the touches worse
+_TOGETHER = 16  # touches that are solved together
+
+
+@dataclass(frozen=True)
+class Press:
+    """A touch by a rigid body, and what was read of it."""
+
+    poses: np.ndarray
+    """Of the mount (T, 4, 4) [m]."""
+    axis: np.ndarray
+    """Unit direction of the press (3,) [-]."""
+    force: np.ndarray
+    """Force against the press (T,) [N]; NaN where it was not read."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A Gaussian prior of the coefficients of log E."""
+
+    basis: np.ndarray
+    """B (m, c): what each coefficient adds to log E of each element [-]."""
+    mean: np.ndarray
+    """m (c,)."""
+    covariance: np.ndarray
+    """C (c, c)."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Deviation of a reading F [N]: the root of floor^2 + (share F)^2."""
+
+    floor: float
+    """[N]."""
+    share: float
+    """What the model itself is off by [-]."""
+
+
+@dataclass(frozen=True)
+class Presser:
+    """The rigid body that presses, and the solver's limits."""
+
+    shape: ProbeShape
+    """Of the body."""
+    mount_stiffness: float | None
+    """Of the spring that carries it [N/m]; None for a rigid mount."""
+    options: SolverOptions
+    """Limits."""
+
+    def press(self, model: Model, presses: Sequence[Press], near: Sequence[Sensitivity] = (), *, derive: bool = False,
+              ) -> tuple[list[np.ndarray], list[np.ndarray], list[Sensitivity]]:
+        """Forces (T,) [N] of each press, NaN in frames without an equilibrium; their derivatives by the log modulus of
+        every element (T, m) [N], where asked for; and the runs, ``near`` which others begin."""
+        runs: list[Sensitivity] = []
+        force: list[np.ndarray] = [np.zeros(0)] * len(presses)
+        slopes: list[np.ndarray] = [np.zeros((0, 0))] * len(presses)
+        for some in _alike(presses):
+            axis, poses = np.stack([presses[k].axis for k in some]), np.stack([presses[k].poses for k in some], axis=1)
+            run = Sensitivity(model, self.shape, axis, options=self.options, near=near[len(runs)] if near else None)
+            frames = run.run(poses, mount=None if self.mount_stiffness is None else Mount(self.mount_stiffness, axis),
+                             keep=derive)
+            for j, k in enumerate(some):
+                force[k] = -(frames.force[:, j] @ presses[k].axis)
+                if derive:
+                    slopes[k] = np.stack([one[j] for one in run.derivative])
+            runs.append(run)
+        return force, slopes, runs
+
+
+def _alike(presses: Sequence[Press]) -> list[list[int]]:
+    """Numbers of presses of as many frames, `_TOGETHER` at most."""
+    out = []
+    for frames in dict.fromkeys(len(one.poses) for one in presses):
+        mine = [k for k, one in enumerate(presses) if len(one.poses) == frames]
+        out += [mine[k:k + _TOGETHER] for k in range(0, len(mine), _TOGETHER)]
+    return out
+
+
+def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: Sequence[Press], presser: Presser,
+                noise: Noise, *, steps: int = STEPS) -> tuple[np.ndarray, np.ndarray]:
+    """The coefficients (c,) that explain the presses best, and their covariance (c, c) in the linearised problem.
+
+    Args:
+        model_of: the object with log E (m,) of its elements.
+        prior: of the coefficients. presses: the touches. presser: the body. noise: of the readings.
+        steps: at most.
+    """
+    theta, precision = prior.mean.copy(), np.linalg.inv(prior.covariance)
+    if not presses:
+        return theta, prior.covariance
+    read = np.concatenate([one.force for one in presses])
+    weight = np.where(np.isfinite(read), 1.0 / (noise.floor**2 + (noise.share * np.nan_to_num(read)) ** 2), 0.0)
+    first: Model | None = None
+
+    def look(at: np.ndarray, near: Sequence[Sensitivity]) -> tuple[float, np.ndarray, np.ndarray, list[Sensitivity]]:
+        nonlocal first
+        model = model_of(prior.basis @ at)
+        first = first or model
+        shared = dataclasses.replace(model, factor=first.factor, soft_factor=first.soft_factor)
+        force, slopes, runs = presser.press(shared, presses, near, derive=True)
+        slope = np.concatenate(slopes) @ prior.basis
+        off = read - np.concatenate(force)
+        known = (weight > 0.0) & np.isfinite(off) & np.isfinite(slope).all(axis=1)
+        # a frame without an equilibrium counts as not explained at all, so that no step gains by losing frames
+        lost = weight[~known] @ np.nan_to_num(read[~known]) ** 2
+        off, slope = np.where(known, off, 0.0), np.where(known[:, None], slope, 0.0)
+        loss = weight @ off**2 + (at - prior.mean) @ precision @ (at - prior.mean) + lost
+        hessian = (slope * weight[:, None]).T @ slope + precision
+        downhill = slope.T @ (weight * off) - precision @ (at - prior.mean)
+        return float(loss), hessian, downhill, runs
+
+    loss, hessian, downhill, runs = look(theta, ())
+    for _ in range(steps):
+        step = np.linalg.solve(hessian, downhill)
+        step *= min(1.0, _LONGEST / max(float(np.abs(prior.basis @ step).max()), 1e-12))
+        if np.abs(prior.basis @ step).max() < _STILL or step @ downhill < _GAIN * loss:
+            break
+        for _ in range(_HALVINGS + 1):
+            found = look(theta + step, runs)
+            if found[0] < loss:
+                break
+            step *= 0.4
+        else:
+            break
+        theta, (loss, hessian, downhill, runs) = theta + step, found
+    return theta, np.linalg.inv(hessian)
