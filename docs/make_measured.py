@@ -68,19 +68,21 @@ def study(name: str, size: str = "mini") -> str:
 
 def claims() -> str:
     """The table of `vsfsim claims` from the results that ship, and what experiments say."""
-    from vsfsim.papers.claims import HOLDS, conclusions, counts, difference
+    from vsfsim.papers.claims import HEAD, RULE, cells, conclusions, counts, superseded
+    from vsfsim.papers.decide import HOLDS
     from vsfsim.papers.verdicts import all_verdicts
 
     found = all_verdicts(boards=BOARDS, made=False)
+    numbered = list(enumerate(found, start=1))
     tables = []
     for task in dict.fromkeys(v.claim.task for v in found):
-        rows = [[str(k), f"**{v.answer}**" if v.answer == HOLDS else v.answer, f"{v.claim.text} ({v.claim.source})",
-                 v.claim.figures, v.ours, difference(v)] for k, v in enumerate(found, start=1) if v.claim.task == task]
-        tables.append(f"## On `{task}`\n\n" + piped(["#", "verdict", "claim", "paper", "here", "difference (objects)"],
-                                                   rows))
+        rows = [[f"**{cell}**" if cell == HOLDS else cell for cell in cells(k, v)]
+                for k, v in numbered if v.claim.task == task]
+        tables.append(f"## On `{task}`\n\n" + piped(list(HEAD), rows))
     lines = [f"- {line}." for line in conclusions(found)]
-    notes = [f"- {k}: {v.claim.note}." for k, v in enumerate(found, start=1) if v.claim.note]
-    return (f"<!-- vsfsim claims -->\n{counts(found)}\n\n" + "\n".join(tables)
+    notes = [f"- {line}" for line in superseded(found)] + [f"- {k}: {v.claim.note}." for k, v in numbered
+                                                           if v.claim.note]
+    return (f"<!-- vsfsim claims -->\n{counts(found)} {RULE}\n\n" + "\n".join(tables)
             + "\n## What experiments say of claims that do not hold or cannot be told\n\n" + "\n".join(lines)
             + "\n\n## What is different here\n\n" + "\n".join(notes) + "\n")
 

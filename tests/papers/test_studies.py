@@ -13,7 +13,8 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import scenes
 from vsfsim.papers import report, verdicts, worlds
 from vsfsim.papers import results as stored_results
-from vsfsim.papers.claims import FAILS, HOLDS, UNTOLD
+from vsfsim.papers.claims import decided as judged
+from vsfsim.papers.decide import FAILS, HOLDS, UNTOLD
 from vsfsim.papers.results import Found
 from vsfsim.papers.study import load_study, parse_study, studies
 
@@ -37,7 +38,7 @@ paper = { 0 = [2.0, 0.1] }
 [[claim]]
 text = "more is better"
 source = "nobody"
-figures = "1 and 2"
+figures = ["SBML 2/broad/0", "SBML 3/HE/0"]
 better = ["all", "0"]
 worse = ["half", "0"]
 """
@@ -113,10 +114,11 @@ def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer,
     monkeypatch.setattr(verdicts, "load_study", lambda name: asked)
     monkeypatch.setattr(verdicts, "stored", lambda *_: found(study, **values))
     decided, experiments = verdicts.verdicts("mini", ["toy"])
-    (verdict,) = verdicts.beside(decided, experiments)
-    assert verdict.answer == answer and verdict.experiments[0].answer == answer
+    (verdict,) = judged(verdicts.with_experiments(decided, experiments))
+    assert verdict.answers.direction == answer and verdict.experiments[0].answer == answer
     assert "vsfsim study toy --size mini" in verdict.commands[0]
     said = verdict.experiments[0].conclusion
+    assert "so the method" not in said, "one training"
     assert {HOLDS: "at fault: data", FAILS: "not at fault: data", UNTOLD: "nothing is stored"}[answer] in said
 
 

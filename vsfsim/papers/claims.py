@@ -1,12 +1,9 @@
 """`vsfsim claims`: what the two papers claim, with their figures, against stored results.
 
-A claim says that one method errs less than another, or that two cannot be told apart. It is decided object by object:
-it holds if the paired difference has the claimed sign by more than two standard errors over objects, it does not hold
-if it has the other sign by as much, and else it cannot be told. Two sides are equal if they are not told apart by two
-standard errors that are small enough to tell a difference of `EQUAL_WITHIN`. Where a paper's figures differ by more
-than that share, and ours by less even with two standard errors added, the claim does not hold either. A result is found
-by its method, its preset and its task; where one is missing, the claim cannot be told and the command that makes the
-result is printed.
+A claim says that one method errs less than another, or that two are equal. `vsfsim.papers.decide` answers it twice:
+whether the *direction* is the claimed one, and whether the *size* is at least half of the paper's. A result is found by
+its method, its preset and its task; where one is missing, the claim cannot be told and the command that makes the
+result is printed. Figures are cells of `vsfsim.papers.figures`.
 
 The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.papers.verdicts`), and so do
 the experiments that say why a claim does not hold: each asks the same of other data.
@@ -14,25 +11,48 @@ the experiments that say why a claim does not hold: each asks the same of other 
 
 from __future__ import annotations
 
-import re
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from vsfsim.bench.board.compare import FEWEST_OBJECTS, TOLD_APART, ByObject, Paired, by_object, interval, paired
+from vsfsim.bench.board.compare import ByObject, by_object, interval
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import Protocol, load_task
 from vsfsim.core.text_table import text_table
+from vsfsim.papers.decide import (
+    EQUAL_WITHIN,
+    FAILS,
+    HOLDS,
+    LEVEL,
+    UNTOLD,
+    Answers,
+    Difference,
+    Question,
+    Values,
+    answers,
+)
+from vsfsim.papers.figures import figure, said
 
-HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
+SIZES = ("standard", "superseded", "mini")
+"""Sizes of the tasks in the order in which a claim takes the first that has results. Those of the second are
+superseded; they count until the rows of the first are there."""
 
 DATA = "data"
 """What an experiment changes that asks a world in which the papers' model is exact: what fails there, too, is the
 method's. Any other experiment that fails rules out what it changes, and no more."""
 
-EQUAL_WITHIN = 0.15
-"""Two sides count as equal only if a difference of this share of the second one would have been told; a wider interval
-says nothing."""
+TRAININGS = 3
+"""Of a method, at least, before its failure on data that fit its model counts as its own."""
+
+ANGLE = 15.0
+"""An object whose pose is found within this angle counts as found [degrees]."""
+
+
+NOT_ASKED = Answers(UNTOLD, "", (1.0, 1.0))
+"""Before all claims are answered together."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +73,8 @@ class Claim:
     """In our words."""
     source: str
     """Paper and place."""
-    figures: str
-    """The paper's, of both sides: two decimal numbers, the better side's first, or words where it prints none."""
+    figures: tuple[str, ...]
+    """Cells of `vsfsim.papers.figures` of both sides, the better first; () where the paper prints none."""
     task: str
     """Name of the task that asks it here."""
     better: Side
@@ -69,6 +89,15 @@ class Claim:
     """What is different here, or ""."""
     key: str = ""
     """By which experiments name it, "" where there are none."""
+    words: str = "drawn, no number"
+    """In the place of figures."""
+
+    def question(self, difference: Difference | None) -> Question:
+        """As it is tested."""
+        higher = METRICS[self.metric].higher_is_better or self.metric == "rotation_error"  # a share of objects
+        better, worse = (figure(name).value for name in self.figures) if self.figures else (0.0, 0.0)
+        share = (better - worse if higher else worse - better) / worse if self.figures else None
+        return Question(difference, self.equal, higher, share)
 
 
 @dataclass(frozen=True)
@@ -83,7 +112,7 @@ class Experiment:
     """Name of the study that it is part of."""
     answer: str
     """`HOLDS`, `FAILS` or `UNTOLD`."""
-    difference: Paired | None
+    difference: Difference | None
     """Better minus worse over objects; None where a result is missing."""
 
     @property
@@ -95,7 +124,7 @@ class Experiment:
         d = f"{self.difference.mean:+.3f} ± {self.difference.error:.3f}, {self.difference.objects} objects"
         return {HOLDS: f"at fault: {self.changes}; {where} it holds ({d})",
                 FAILS: f"not at fault: {self.changes}; {where} it does not hold either ({d})"
-                       + (", so the method" if self.changes == DATA else ""),
+                       + (", so the method" if self.changes == DATA and self.difference.trainings >= TRAININGS else ""),
                 UNTOLD: f"open: {self.changes}; {where} it cannot be told either ({d})"}[self.answer]
 
 
@@ -105,43 +134,49 @@ class Verdict:
 
     claim: Claim
     """The claim."""
-    answer: str
-    """`HOLDS`, `FAILS` or `UNTOLD`."""
     ours: str
     """Both sides with their standard errors over objects, or why there is none."""
-    difference: Paired | None
+    difference: Difference | None
     """Better minus worse over objects; None where a result is missing."""
     commands: tuple[str, ...] = field(default=())
     """Which made the results, or would make the missing ones."""
     experiments: tuple[Experiment, ...] = field(default=())
     """On the same claim."""
+    answers: Answers = NOT_ASKED
+    """Among all claims (`decided`)."""
+
+    @property
+    def question(self) -> Question:
+        """As it is tested."""
+        return self.claim.question(self.difference)
 
 
-def _pair(kind: str, task: str, table: str, zero_table: str, figures: Mapping[str, str]) -> list[Claim]:
-    """The claims of SBML that are the same for plants and shoes."""
-    def claim(key: str, text: str, source: str, better: tuple[str, str], worse: tuple[str, str], *,
+def _pair(kind: str, task: str, main: str, zero: str) -> list[Claim]:
+    """The claims of SBML that are the same for plants and shoes, by its tables of the main rows and of the others."""
+    def claim(key: str, text: str, figures: tuple[str, str], better: tuple[str, str], worse: tuple[str, str], *,
               equal: bool = False) -> Claim:
-        return Claim(text, source, figures[key], task, Side(*better), Side(*worse), equal=equal, key=f"{kind}/{key}")
+        return Claim(text, source_of(figures), figures, task, Side(*better), Side(*worse), equal=equal,
+                     key=f"{kind}/{key}")
 
     return [
-        claim("average", "before any touch the learned prior errs less than the average Gaussian prior", table,
-              ("sbml", "0"), ("gaussian", "0")),
-        claim("zero", "before any touch the learned prior errs less than predicting zero", zero_table, ("sbml", "0"),
-              ("gaussian-zero", "0")),
-        claim("few", "after 5 touches the learned prior errs less than the average Gaussian prior", table,
-              ("sbml", "5"), ("gaussian", "5")),
-        claim("few zero", "after 10 touches the learned prior errs less than the zero Gaussian prior", zero_table,
-              ("sbml", "10"), ("gaussian-zero", "10")),
-        claim("falls", "the error of the learned prior falls from 0 to 10 touches", table, ("sbml", "10"),
-              ("sbml", "0")),
-        claim("all", "a stiffness field fitted to all touches errs less than predicting zero", table,
-              ("point-vsf", "all"), ("gaussian-zero", "0")),
-        claim("imaml", "before any touch the learned prior errs less than iMAML with vision", table, ("sbml", "0"),
-              ("imaml-vision", "0")),
-        claim("imaml few", "after 10 touches the learned prior errs less than iMAML with vision", table,
-              ("sbml", "10"), ("imaml-vision", "10")),
-        claim("vision", "before any touch iMAML with vision cannot be told from iMAML without", zero_table,
-              ("imaml", "0"), ("imaml-vision", "0"), equal=True),
+        claim("average", "before any touch the learned prior errs less than the average Gaussian prior",
+              (f"{main}/broad/0", f"{main}/average/0"), ("sbml", "0"), ("gaussian", "0")),
+        claim("zero", "before any touch the learned prior errs less than predicting zero",
+              (f"{main}/broad/0", f"{zero}/zero/0"), ("sbml", "0"), ("gaussian-zero", "0")),
+        claim("few", "after 5 touches the learned prior errs less than the average Gaussian prior",
+              (f"{main}/broad/5", f"{main}/average/5"), ("sbml", "5"), ("gaussian", "5")),
+        claim("few zero", "after 10 touches the learned prior errs less than the zero Gaussian prior",
+              (f"{main}/broad/10", f"{zero}/zero/10"), ("sbml", "10"), ("gaussian-zero", "10")),
+        claim("falls", "the error of the learned prior falls from 0 to 10 touches",
+              (f"{main}/broad/10", f"{main}/broad/0"), ("sbml", "10"), ("sbml", "0")),
+        claim("all", "a stiffness field fitted to all touches errs less than predicting zero",
+              (f"{main}//all", f"{zero}/zero/0"), ("point-vsf", "all"), ("gaussian-zero", "0")),
+        claim("imaml", "before any touch the learned prior errs less than iMAML with vision",
+              (f"{main}/broad/0", f"{main}/imaml-vision/0"), ("sbml", "0"), ("imaml-vision", "0")),
+        claim("imaml few", "after 10 touches the learned prior errs less than iMAML with vision",
+              (f"{main}/broad/10", f"{main}/imaml-vision/10"), ("sbml", "10"), ("imaml-vision", "10")),
+        claim("vision", "before any touch iMAML with vision cannot be told from iMAML without",
+              (f"{zero}/imaml/0", f"{main}/imaml-vision/0"), ("imaml", "0"), ("imaml-vision", "0"), equal=True),
     ]
 
 
@@ -149,38 +184,40 @@ def claims_of(size: str = "mini") -> list[Claim]:
     """The claims, asked of the tasks of a size.
 
     Args:
-        size: "mini", or "standard" for the tasks of the papers' size.
+        size: one of `SIZES`.
     """
-    mini = "-mini" if size == "mini" else ""
-    plants, shoes = (f"fewshot-{name}" for name in (f"plants-v4{mini}-v1", f"shoes-v2{mini}-v3"))
-    out = _pair("plants", plants, "SBML, table 1", "SBML, tables 1 and 4", {
-        "average": "2.80 and 5.23 N m", "zero": "2.80 and 3.55 N m", "few": "2.67 and 4.42 N m",
-        "few zero": "2.61 and 2.88 N m", "falls": "2.61 and 2.80 N m", "all": "2.57 and 3.55 N m",
-        "imaml": "2.80 and 3.86 N m", "imaml few": "2.61 and 4.51 N m", "vision": "3.95 and 3.86 N m"})
-    out += [
-        Claim("on plants, predicting zero errs less than the average Gaussian prior", "SBML, tables 1 and 4",
-              "3.55 and 5.23 N m", plants, Side("gaussian-zero", "0"), Side("gaussian", "0"), key="plants/order"),
+    plants = "fewshot-plants-v4-mini-v1" if size == "mini" else "fewshot-plants-v4-v1"
+    shoes = {"standard": "fewshot-shoes-v3-v1", "superseded": "fewshot-shoes-v2-v3"}.get(size,
+                                                                                        "fewshot-shoes-v3-mini-v1")
+    order, prior = ("SBML 4/zero/0", "SBML 1/average/0"), ("SBML 1/broad/0", "SBML 4/zero/10")
+    found = ("SBML 2/average/0", "SBML 5/zero/0")
+    return [
+        *_pair("plants", plants, "SBML 1", "SBML 4"),
+        Claim("on plants, predicting zero errs less than the average Gaussian prior", source_of(order), order, plants,
+              Side("gaussian-zero", "0"), Side("gaussian", "0"), key="plants/order"),
         Claim("the learned prior before any touch errs less than the zero Gaussian prior after 10",
-              "SBML, appendix C.1", "2.80 and 2.88 N m", plants, Side("sbml", "0"), Side("gaussian-zero", "10"))]
-    out += _pair("shoes", shoes, "SBML, table 2", "SBML, tables 2 and 5", {
-        "average": "7.43 and 8.27 hPa", "zero": "7.43 and 9.21 hPa", "few": "5.05 and 5.54 hPa",
-        "few zero": "4.18 and 4.63 hPa", "falls": "4.18 and 7.43 hPa", "all": "4.10 and 9.21 hPa",
-        "imaml": "7.43 and 9.95 hPa", "imaml few": "4.18 and 6.15 hPa", "vision": "7.44 and 9.95 hPa"})
-    out += [
-        Claim("on shoes, the average Gaussian prior errs less than predicting zero", "SBML, tables 2 and 5",
-              "8.27 and 9.21 hPa", shoes, Side("gaussian", "0"), Side("gaussian-zero", "0")),
+              "SBML, appendix C.1", prior, plants, Side("sbml", "0"), Side("gaussian-zero", "10")),
+        *_pair("shoes", shoes, "SBML 2", "SBML 5"),
+        Claim("on shoes, the average Gaussian prior errs less than predicting zero", source_of(found), found, shoes,
+              Side("gaussian", "0"), Side("gaussian-zero", "0")),
         Claim("the neural field finds a stiff inclusion better than points", "Neural VSF, table I",
-              "F1 0.493 and 0.329", "inclusion-mini-v3", Side("neural-vsf", "all"), Side("point-vsf", "all"),
-              metric="mask_f1", note="one force a frame of a ball here; dense forces of a bubble there"),
-        Claim("the neural field locates a hidden object at a smaller angle than contact points", "Neural VSF, fig. 7",
-              "drawn, no number", "localization-mini-v3", Side("neural-vsf", "all"), Side("contact-points", "all"),
-              metric="rotation_error", note="one force a frame of a ball here; dense forces of a bubble there",
-              key="pads/angle")]
-    return out
+              ("Neural VSF I/F1/neural", "Neural VSF I/F1/points, 20k"), "inclusion-mini-v3",
+              Side("neural-vsf", "all"), Side("point-vsf", "all"), metric="mask_f1",
+              note="one force a frame of a ball here; dense forces of a bubble there"),
+        Claim(f"the neural field turns a hidden object to within {ANGLE:g} degrees more often than contact points",
+              "Neural VSF, fig. 7", (), "localization-mini-v3", Side("neural-vsf", "all"),
+              Side("contact-points", "all"), metric="rotation_error",
+              note="one force a frame of a ball here; dense forces of a bubble there", key="pads/angle")]
+
+
+def source_of(figures: Sequence[str]) -> str:
+    """Paper and tables of some figures, in words."""
+    tables = list(dict.fromkeys(name.split("/")[0].rpartition(" ") for name in figures))
+    return f"{tables[0][0]}, table{'s' if len(tables) > 1 else ''} {' and '.join(number for _, _, number in tables)}"
 
 
 def judge(claims: Sequence[Claim], boards: Mapping[str, Board], *, preset: str = "tuned") -> list[Verdict]:
-    """Every claim beside the results of its task.
+    """Every claim beside the results of its task, not answered yet (`decided`).
 
     Args:
         claims: to be judged. boards: by name of the task. preset: of the methods; a result without a preset counts
@@ -192,41 +229,40 @@ def judge(claims: Sequence[Claim], boards: Mapping[str, Board], *, preset: str =
 def _judge(claim: Claim, board: Board | None, preset: str) -> Verdict:
     sides = [(side, _row(board, side.method, preset)) for side in (claim.better, claim.worse)]
     missing = [command_for(side.method, claim.task, preset) for side, row in sides if row is None]
-    if missing:
-        return Verdict(claim, UNTOLD, "no result", None, tuple(dict.fromkeys(missing)))
-    known = board is not None and claim.metric == board.task.primary
-    values = [(row.objects.get(side.shot) if known else None) or by_object(row.result, claim.metric, side.shot)
-              for side, row in sides if row is not None]
+    if missing or board is None:
+        return Verdict(claim, "no result", None, tuple(dict.fromkeys(missing)))
+    known = claim.metric == board.task.primary
+    values = [values_of(row.result, board.task.protocol, claim.metric, side.shot,
+                        (row.objects.get(side.shot) if known else None)
+                        or by_object(row.result, claim.metric, side.shot)) for side, row in sides if row is not None]
     commands = tuple(dict.fromkeys(f"{command_for(row.result.method, claim.task, row.result.preset)} ({row.path.name})"
                                    for _, row in sides if row is not None))
-    if not all(values):
-        return Verdict(claim, UNTOLD, f"no {claim.metric} at these shots", None, commands)
-    return Verdict(claim, *decide(claim, *values), commands)
+    return beside(claim, values, commands)
 
 
-def decide(claim: Claim, better: ByObject, worse: ByObject) -> tuple[str, str, Paired]:
-    """The answer, both sides in words, and their paired difference.
+def values_of(result: Result, protocol: Protocol, metric: str, shot: str, objects: ByObject) -> Values:
+    """One side of a claim; an angle becomes 1 within `ANGLE` and 0 beyond.
 
     Args:
-        claim: which metric, and whether it says that the sides are equal. better, worse: values by object.
+        result: of the side. protocol: of its runs. metric: of the claim. shot: label. objects: values by object.
     """
-    found = paired(better, worse)
-    sign = -1.0 if METRICS[claim.metric].higher_is_better else 1.0
-    least, wide = EQUAL_WITHIN * abs(interval(worse)[0]), TOLD_APART * found.error
-    if claim.equal:
-        answer = FAILS if found.told_apart else HOLDS if wide <= least and found.objects >= FEWEST_OBJECTS else UNTOLD
-    elif found.told_apart:
-        answer = HOLDS if sign * found.mean < 0.0 else FAILS
-    else:
-        same = found.objects >= FEWEST_OBJECTS and abs(found.mean) + wide < least
-        answer = FAILS if same and _paper_share(claim) > EQUAL_WITHIN else UNTOLD
-    return answer, f"{_written(better)} and {_written(worse)}", found
+    if metric == "rotation_error":
+        return Values({name: float(value <= ANGLE) for name, value in objects.items()})
+    score = result.scores.get(metric, {}).get(shot)
+    trainings = len({protocol.training_of(run) for run in result.seeds}) if "seed" in result.parameters else 0
+    return Values(objects, score.std if score is not None else 0.0, len(result.seeds), trainings)
 
 
-def _paper_share(claim: Claim) -> float:
-    """Difference of the paper's two figures over the larger one [-]; 0 where it has no numbers."""
-    found = [float(word) for word in re.findall(r"\d+\.\d+", claim.figures)]
-    return abs(found[0] - found[1]) / max(found) if len(found) == 2 else 0.0
+def beside(claim: Claim, values: Sequence[Values], commands: tuple[str, ...]) -> Verdict:
+    """A claim with the values of both sides."""
+    if not all(one.objects for one in values):
+        return Verdict(claim, f"no {claim.metric} at these shots", None, commands)
+    return Verdict(claim, " and ".join(_written(one.objects) for one in values), Difference.of(*values), commands)
+
+
+def decided(found: Sequence[Verdict]) -> list[Verdict]:
+    """Verdicts with their answers: all together are one family."""
+    return [dataclasses.replace(v, answers=a) for v, a in zip(found, answers([v.question for v in found]), strict=True)]
 
 
 def with_results(sizes: Sequence[Sequence[Verdict]]) -> list[Verdict]:
@@ -256,15 +292,21 @@ def command_for(method: str, task: str, preset: str) -> str:
     return f"vsfsim evaluate --method {method}{f' --preset {preset}' if preset else ''} --task {task}"
 
 
+HEAD = ("#", "direction", "size", "claim", "paper", "here, ± standard error over objects",
+        "difference ± 95 % (objects)", "improvement here and there")
+"""Of the table of all claims."""
+
+
+def cells(number: int, v: Verdict) -> list[str]:
+    """A row of the table under `HEAD`."""
+    return [str(number), v.answers.direction, v.answers.size or "-", f"{v.claim.text} ({v.claim.source})",
+            said(v.claim.figures, v.claim.words), v.ours, difference(v), improvement(v)]
+
+
 def text(verdicts: Sequence[Verdict]) -> str:
     """The verdicts for a terminal, numbered, with the commands behind them."""
-    rows = [[str(k), v.answer, v.claim.text, v.claim.source, v.claim.figures, v.ours, difference(v)]
-            for k, v in enumerate(verdicts, start=1)]
-    head = ["#", "verdict", "claim", "source", "paper", "here, ± standard error over objects", "difference (objects)"]
-    lines = [text_table(head, rows), "",
-             f"{counts(verdicts)} Told apart: paired difference over objects of more than "
-             f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
-             f"errors."]
+    rows = [cells(k, v) for k, v in enumerate(verdicts, start=1)]
+    lines = [text_table(list(HEAD), rows), "", counts(verdicts), RULE, *superseded(verdicts)]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
     why = conclusions(verdicts)
     if why:
@@ -280,31 +322,65 @@ def text(verdicts: Sequence[Verdict]) -> str:
     return "\n".join(lines)
 
 
+RULE = (f"Direction: t test of the difference over objects, or for equality of its size against {EQUAL_WITHIN:.0%} of "
+        f"the second side. Size: whether the improvement is at least half of the paper's. All together are wrong with "
+        f"a probability of {LEVEL:.0%} at most (Holm). An angle counts as the share of objects within {ANGLE:g} "
+        f"degrees. Values are errors over that of predicting zero, if the paper's are errors.")
+
+
 def counts(verdicts: Sequence[Verdict]) -> str:
-    """How many claims hold, in a sentence."""
-    told = {word: sum(v.answer == word for v in verdicts) for word in (HOLDS, FAILS, UNTOLD)}
-    return (f"Of {len(verdicts)} claims {told[HOLDS]} hold, {told[FAILS]} do not hold, and {told[UNTOLD]} cannot be "
-            f"told.")
+    """How many claims hold, in two sentences."""
+    def of(words: Sequence[str]) -> str:
+        told = [sum(word == one for word in words) for one in (HOLDS, FAILS, UNTOLD)]
+        return f"{told[0]} hold, {told[1]} do not hold, and {told[2]} cannot be told."
+
+    sized = [v.answers.size for v in verdicts if v.answers.size]
+    return (f"Of {len(verdicts)} claims {of([v.answers.direction for v in verdicts])} "
+            f"Of the sizes of {len(sized)} with figures {of(sized)}")
+
+
+def superseded(verdicts: Sequence[Verdict]) -> list[str]:
+    """A sentence for every task that was measured and is superseded, with the numbers of its claims."""
+    by_task: dict[str, list[int]] = {}
+    for k, v in enumerate(verdicts, start=1):
+        if v.difference is not None:
+            by_task.setdefault(v.claim.task, []).append(k)
+    later = {task: load_task(task).superseded_by for task in by_task}
+    return [f"Claims {', '.join(map(str, by_task[task]))} were measured on {task}, which {new} supersedes."
+            for task, new in later.items() if new]
 
 
 def conclusions(verdicts: Sequence[Verdict]) -> list[str]:
     """What experiments say of claims that do not hold or cannot be told, each with the claim's number."""
     return [f"{k}: {e.conclusion}" for k, v in enumerate(verdicts, start=1) for e in v.experiments
-            if v.answer != HOLDS and v.difference is not None and e.difference is not None]
+            if v.answers.direction != HOLDS and v.difference is not None and e.difference is not None]
 
 
 def difference(verdict: Verdict) -> str:
-    """Better minus worse with its standard error, and the number of objects; "" where a result is missing."""
+    """Better minus worse with half of its 95 % interval, the number of objects, and whether one training stands for
+    all; "" where a result is missing."""
     d = verdict.difference
-    return "" if d is None or not d.objects else f"{d.mean:+.3f} ± {d.error:.3f} ({d.objects})"
+    if d is None or not d.objects:
+        return ""
+    return f"{d.mean:+.3f} ± {d.half_width():.3f} ({d.objects}{', one training' if d.trainings == 1 else ''})"
+
+
+def improvement(verdict: Verdict) -> str:
+    """Of the worse side's value, here with its 95 % interval and in the paper; "" where there are no figures."""
+    d, asked = verdict.difference, verdict.question
+    if d is None or asked.equal or asked.share is None or not d.level:
+        return ""
+    gain, half = (d.mean if asked.higher else -d.mean) / abs(d.level), d.half_width() / abs(d.level)
+    return f"{gain:.0%} ({gain - half:.0%} to {gain + half:.0%}) and {asked.share:.0%}"
 
 
 def table(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
     """The verdicts for JSON."""
-    return [{"claim": v.claim.text, "source": v.claim.source, "paper": v.claim.figures, "task": v.claim.task,
-             "metric": v.claim.metric, "verdict": v.answer, "here": v.ours, "note": v.claim.note,
-             "difference": None if v.difference is None else {"mean": v.difference.mean, "error": v.difference.error,
-                                                              "objects": v.difference.objects},
+    return [{"claim": v.claim.text, "source": v.claim.source, "paper": said(v.claim.figures, v.claim.words),
+             "cells": list(v.claim.figures), "task": v.claim.task, "metric": v.claim.metric,
+             "direction": v.answers.direction, "size": v.answers.size, "chance": list(v.answers.chance),
+             "here": v.ours, "note": v.claim.note,
+             "difference": None if v.difference is None else dataclasses.asdict(v.difference),
              "commands": list(v.commands),
              "experiments": [{"changes": e.changes, "study": e.study, "verdict": e.answer, "conclusion": e.conclusion}
                              for e in v.experiments]} for v in verdicts]

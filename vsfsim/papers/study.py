@@ -25,6 +25,7 @@ from vsfsim.core.shelf import folder
 from vsfsim.core.table import Table, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.papers import worlds
+from vsfsim.papers.figures import figure
 
 SIZES = ("mini", "standard")
 _SETTINGS = ("method", "preset", "set", "train", "share_of_objects", "share_of_touches", "train_views", "test_views",
@@ -85,8 +86,10 @@ class Asked:
     """In our words; of an experiment the key of the claim."""
     source: str
     """Paper and place."""
-    figures: str
-    """The paper's, of both sides."""
+    figures: tuple[str, ...]
+    """Cells of `vsfsim.papers.figures` of both sides; () where the paper prints none."""
+    words: str
+    """In the place of figures."""
     better: tuple[str, str]
     """Variant and shot that are claimed to be better."""
     worse: tuple[str, str]
@@ -357,7 +360,11 @@ def _asked(row: Mapping[str, Any], metric: str, where: str) -> Asked:
         if not isinstance(side, list) or len(side) != 2:
             raise TaskError(f"{where}: {key} is {side!r}; give a variant and a shot, e.g. [\"narrow\", \"0\"].")
         sides.append((str(side[0]), str(side[1])))
-    return Asked(t.text("text"), t.text("source", ""), t.text("figures", ""), sides[0], sides[1],
+    cells = t.table.get("figures", "drawn, no number")
+    for name in cells if isinstance(cells, list) else ():
+        figure(name)
+    figures, words = (tuple(cells), "") if isinstance(cells, list) else ((), str(cells))
+    return Asked(t.text("text"), t.text("source", ""), figures, words, sides[0], sides[1],
                  t.flag("equal", False), t.text("metric", metric), t.text("note", ""))
 
 

@@ -7,16 +7,19 @@ from collections.abc import Mapping, Sequence
 
 from vsfsim.bench.leaderboard import Board
 from vsfsim.papers.claims import (
-    UNTOLD,
+    SIZES,
     Claim,
     Experiment,
     Side,
     Verdict,
+    beside,
     claims_of,
-    decide,
+    decided,
     judge,
+    values_of,
     with_results,
 )
+from vsfsim.papers.decide import answers
 from vsfsim.papers.results import Found, board_of, stored
 from vsfsim.papers.study import Asked, Study, load_study, studies
 
@@ -34,13 +37,13 @@ def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Boa
     """
     boards = {} if boards is None else boards
     found = []
-    for one in (size,) if size else ("standard", "mini"):
+    for one in (size,) if size else SIZES:
         wanted = claims_of(one)
         for name in dict.fromkeys(claim.task for claim in wanted):
             board_of(name, boards, made)
         asked, experiments = verdicts(one, boards=boards, made=made)
-        found.append(beside([*judge(wanted, boards, preset=preset), *asked], experiments))
-    return with_results(found)
+        found.append(with_experiments([*judge(wanted, boards, preset=preset), *asked], experiments))
+    return decided(with_results(found))
 
 
 def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dict[str, Board] | None = None,
@@ -66,12 +69,13 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dic
             out += [_verdict(study, size, asked, found[size]) for asked in study.claims]
         for asked in study.experiments:
             asks = [_verdict(study, one, asked, found[one]) for one in sizes]
-            v = next((v for v in asks if v.difference is not None), asks[0])
-            experiments.append(Experiment(asked.text, asked.note, study.name, v.answer, v.difference))
-    return out, experiments
+            experiments.append((study, asked, next((v for v in asks if v.difference is not None), asks[0])))
+    told = answers([v.question for _, _, v in experiments])
+    return out, [Experiment(asked.text, asked.note, study.name, one.direction, v.difference)
+                 for (study, asked, v), one in zip(experiments, told, strict=True)]
 
 
-def beside(found: Sequence[Verdict], experiments: Sequence[Experiment]) -> list[Verdict]:
+def with_experiments(found: Sequence[Verdict], experiments: Sequence[Experiment]) -> list[Verdict]:
     """Verdicts with the experiments on their claims."""
     return [dataclasses.replace(v, experiments=tuple(e for e in experiments if v.claim.key and e.key == v.claim.key))
             for v in found]
@@ -79,13 +83,12 @@ def beside(found: Sequence[Verdict], experiments: Sequence[Experiment]) -> list[
 
 def _verdict(study: Study, size: str, asked: Asked, found: Mapping[str, Found]) -> Verdict:
     claim = Claim(asked.text, asked.source, asked.figures, study.tasks.get(size, study.name), Side(*asked.better),
-                  Side(*asked.worse), asked.metric, asked.equal, asked.note, f"{study.name}/{asked.text}")
+                  Side(*asked.worse), asked.metric, asked.equal, asked.note, f"{study.name}/{asked.text}", asked.words)
     sides = (asked.better, asked.worse)
     command = f"vsfsim study {study.name} --size {size}"
     if any(name not in found for name, _ in sides):
-        return Verdict(claim, UNTOLD, "no result", None, (command,))
-    values = [found[name].values(asked.metric, shot) for name, shot in sides]
+        return Verdict(claim, "no result", None, (command,))
+    values = [values_of(found[name].result, study.task_of(found[name].variant, size).protocol, asked.metric, shot,
+                        found[name].values(asked.metric, shot)) for name, shot in sides]
     files = ", ".join(dict.fromkeys(found[name].path.name for name, _ in sides))
-    if not all(values):
-        return Verdict(claim, UNTOLD, f"no {asked.metric} at these shots", None, (f"{command} ({files})",))
-    return Verdict(claim, *decide(claim, *values), (f"{command} ({files})",))
+    return beside(claim, values, (f"{command} ({files})",))
