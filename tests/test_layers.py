@@ -65,7 +65,7 @@ HEAVY = {
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},
     "active": {"numpy", "gymnasium"},
-    "papers": {"numpy"},
+    "papers": {"numpy", "scipy"},
     "baselines": {"numpy", "scipy", "torch"},
     "scenes": {"numpy"},
     "tasks": set(),
