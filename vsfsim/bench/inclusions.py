@@ -113,7 +113,7 @@ class Columns:
         every = columns.reshape(-1, 3)
         reach = np.zeros(len(every), bool)
         for touch in view.touches:
-            reach |= reached(every, view.probe, touch.mount_pose, reach=0.0)
+            reach |= reached(every, view.probe_of(touch), touch.mount_pose, reach=0.0)
         pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[reach], return_inverse=True)
         if not len(pixel):
             raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "

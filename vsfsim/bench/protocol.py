@@ -11,6 +11,7 @@ import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -51,6 +52,8 @@ class Recording:
     """Noise-free, (T, d) in the task's unit, one a touch."""
     queries: tuple[Query, ...]
     """The same touches as a method is asked about them."""
+    shown: tuple[bool, ...]
+    """Which of them are learned from if the object is a training object."""
 
 
 def record(view: ObjectView, task: Task) -> Recording:
@@ -70,13 +73,15 @@ def record(view: ObjectView, task: Task) -> Recording:
                             f"{task.name} reads; its dataset must be made with {row.channel.made_with}.")
         values, force = _where_converged(values, touch), _where_converged(touch.force, touch)
         noisy = row.channel.noisy(values, touch.time, force, task.noise, **which, **row.channel.motion(touch))
-        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, row.name,
-                        row.size, None if touch.q is None else frozen(touch.q), touch.mount_stiffness)
+        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe_of(touch),
+                        row.name, row.size, None if touch.q is None else frozen(touch.q), touch.mount_stiffness)
         readings.append(Reading(action, frozen(row.reading(noisy, touch.axis)), frozen(touch.converged),
                                 _surface(touch, task.noise, which)))
         clean.append(row.reading(values, touch.axis))
         queries.append(_query(touch, action, clean[-1]))
-    return Recording(view.name, tuple(readings), tuple(clean), tuple(queries))
+    return Recording(view.name, tuple(readings), tuple(clean), tuple(queries),
+                     tuple(bool(touch.converged.any()) and not (task.protocol.transfer and touch.press)
+                           for touch in view.touches))
 
 
 def _query(touch: Touch, action: Action, clean: np.ndarray) -> Query:
@@ -121,13 +126,14 @@ def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | 
 
 
 def specimen(view: ObjectView, task: Task) -> Specimen:
-    """A training object as methods receive it: all touches that have a reading."""
+    """A training object as methods receive it: all touches that have a reading and, with ``transfer``, are the scene's
+    own."""
     return specimen_of(view, record(view, task))
 
 
 def specimen_of(view: ObjectView, recording: Recording) -> Specimen:
     """As `specimen`, of a view whose recording is known."""
-    return Specimen(view.name, frozen_view(view.view), tuple(r for r in recording.readings if r.valid.any()))
+    return Specimen(view.name, frozen_view(view.view), tuple(compress(recording.readings, recording.shown)))
 
 
 @dataclass(frozen=True)
@@ -147,15 +153,18 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
         TaskError: there are too few touches with a reading for the query set and the largest support set.
     """
     usable = np.array([i for i, touch in enumerate(view.touches) if as_planned(touch).any()], dtype=int)
-    need = protocol.query + max(protocol.shots)
-    if len(usable) < need:
-        raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame; {protocol.query} "
-                        f"query touches and {max(protocol.shots)} shots need {need}. Generate more touches, or lower "
-                        f"query or shots in a task of your own.")
+    kind = np.array([view.touches[i].press or 0 for i in usable], dtype=int)
+    asked = usable[kind > 0] if protocol.transfer else usable
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(0, view.object_index, view.view_index))
-    order = np.random.default_rng(stream).permutation(usable)
-    return Draw(tuple(sorted(int(i) for i in order[:protocol.query])),
-                tuple(sorted(int(i) for i in order[protocol.query:])))
+    query = np.random.default_rng(stream).permutation(asked)[:protocol.query]
+    pool = np.setdiff1d(usable, asked if protocol.transfer else query)
+    if len(query) < protocol.query or len(pool) < max(protocol.shots):
+        kinds = f", {len(asked)} of them of other kinds than the scene's own press" if protocol.transfer else ""
+        raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame{kinds}; "
+                        f"{protocol.query} query touches and {max(protocol.shots)} shots need "
+                        f"{protocol.query + max(protocol.shots)}. Generate more touches, or lower query or shots in a "
+                        f"task of your own.")
+    return Draw(tuple(sorted(map(int, query))), tuple(map(int, pool)))
 
 
 class Numbered(typing.Protocol):

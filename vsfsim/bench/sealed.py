@@ -12,7 +12,7 @@ import hashlib
 import io
 import json
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -118,24 +118,25 @@ def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
     view = dataset.blind().load(name)
     recording, draw = record(view, task), divide(view, task.protocol)
     head = {"name": view.name, "object_index": view.object_index, "view_index": view.view_index,
-            "probe": probe_table(view.probe), "query": list(draw.query), "pool": list(draw.pool)}
+            "probe": [probe_table(shape) for shape in (view.probe, *view.others)], "query": list(draw.query),
+            "pool": list(draw.pool)}
     arrays: dict[str, np.ndarray] = {key: np.asarray(getattr(view.view, key)) for key in _VIEW}
     arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
     for index in draw.pool:
         reading = recording.readings[index]
-        arrays |= _of_action(index, reading.action)
+        arrays |= _of_action(index, reading.action, view.touches[index].press)
         arrays |= {f"{index}/value": reading.value, f"{index}/valid": reading.valid}
         if reading.surface is not None:
             arrays |= {f"{index}/vertices": reading.surface.vertices, f"{index}/node_force": reading.surface.force}
     for index in draw.query:
-        arrays |= _of_action(index, recording.queries[index].action)
+        arrays |= _of_action(index, recording.queries[index].action, view.touches[index].press)
     out = io.BytesIO()
     np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
     return out.getvalue()
 
 
-def _of_action(index: int, action: Action) -> dict[str, np.ndarray]:
-    more = {"q": action.q, "mount_stiffness": action.mount_stiffness}
+def _of_action(index: int, action: Action, press: int | None) -> dict[str, np.ndarray]:
+    more = {"q": action.q, "mount_stiffness": action.mount_stiffness, "press": press}
     return {f"{index}/{key}": np.asarray(value) for key, value in {
         "time": action.time, "poses": action.poses, "axis": action.axis, **more}.items() if value is not None}
 
@@ -149,14 +150,14 @@ def _questions_of(path: Path, sha256: str, task: Task) -> list[Question]:
             arrays = dict(file)
         head = json.loads(arrays.pop("head").tobytes())
         view = frozen_view(View(**{key: arrays[key] for key in _VIEW}))
-        probe = parse_probe_shape(head["probe"], str(path))
+        probes = [parse_probe_shape(table, str(path)) for table in head["probe"]]
         draw = Draw(tuple(head["query"]), tuple(head["pool"]))
-        readings = {k: Reading(_action(arrays, k, probe, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
+        readings = {k: Reading(_action(arrays, k, probes, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
                                _surface(arrays, k)) for k in draw.pool}
-        asked = tuple(_action(arrays, k, probe, task) for k in draw.query)
+        asked = tuple(_action(arrays, k, probes, task) for k in draw.query)
         who = _Numbers(int(head["object_index"]), int(head["view_index"]))
         name = check_name(head["name"], str(path))
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError, SceneError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, BadZipFile, EOFError, SceneError) as error:
         raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
     return [Question(name, label, run, view, tuple(readings[k] for k in support(who, draw, label, run, task.protocol)),
                      draw.query, asked, tuple(f"{name}/{label}/{run}/{k:03d}" for k in draw.query), ())
@@ -170,9 +171,9 @@ class _Numbers:
         self.object_index, self.view_index = object_index, view_index
 
 
-def _action(arrays: Mapping[str, np.ndarray], k: int, probe: ProbeShape, task: Task) -> Action:
-    spring = arrays.get(f"{k}/mount_stiffness")
-    return Action(arrays[f"{k}/time"], arrays[f"{k}/poses"], arrays[f"{k}/axis"], probe, task.observation.name,
+def _action(arrays: Mapping[str, np.ndarray], k: int, probes: Sequence[ProbeShape], task: Task) -> Action:
+    spring, press = arrays.get(f"{k}/mount_stiffness"), int(arrays.get(f"{k}/press", 0))
+    return Action(arrays[f"{k}/time"], arrays[f"{k}/poses"], arrays[f"{k}/axis"], probes[press], task.observation.name,
                   task.observation.size, arrays.get(f"{k}/q"), None if spring is None else float(spring))
 
 

@@ -92,6 +92,17 @@ class Scene:
         return self._required(self.object, "object")
 
     @property
+    def presses(self) -> tuple[Scene, ...]:
+        """The scene with the probe and the [touches] of each kind of press, its own first (`TouchSpec.kind`).
+
+        Raises:
+            SceneError: there is no [touches].
+        """
+        others = (dataclasses.replace(self, probe=shape or self.probe, touches=spec)
+                  for shape, spec in self.required_touches.other)
+        return (self, *others)
+
+    @property
     def required_arm(self) -> ArmSpec:
         """The arm of ``[arm]``.
 
@@ -218,8 +229,13 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}"
                          + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None
                             else ", or a [sensor] and [[obstacles]] for it to press on."))
+    touches = tree["touches"] if isinstance(tree.get("touches"), Mapping) else {}
+    for key in ("level", "other"):
+        if effector != "probe" and touches.get(key):
+            raise SceneError(f"{path} [touches]: {key} is for a rigid [probe], and this scene is touched by "
+                             f"'{effector}'. Take {key} out.")
     for key in ("tilt", "depth_range", "approach_range"):
-        if "arm" in tree and isinstance(tree.get("touches"), Mapping) and tree["touches"].get(key):
+        if "arm" in tree and touches.get(key):
             raise SceneError(f"{path} [touches]: {key} is {tree['touches'][key]!r}, but the scene has an [arm]; it is "
                              f"for a [probe] or a [sensor], and an arm draws its own directions. Take {key} out.")
     if sensor is not None and "touches" in tree and "object" not in tree:

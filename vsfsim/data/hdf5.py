@@ -56,7 +56,7 @@ def encode_view(object_view: ObjectView) -> bytes:
     with h5py.File("object-view", "w", driver="core", backing_store=False, libver="v108", track_order=True) as file:
         values = {"format": FORMAT, "schema_version": SCHEMA_VERSION, "name": object_view.name,
                   "object_index": int(object_view.object_index), "view_index": int(object_view.view_index),
-                  "split": object_view.split, "probe": json.dumps(probe_table(object_view.probe))}
+                  "split": object_view.split, "probe": json.dumps(_shapes(object_view))}
         for key in ATTRIBUTES:
             file.attrs[key] = values[key]
         recorded = not len(object_view.truth.points)
@@ -71,6 +71,12 @@ def encode_view(object_view: ObjectView) -> bytes:
         _write_group(file, "truth", "truth", object_view.truth, object_view.name, None)
         file.flush()
         return file.id.get_file_image()
+
+
+def _shapes(view: ObjectView) -> Any:
+    """The table of the shape that touched, or a list of them."""
+    tables = [probe_table(shape) for shape in (view.probe, *view.others)]
+    return tables if view.others else tables[0]
 
 
 def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch | Truth, where: str,
@@ -156,12 +162,16 @@ def _read(path: Path, *, blind: bool, places: bool = False) -> tuple[ObjectView,
         touches = tuple(_read_touch(items, f"touches/{name}", f"{path} touches/{name}")
                         for name in sorted(items["touches"]))
         truth = None if blind else Truth(**_read_group(items, "truth", "truth", f"{path} truth"))
-        attrs = file.attrs
+        attrs, probes = file.attrs, _probes(file.attrs["probe"], path)
+        odd = next((k for k, touch in enumerate(touches) if not 0 <= (touch.press or 0) < len(probes)), None)
+        if odd is not None:
+            raise DatasetError(f"{path} touches/{odd:03d}/press is {touches[odd].press}, but attribute 'probe' has "
+                               f"{len(probes)} shapes. The file is damaged; delete it and generate it again.")
         return ObjectView(check_name(attrs["name"], f"{path} @name"),
                           whole_number(attrs["object_index"], f"{path} @object_index"),
                           whole_number(attrs["view_index"], f"{path} @view_index"),
                           check_name(attrs["split"], f"{path} @split"),
-                          _probe(attrs["probe"], path), view, touches, truth), found
+                          probes[0], view, touches, truth, probes[1:]), found
 
 
 @contextlib.contextmanager
@@ -230,9 +240,11 @@ def check_attributes(file: h5py.File, path: Path) -> None:
             raise DatasetError(f"{path} has no attribute '{name}'; it is damaged.")
 
 
-def _probe(text: str, path: Path) -> ProbeShape:
+def _probes(text: str, path: Path) -> tuple[ProbeShape, ...]:
     try:
-        return parse_probe_shape(json.loads(text), str(path))
+        given = json.loads(text)
+        tables = given if isinstance(given, list) and given else [given]
+        return tuple(parse_probe_shape(table, str(path)) for table in tables)
     except (ValueError, TypeError, RecursionError, SceneError) as error:
         raise DatasetError(f"{path}: attribute 'probe' is {plain(text, longest=200)}, not a probe's shape: "
                            f"{plain(error)}") from error
@@ -241,6 +253,7 @@ def _probe(text: str, path: Path) -> ProbeShape:
 def _read_touch(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, where: str) -> Touch:
     values = _read_group(items, name, "touches/*", where)
     values["touched"] = bool(values["touched"])
+    values["press"] = None if values["press"] is None else int(values["press"])
     for table in ("audit", "channels"):
         names = [name for name in values if name.startswith(f"{table}/")]
         columns = {name.partition("/")[2]: values.pop(name) for name in names}

@@ -120,6 +120,9 @@ class Touch:
     force limit was met."""
     mount_stiffness: float | None = None
     """Of the spring along the press that carries the probe [N/m]; None for a rigid mount."""
+    press: int | None = None
+    """Which kind of press it is where a scene has several: 0 for its own, k for the k-th of its ``[[touches.other]]``;
+    else None."""
     pressure: np.ndarray | None = None
     """Gauge pressure of the bubble (T,) [Pa]; None for a rigid probe."""
     rest_pressure: float | None = None
@@ -235,6 +238,12 @@ class ObjectView:
     """In the order in which they were made."""
     truth: Truth | None
     """None where it is withheld (a blind dataset)."""
+    others: tuple[ProbeShape, ...] = ()
+    """What made the presses of other kinds, the first that of `Touch.press` 1."""
+
+    def probe_of(self, touch: Touch) -> ProbeShape:
+        """What made a touch of it."""
+        return self.others[touch.press - 1] if touch.press else self.probe
 
     def __repr__(self) -> str:
         return (f"ObjectView({self.name!r}, {self.split}, {len(self.touches)} touches"

@@ -169,6 +169,8 @@ FIELDS: list[Field] = [
            required=False),
     _touch("mount_stiffness", "float64", "", "N/m", "Of the spring along the press that carries the probe.",
            required=False),
+    _touch("press", "int64", "", "1", "Kind of the press where the scene has several: 0 its own, k the k-th of its "
+           "[[touches.other]].", required=False),
     _touch("pressure", "float64", "T", "Pa", "Gauge pressure of the bubble.", required=False, masked=True),
     _touch("rest_pressure", "float64", "", "Pa", "Gauge pressure of the free dome.", required=False),
     _touch("moment", "float64", "T 3", "N m",
@@ -218,7 +220,8 @@ ATTRIBUTES: Mapping[str, tuple[str, str]] = {
     "view_index": ("integer", "of the view of that object, from 0"),
     "split": ("text", "train, test, ... as the scene names them"),
     "probe": ("text", 'JSON table of the shape that touched it, in metres, e.g. {"sphere": 0.02}; {"chain": ..} of an '
-                      'arm, {"dome": ..} of a bubble: its free skin'),
+                      'arm, {"dome": ..} of a bubble: its free skin; a list where the scene has presses of several '
+                      'kinds'),
 }
 """Attributes of the root of an object file: type and meaning."""
 

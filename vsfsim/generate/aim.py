@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from vsfsim.core import signed_distance
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
+from vsfsim.core.scene_tables.dataset import STEEPEST
 from vsfsim.core.shape import MeshFile, Plane, ProbeShape
 from vsfsim.data.records import View
 from vsfsim.generate.cloud import cloud_normals
@@ -42,6 +44,8 @@ class Aim:
     """How far the press goes past first contact [m]."""
     approach: float | None = None
     """Distance of its start before first contact [m]; None for the scene's."""
+    press: int = 0
+    """Which of the scene's kinds of press it is (`Scene.presses`)."""
 
 
 def surface_samples(model: Model) -> np.ndarray:
@@ -103,7 +107,7 @@ def _edges_first(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.nda
 
 
 def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Generator],
-              reach: Callable[[np.ndarray, np.ndarray, np.random.Generator], Aim | None], *,
+              reach: Callable[[int, np.ndarray, np.ndarray, np.random.Generator], Aim | None], *,
               unreachable: str) -> list[Aim]:
     """Draw the touches of a view: targets uniform on the visible cloud; one that cannot be reached is drawn again.
 
@@ -111,7 +115,7 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
         scene: with ``[touches]``.
         view: the picture.
         stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones.
-        reach: the touch at a target (3,) [m] with its normal (3,), or None if it cannot be made.
+        reach: touch k at a target (3,) [m] with its normal (3,), or None if it cannot be made.
         unreachable: end of the error's sentence "no target of 200 can be reached ...".
 
     Raises:
@@ -127,7 +131,7 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
         rng = stream(k)
         for _ in range(DRAWS):
             target = cloud[rng.integers(len(cloud))]
-            found = reach(target, cloud_normals(cloud, target[None], eye)[0], rng)
+            found = reach(k, target, cloud_normals(cloud, target[None], eye)[0], rng)
             if found is not None:
                 out.append(found)
                 break
@@ -138,7 +142,7 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
 
 def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np.random.Generator], *,
               device: str = "cpu") -> list[Aim]:
-    """The touches of a view by the scene's rigid probe, each along the visible normal or tilted from it.
+    """The touches of a view by the scene's rigid probes, each along the visible normal, tilted from it, or level.
 
     A target cannot be reached where another part of the object, or the table (z < 0), is in the way. The depth is cut
     where the rest state's linear response passes ``force_limit``, as a careful robot would stop.
@@ -152,17 +156,39 @@ def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np
     Raises:
         SceneError: as `draw_aims`.
     """
-    spec, samples = scene.required_touches, surface_samples(model)
-    aims = draw_aims(scene, view, stream,
-                     lambda target, normal, rng: _aim_at(scene.probe, spec, model, samples, target, normal, rng),
+    spec, presses, samples = scene.required_touches, scene.presses, surface_samples(model)
+
+    def reach(k: int, target: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
+        found = _aim_at(presses[spec.kind(k)], model, samples, target, normal, rng)
+        return None if found is None else dataclasses.replace(found, press=spec.kind(k))
+
+    aims = draw_aims(scene, view, stream, reach,
                      unreachable="without meeting the table or another part first; use a smaller probe, approach or "
                                  "depth.")
-    return _limit(scene, spec, model, aims, device)
+    return in_kinds(presses, aims, lambda press, mine: _limit(press, model, [aims[k] for k in mine], device))
 
 
-def _aim_at(probe: ProbeShape, spec: TouchSpec, model: Model, samples: np.ndarray, target: np.ndarray,
-            normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
-    axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
+T = TypeVar("T")
+
+
+def in_kinds(presses: Sequence[Scene], aims: Sequence[Aim], work: Callable[[Scene, list[int]], list[T]]) -> list[T]:
+    """What ``work`` makes of the aims of each kind of press, given as their indices, in the order of all aims."""
+    out: dict[int, T] = {}
+    for number, press in enumerate(presses):
+        mine = [k for k, a in enumerate(aims) if a.press == number]
+        out |= zip(mine, work(press, mine), strict=True)
+    return [out[k] for k in range(len(aims))]
+
+
+def _aim_at(press: Scene, model: Model, samples: np.ndarray, target: np.ndarray, normal: np.ndarray,
+            rng: np.random.Generator) -> Aim | None:
+    probe, spec, axis = press.probe, press.required_touches, -normal
+    if spec.level:
+        if abs(normal[2]) > STEEPEST:
+            return None
+        axis = np.append(axis[:2], 0.0) / np.linalg.norm(axis[:2])
+    if spec.tilt != 0.0:
+        axis = tilted(axis, spec.tilt, rng)
     depth, approach = spec.draw_depth(rng), spec.draw_approach(rng)
     size = sdf.support(probe, turn_to(axis, probe).T @ axis)
     # the probe starts outside the whole body, so that what it meets first is the first thing on its line
@@ -188,10 +214,10 @@ def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarra
     return height * axis + np.sqrt(max(0.0, 1.0 - height**2)) * side
 
 
-def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device: str) -> list[Aim]:
+def _limit(scene: Scene, model: Model, aims: list[Aim], device: str) -> list[Aim]:
     """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few
     frames suffices. A spring at the mount takes its part of the travel."""
-    spring = scene.mount_stiffness
+    spec, spring = scene.required_touches, scene.mount_stiffness
     if not aims or (spring is not None and spring * spec.depth <= spec.force_limit):  # which it cannot carry
         return aims
     depth = spec.depth * np.arange(_STEPS + 1) / _STEPS  # from first contact, so that all frames have a way

@@ -16,6 +16,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
+from vsfsim.core.shape import ProbeShape
 from vsfsim.core.shelf import find_scene, scenes
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
@@ -36,6 +37,10 @@ class Planned(Protocol):
     @property
     def axis(self) -> np.ndarray:
         """Unit direction of the press (3,) [-]."""
+
+    @property
+    def probe(self) -> ProbeShape:
+        """What presses, one of the scene's shapes."""
 
 
 def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = "", device: str = "cpu") -> list[Touch]:
@@ -74,9 +79,11 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
 def retouch(subject: Subject, plans: Sequence[Planned], *, device: str) -> list[Touch]:
     """One touch a plan, in their order, of an object whose `job_of` can be made again."""
     touch, unknown = effector_of(subject.scene).touch, np.full(3, np.nan)  # type: ignore[attr-defined]
+    probes = [press.probe for press in subject.scene.presses]
     out: dict[int, Touch] = {}
     for frames in dict.fromkeys(len(plan.poses) for plan in plans):
         mine = [k for k, plan in enumerate(plans) if len(plan.poses) == frames]
-        aims = [Aim(unknown, unknown, plans[k].axis, plans[k].poses[0, :3, 3], np.nan) for k in mine]
+        aims = [Aim(unknown, unknown, plans[k].axis, plans[k].poses[0, :3, 3], np.nan,
+                    press=probes.index(plans[k].probe)) for k in mine]
         out |= zip(mine, touch(subject, aims, device=device, paths=[plans[k].poses for k in mine]))
     return [out[k] for k in range(len(plans))]

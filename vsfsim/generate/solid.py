@@ -70,7 +70,7 @@ class Subject:
         """The object view of what was found."""
         job = self.job
         return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, self.recorded, tuple(touches),
-                          truth)
+                          truth, tuple(press.probe for press in self.scene.presses[1:]))
 
 
 @dataclass(frozen=True)

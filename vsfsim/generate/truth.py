@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -60,7 +62,7 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np
     return np.where(softness > 0.0, 1.0 / np.where(softness > 0.0, softness, 1.0), np.inf)
 
 
-def truth_of(model: Model, view: View, touches: list[Touch], probe: ProbeShape, *, friction: float,
+def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[ProbeShape], *, friction: float,
              device: str) -> Truth:
     """The truth of a solid object's view, which no method may see.
 
@@ -71,7 +73,7 @@ def truth_of(model: Model, view: View, touches: list[Touch], probe: ProbeShape, 
         model: the object.
         view: its picture.
         touches: all touches of the view.
-        probe: the shape that touched.
+        probes: the shape that made each touch.
         friction: Coulomb coefficient between probe and object [-].
         device: Warp device.
     """
@@ -85,7 +87,7 @@ def truth_of(model: Model, view: View, touches: list[Touch], probe: ProbeShape, 
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
-    for touch in touches:
+    for touch, probe in zip(touches, probes, strict=True):
         moved = simulate(particles, probe, touch.probe_pose(), friction=friction, device=device)
         rows.append(normal_force_rows(moved, len(particles), touch.axis)[np.flatnonzero(touch.converged)])
         values.append(touch.normal_force()[touch.converged])

@@ -122,5 +122,5 @@ class _Reading:
 
 
 def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
-    """What decides how the touches of an object view read."""
-    return dataset.path, name, task.observation.name, task.noise
+    """What decides how the touches of an object view read, and which of them are learned from."""
+    return dataset.path, name, task.observation.name, task.noise, task.protocol.transfer

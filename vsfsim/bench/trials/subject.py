@@ -114,5 +114,5 @@ def touched(points: np.ndarray, view: ObjectView) -> np.ndarray:
     near = np.zeros(len(points), bool)
     for touch in view.touches:
         left = np.flatnonzero(~near)
-        near[left] = reached(points[left], view.probe, touch.mount_pose, q=touch.q)
+        near[left] = reached(points[left], view.probe_of(touch), touch.mount_pose, q=touch.q)
     return near

@@ -9,8 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.core.chain import Chain
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
+from vsfsim.core.shape import MeshFile, ProbeShape, parse_probe_shape
 from vsfsim.core.table import Table
+
+STEEPEST = 0.87
+"""Height of a visible unit normal, up to which a surface can be pressed from the side: 60 degrees above the level."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,16 @@ class TouchSpec:
     plan: bool = False
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
+    level: bool = False
+    """Press from the side: along the level part of minus the visible normal. A target whose normal is steeper than
+    `STEEPEST` is drawn again."""
+    other: tuple[tuple[ProbeShape | None, TouchSpec], ...] = ()
+    """``[[touches.other]]``: presses of other kinds, each with its shape (None for the scene's probe) and how it is
+    drawn. Every second touch is one of them, in turn."""
+
+    def kind(self, touch: int) -> int:
+        """What touch number ``touch`` is: 0 for the scene's own press, k for the k-th of ``other``."""
+        return 1 + touch // 2 % len(self.other) if self.other and touch % 2 else 0
 
     def draw_depth(self, rng: np.random.Generator) -> float:
         """Depth of one touch [m]; nothing is drawn where all touches have the same."""
@@ -67,7 +83,7 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
         SceneError: an unknown key, or a value that is not allowed.
     """
     t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt",
-                                            "plan", "depth_range", "approach_range"))
+                                            "plan", "depth_range", "approach_range", "level", "other"))
     where = f"{path} [touches] frames"
     f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
     frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
@@ -77,7 +93,20 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
                      depth[1] if depth else t.number("depth", 0.01, 1e-5, 0.5, "m"),
                      approach[1] if approach else t.number("approach", 0.01, 1e-4, 0.5, "m"),
                      t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"),
-                     depth, approach, t.flag("plan", False))
+                     depth, approach, t.flag("plan", False), t.flag("level", False),
+                     tuple(_other(t.table, row, f"{path} [[touches.other]] {k}", path)
+                           for k, row in enumerate(t.rows("other"), start=1)))
+
+
+def _other(own: Mapping[str, Any], node: Any, where: str, path: Path) -> tuple[ProbeShape | None, TouchSpec]:
+    """A press of another kind: what its row does not say is as in [touches]."""
+    row = dict(Table(node, where, ("shape", "depth", "depth_range", "tilt", "level")).table)
+    shape = parse_probe_shape(row.pop("shape"), where) if "shape" in row else None
+    if isinstance(shape, (Chain, Dome, MeshFile)):
+        raise SceneError(f"{where}: shape is {node['shape']!r}; a touch of a dataset is made with a simple shape, e.g. "
+                         f"shape = {{ cylinder = [0.01, 0.02] }}.")
+    dropped = {"other", *(("depth", "depth_range") if {"depth", "depth_range"} & row.keys() else ())}
+    return shape, parse_touches({**{key: value for key, value in own.items() if key not in dropped}, **row}, path)
 
 
 def _range(t: Table, key: str, least: float) -> tuple[float, float] | None:

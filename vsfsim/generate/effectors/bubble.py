@@ -107,7 +107,8 @@ class BubbleEffector:
         touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
                               device=device)
         dome = dome_of(_sensor_of(subject))
-        truth = truth_of(subject.model, subject.view, touches, dome, friction=float("inf"), device=device)
+        truth = truth_of(subject.model, subject.view, touches, [dome] * len(touches), friction=float("inf"),
+                         device=device)
         return subject.record(dome, touches, truth)
 
     def manner(self, scene: Scene) -> Manner:
@@ -219,7 +220,7 @@ def aim(scene: Scene, model: Model, sensor: BubbleModel, view: View,
     spec, samples, dome = scene.required_touches, surface_samples(model), dome_of(sensor)
     most = depth_at(sensor, spec.force_limit)
 
-    def reach(target: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
+    def reach(_: int, target: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
         axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
         depth, approach = min(spec.draw_depth(rng), most), spec.draw_approach(rng)
         contact = first_contact(dome, samples, target, axis)

@@ -15,7 +15,7 @@ import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, ObjectView, Touch
-from vsfsim.generate.aim import Aim, aim_probe, starts
+from vsfsim.generate.aim import Aim, aim_probe, in_kinds, starts
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
@@ -64,8 +64,8 @@ class Probe:
         aims = self.aim(subject, device=device)
         touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
                               device=device)
-        truth = truth_of(subject.model, subject.view, touches, scene.probe, friction=scene.required_object.friction,
-                         device=device)
+        truth = truth_of(subject.model, subject.view, touches, [scene.presses[a.press].probe for a in aims],
+                         friction=scene.required_object.friction, device=device)
         return subject.record(scene.probe, touches, truth)
 
     def manner(self, scene: Scene) -> Manner:
@@ -78,10 +78,17 @@ class Probe:
 
     def touch(self, subject: Subject, aims: list[Aim], *, device: str, progress: Callable[[int], None] | None = None,
               paths: Sequence[np.ndarray] = ()) -> list[Touch]:
-        """See `touch_all`."""
-        recipe = subject.job.recipe
-        return touch_all(subject.scene, subject.model, aims, tier=recipe.tier, precision=recipe.precision,
-                         device=device, options=subject.limits(), progress=progress, paths=paths)
+        """See `touch_all`; touches of one kind of press together."""
+        recipe, presses = subject.job.recipe, subject.scene.presses
+
+        def make(press: Scene, mine: list[int]) -> list[Touch]:
+            found = touch_all(press, subject.model, [aims[k] for k in mine], tier=recipe.tier,
+                              precision=recipe.precision, device=device, options=subject.limits(), progress=progress,
+                              paths=[paths[k] for k in mine] if len(paths) else ())
+            return found if len(presses) == 1 else [dataclasses.replace(touch, press=aims[k].press)
+                                                    for k, touch in zip(mine, found, strict=True)]
+
+        return in_kinds(presses, aims, make)
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""

@@ -1,0 +1,170 @@
+"""Presses of several kinds in one scene, and tasks that ask for those that were not felt."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import predictions, sealed
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.protocol import divide, record, specimen
+from vsfsim.bench.task import load_task, parse_task
+from vsfsim.core.errors import DatasetError, SceneError, TaskError
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shape import Cylinder, Sphere
+from vsfsim.core.shelf import find_scene
+from vsfsim.data.hdf5 import read_view, write_view
+from vsfsim.generate.effectors.probe import EFFECTOR
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.run import generate
+
+SCENE = """
+name = "kinds"
+needs = ["normal-force"]
+[object]
+shape = { cylinder = [0.03, 0.06] }
+resolution = 0.03
+tier = "linear"
+young_modulus = { loguniform = [2e4, 2e5] }
+[probe]
+shape = { sphere = 0.01 }
+mount_stiffness = 500.0
+[touches]
+count = 8
+depth_range = [0.003, 0.005]
+tilt = 0.3
+frames = { free = 1, in = 2, hold = 0, out = 0 }
+[[touches.other]]
+shape = { cylinder = [0.008, 0.02] }
+depth = 0.002
+tilt = 0.0
+[[touches.other]]
+level = true
+tilt = 0.0
+[camera]
+width = 64
+height = 48
+distance = 0.25
+[dataset]
+objects = 2
+splits = { test = 2 }
+"""
+TASK = """
+name = "kinds-v1"
+description = "Predict other presses."
+dataset = { folder = "kinds", scene = "kinds", seed = 0, objects = 2, views = 1, touches = 8, tier = "linear" }
+protocol = { folds = 2, shots = [0, 1], draws = 2, trainings = 1, query = 3, transfer = true, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.15, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
+metrics = { primary = "rmse_ratio", ranking_shot = 1 }
+"""
+PUNCH = Cylinder(0.008, 0.02)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("kinds")
+    (folder / "kinds.toml").write_text(SCENE)
+    return generate(load_scene(folder / "kinds.toml"), folder / "data", workers=1)
+
+
+@pytest.fixture(scope="module")
+def task():
+    return parse_task(TASK, "kinds-v1.toml")
+
+
+def test_every_second_touch_is_another_press_in_turn(made):
+    view = made.load(made.entries[0].name)
+    assert [touch.press for touch in view.touches] == [0, 1, 0, 2, 0, 1, 0, 2]
+    assert [view.probe_of(touch) for touch in view.touches[:4]] == [Sphere(0.01), PUNCH, Sphere(0.01), Sphere(0.01)]
+    for touch in view.touches:
+        way = (touch.mount_pose[-1] - touch.mount_pose[0])[:3, 3]
+        tilt = np.arccos(np.clip(-touch.axis @ touch.normal, -1.0, 1.0))
+        assert touch.converged.all() and touch.touched
+        if touch.press == 1:
+            assert tilt < 1e-6 and touch.probe_pose()[-1, :3, 2] @ touch.axis == pytest.approx(-1.0)
+        elif touch.press == 2:
+            assert touch.axis[2] == 0.0 and way[2] == pytest.approx(0.0, abs=1e-12)
+            assert np.cross(touch.axis, -touch.normal)[2] == pytest.approx(0.0, abs=1e-9)
+        else:
+            assert tilt <= 0.3 + 1e-9
+
+
+def test_the_scenes_own_touches_are_those_of_the_scene_without_others(made, tmp_path):
+    """So that a transfer task has the objects and the pictures of the task that it belongs to."""
+    text = SCENE[:SCENE.index("[[touches.other]]")] + SCENE[SCENE.index("[camera]"):]
+    (tmp_path / "kinds.toml").write_text(text)
+    job = jobs_of(make_recipe(load_scene(tmp_path / "kinds.toml")), tmp_path / "kinds.toml", tmp_path, None)[0]
+    plain = EFFECTOR.make_view(job, device="cpu")
+    view = made.load("kinds-0000-v0")
+    np.testing.assert_array_equal(view.view.depth, plain.view.depth)
+    np.testing.assert_array_equal(view.truth.young_modulus, plain.truth.young_modulus)
+    for k in range(0, 8, 2):
+        np.testing.assert_array_equal(view.touches[k].mount_pose, plain.touches[k].mount_pose)
+        np.testing.assert_allclose(view.touches[k].force, plain.touches[k].force, rtol=2e-4, atol=1e-7)
+    assert all(touch.press is None for touch in plain.touches) and plain.others == ()
+
+
+def test_queries_are_other_presses_and_only_the_scenes_own_are_learned_from(made, task):
+    view = made.blind().load(made.entries[0].name)
+    draw, asked = divide(view, task.protocol), record(view, task).queries
+    assert len(draw.query) == 3 and set(draw.query) < {1, 3, 5, 7} and draw.pool == (0, 2, 4, 6)
+    assert {asked[k].action.probe for k in (1, 5)} == {PUNCH}
+    learned = specimen(view, task).touches
+    assert [reading.action.probe for reading in learned] == [Sphere(0.01)] * 4
+    with pytest.raises(TaskError, match="8 touches with a converged frame, 4 of them of other kinds"):
+        divide(view, dataclasses.replace(task.protocol, query=5))
+    here = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, transfer=False))
+    assert len(specimen(view, here).touches) == 8 and len(divide(view, here.protocol).pool) == 5
+
+
+def test_the_true_object_answers_other_presses_and_methods_answer(made, task):
+    ceiling = evaluate("resim", task, made)
+    assert all(score.mean < 1e-3 for score in ceiling.scores["rmse_ratio"].values())
+    springs = evaluate("near-springs", task, made, sandbox="process").scores["rmse_ratio"]
+    assert 1e-3 < springs["all"].mean < 2.0
+
+
+def test_a_sealed_set_tells_what_presses(made, task, tmp_path):
+    sealed.seal(task, made, tmp_path / "public", tmp_path / "private.json")
+    mine, theirs = list(sealed.questions(tmp_path / "public", task)), list(predictions.questions(task, made))
+    assert [[a.probe for a in q.actions] for q in mine] == [[a.probe for a in q.actions] for q in theirs]
+    assert {a.probe for q in mine for a in q.actions} == {PUNCH, Sphere(0.01)}
+
+
+def test_a_file_holds_the_shapes_and_refuses_a_press_without_one(made, tmp_path):
+    view = made.load(made.entries[0].name)
+    write_view(tmp_path / "a.h5", view)
+    found = read_view(tmp_path / "a.h5")
+    assert (found.probe, found.others) == (view.probe, (PUNCH, Sphere(0.01)))
+    assert [touch.press for touch in found.touches] == [touch.press for touch in view.touches]
+    write_view(tmp_path / "b.h5", dataclasses.replace(view, others=view.others[:1]))
+    with pytest.raises(DatasetError, match="touches/003/press is 2, but attribute 'probe' has 2 shapes"):
+        read_view(tmp_path / "b.h5")
+
+
+@pytest.mark.parametrize("old, new, message", [
+    ("level = true", "levle = true", "levle"),
+    ("cylinder = [0.008, 0.02]", 'mesh = "tip.stl"', "shape is .*a touch of a dataset is made with a simple shape"),
+    ("depth = 0.002", "depth = 0.0", "depth"),
+    ("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0", '[sensor]\nkind = "bubble"',
+     "other is for a rigid .probe., and this scene is touched by 'bubble'"),
+])
+def test_what_no_press_can_be_is_refused(old, new, message):
+    with pytest.raises(SceneError, match=message):
+        parse_scene(SCENE.replace(old, new), "kinds.toml")
+
+
+@pytest.mark.parametrize("name", ["transfer-shoes-mini-v1", "transfer-shoes-v1"])
+def test_the_released_tasks_ask_enough_of_the_same_shoes(name):
+    task, scene = load_task(name), load_scene(find_scene(load_task(name).dataset.scene))
+    own = json.loads(json.dumps(scene.tree))
+    plain = load_scene(find_scene(scene.name.replace("transfer", "v3"))).tree
+    assert [own[key] for key in ("object", "probe", "camera", "gravity")] == [
+        plain[key] for key in ("object", "probe", "camera", "gravity")]
+    spec = scene.sample(0).required_touches
+    kinds = [spec.kind(k) for k in range(task.dataset.touches)]
+    assert task.protocol.transfer and kinds.count(0) >= max(task.protocol.shots)
+    assert sum(kind > 0 for kind in kinds) >= task.protocol.query and min(map(kinds.count, (1, 2, 3))) >= 2
