@@ -17,6 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
+NOT = "not measured"
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
 
@@ -87,6 +88,33 @@ def claims() -> str:
             + "\n\n## What is different here\n\n" + "\n".join(notes) + "\n")
 
 
+def audits() -> str:
+    """What `vsfsim audit` says of each living task that it audits, from the rows and audits that ship."""
+    from vsfsim.bench.commands.audit import KINDS, audit
+    from vsfsim.bench.leaderboard import over_objects
+    from vsfsim.bench.task import load_task
+    from vsfsim.core.shelf import tasks
+
+    def correlations(found: tuple[tuple[str, int, float], ...]) -> str:
+        cells = [f"{value:.2f} ({name.rpartition('-v1-')[2]}, {rows} rows)" for name, rows, value in found]
+        return ", ".join(cells) or NOT
+
+    head = ["task", "rows", "best row", "neighbours told apart", "least difference told",
+            *(f"sees only: {kind}" if kind != "constant" else "sees nothing" for kind in KINDS), "over-fit", "source"]
+    table = []
+    for task in map(load_task, tasks()):
+        if task.superseded_by or not over_objects(task) or task.metric.higher_is_better:
+            continue
+        found = audit(task, [], measure=False)
+        shortcut = {s.sees: f"{s.mean:.3f} ± {s.error:.3f}" for s in found.shortcuts}
+        pairs = found.rows - 1
+        table.append([f"`{task.name}`", str(found.rows), found.best or "none yet",
+                      f"{found.told} of {pairs}" if pairs > 0 else NOT, f"{found.least:.3f}" if pairs > 0 else NOT,
+                      *(shortcut.get(kind, NOT) for kind in KINDS), correlations(found.fresh),
+                      correlations(found.source)])
+    return "<!-- vsfsim audit TASK, of each task -->\n" + piped(head, table)
+
+
 @functools.cache
 def results(name: str, size: str) -> dict:
     """Results of a study that ship, by variant."""
@@ -97,18 +125,17 @@ def results(name: str, size: str) -> dict:
 
 
 def included() -> list[str]:
-    """Names of the tables of results that the pages include: leaderboards, studies and claims."""
+    """Names of the tables of results that the pages include: leaderboards, studies, claims and audits."""
+    mark = r"measured(?:/|: )((?:leaderboard-|study-|claims|audits)[\w.-]*)\.md"
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-    found = {name for page in pages
-             for name in re.findall(r"measured(?:/|: )((?:leaderboard-|study-|claims)[\w.-]*)\.md", page.read_text())}
-    return sorted(found)
+    return sorted({name for page in pages for name in re.findall(mark, page.read_text())})
 
 
 def result(name: str) -> str:
     """A table of results by the name of its file; a study whose name ends with ``-standard`` is of the larger size."""
     kind, _, what = name.partition("-")
-    if kind == "claims":
-        return claims()
+    if kind in ("claims", "audits"):
+        return claims() if kind == "claims" else audits()
     if kind == "leaderboard":
         return leaderboard(what)
     return study(what.removesuffix("-standard"), "standard" if what.endswith("-standard") else "mini")

@@ -20,8 +20,11 @@ from vsfsim.data.recipe import text_sha256
 ALL = "all"
 """The shot that means every touch which is not a query."""
 
-DEVELOPMENT = "-development"
-"""What the name of a task on its development objects ends in."""
+DEVELOPMENT = "development"
+"""The name of a task on its development objects ends in it."""
+
+OTHERS = re.compile(r"(.+)-(development|seed-\d+)")
+"""Name of a task on other objects than its own (`Task.on`)."""
 
 _SUPERSEDED = re.compile(r"(?m)^superseded_by *=.*\n")
 
@@ -160,30 +163,47 @@ class Task:
         """The row of `primary` in the table of metrics."""
         return METRICS[self.primary]
 
-    def on_development(self) -> Task:
-        """The same questions on the development objects, as a task of its own: its results are no rows of this one.
+    def on(self, objects: str) -> Task:
+        """The same questions on other objects, as a task of its own: its results are no rows of this one.
+
+        Args:
+            objects: "test" for the task's own; "development"; or "seed-N", as many objects of the recipe's seed N.
 
         Raises:
-            TaskError: the task names no development objects.
+            TaskError: it is neither, the seed is one of the task's own, or the task names no development objects.
         """
-        if self.development is None:
-            raise TaskError(f"task {self.name} names no development objects ([dataset] development in its file). "
-                            f"Generate other objects of its scene with another --seed, and give a task of your own.")
-        return replace(self, name=self.name + DEVELOPMENT, dataset=self.development, development=None, paper=(),
-                       description=f"{self.description} On its development objects, for settings; never ranked.",
-                       sha256=text_sha256(self.sha256 + DEVELOPMENT))
+        if objects == "test":
+            return self
+        seed = re.fullmatch(r"seed-(\d{1,18})", objects)
+        if objects != DEVELOPMENT and seed is None:
+            raise TaskError(f"on is '{objects}'. {did_you_mean(objects, ('test', DEVELOPMENT))} Or give seed-N, for "
+                            f"other objects of seed N.")
+        wanted = self.development
+        if seed is not None:
+            own = {self.dataset.seed, *([wanted.seed] if wanted is not None else [])}
+            if int(seed[1]) in own:
+                raise TaskError(f"on is '{objects}', but task {self.name} has objects of seed {seed[1]} itself. Give "
+                                f"another seed.")
+            wanted = replace(self.dataset, folder=f"{self.dataset.folder}-{objects}", seed=int(seed[1]), sha256="")
+        if wanted is None:
+            raise TaskError(f"task {self.name} names no development objects ([dataset] development in its file). Give "
+                            f"seed-N, for other objects of seed N.")
+        return replace(self, name=f"{self.name}-{objects}", dataset=wanted, development=None, paper=(),
+                       description=f"{self.description} On {objects} objects; never ranked.",
+                       sha256=text_sha256(f"{self.sha256}-{objects}"))
 
 
 def load_task(given: str | Path) -> Task:
-    """The task of this name, or in this TOML file. TASK-development is TASK on its development objects.
+    """The task of this name, or in this TOML file. TASK-development and TASK-seed-N are TASK on other objects
+    (`Task.on`).
 
     Raises:
         TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range.
     """
-    name = str(given)
-    if name.endswith(DEVELOPMENT):
-        return load_task(name.removesuffix(DEVELOPMENT)).on_development()
-    path = find_task(name)
+    others = OTHERS.fullmatch(str(given))
+    if others is not None:
+        return load_task(others[1]).on(others[2])
+    path = find_task(str(given))
     return parse_task(read_text(path, "task", TaskError), path)
 
 

@@ -138,9 +138,9 @@ def evaluate(task: TaskName,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
                                                                "[GiB]; default: no limit.")] = None,
              on: Annotated[list[str] | None, typer.Option(
-                 help="test, or development: the objects of the task for settings, whose results go to "
-                      "results/TASK-development; and ray, slurm or k8s: where the trainings are made. May be given "
-                      "again.")] = None,
+                 help="test; development: the objects of the task for settings, whose results go to "
+                      "results/TASK-development; seed-N: other objects; and ray, slurm or k8s: where the trainings are "
+                      "made. May be given again.")] = None,
              shard: ShardOf = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
              printed: Printed = False,
              keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
@@ -157,7 +157,6 @@ def evaluate(task: TaskName,
     """
     from vsfsim.bench.commands import presets
     from vsfsim.bench.commands.ceiling import ceiling_rows
-    from vsfsim.bench.commands.evaluate import on_objects
     from vsfsim.bench.commands.evaluate_all import evaluate_all
     from vsfsim.bench.method import check_name
     from vsfsim.bench.task import load_task, open_dataset
@@ -176,7 +175,7 @@ def evaluate(task: TaskName,
         if name not in shelf.ceilings():
             check_name(name)
     engine, objects = _split_on(on or [])
-    wanted = on_objects(load_task(task), objects)
+    wanted = load_task(task).on(objects)
     fan = fan_of(engine, shard, printed, address, gpus_per_task)
     if engine in ("slurm", "k8s") and not by_shards(engine, shards or 10, Path("slurm-logs"), printed,
                                                     int(gpus_per_task)):
@@ -221,13 +220,14 @@ def evaluate(task: TaskName,
 def _split_on(given: list[str]) -> tuple[str | None, str]:
     """The engine, None for none, and the objects that --on names."""
     for word in given:
-        check_choice("--on", word, ("test", "development", *ENGINES))
+        if not word.startswith("seed-"):
+            check_choice("--on", word, ("test", "development", "seed-N", *ENGINES))
     engines = [word for word in given if word in ENGINES]
     objects = [word for word in given if word not in ENGINES]
     for words in (engines, objects):
         if len(words) > 1:
-            raise VsfsimError(f"--on is {' and '.join(words)}; give one engine of {', '.join(ENGINES)} and one of test "
-                              f"and development.")
+            raise VsfsimError(f"--on is {' and '.join(words)}; give one engine of {', '.join(ENGINES)}, and one of "
+                              f"test, development and seed-N.")
     return (engines or [None])[0], (objects or ["test"])[0]  # type: ignore[list-item]
 
 

@@ -42,7 +42,9 @@ def audit(task: Annotated[str, typer.Argument(metavar="TASK", autocompletion=com
           source: Annotated[list[Path] | None, typer.Option(metavar="DIR", help="Folder of results of the same methods "
                                                                                 "trained on another scene; may be "
                                                                                 "given again.")] = None,
-          json: JsonFile = None) -> None:
+          ship: Annotated[Path | None, typer.Option(metavar="DIR", help="For developers: write what needs data or "
+                                                                        "further rows to DIR/audits/TASK.json.")
+                          ] = None, json: JsonFile = None) -> None:
     """Does a task measure what it says?
 
     Four diagnostics: what methods reach that do not look at everything, which share of neighbouring ranks differ and
@@ -56,6 +58,8 @@ def audit(task: Annotated[str, typer.Argument(metavar="TASK", autocompletion=com
     with Progress("audit") as progress:
         found = module.audit(wanted, results or ([own] if own.is_dir() else []), dataset=dataset, fresh=fresh or (),
                              source=source or (), progress=progress)
+    if ship is not None:
+        found.ship(ship / "audits" / f"{wanted.name}.json", wanted.sha256)
     report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), found.table(), json)
 
 

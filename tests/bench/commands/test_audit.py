@@ -69,6 +69,22 @@ def test_rows_agree_with_those_of_fresh_objects_or_not(folded, tmp_path):
         audit(folded, [tmp_path / "r"], fresh=[tmp_path / "nowhere"])
 
 
+def test_what_needs_data_ships_and_is_read_without_them(folded, tmp_path, monkeypatch):
+    row(folded, "good", [0.1, 0.2, 0.15], tmp_path / "r")
+    errors = {sees: {f"mock-{k:04d}": 0.5 + 0.03 * k for k in range(3)} for sees in KINDS}
+    monkeypatch.setattr(module, "_shortcuts", lambda *_: errors)
+    found = dataclasses.replace(audit(folded, [tmp_path / "r"]), fresh=(("toy-v1-seed-2", 5, 0.95),))
+    monkeypatch.setattr(module.shelf, "folder", lambda _: tmp_path)
+    found.ship(tmp_path / "audits" / "toy-v1.json", folded.sha256)
+    again = audit(folded, [tmp_path / "r"], measure=False)
+    assert again.errors == errors and again.shortcuts == found.shortcuts and again.fresh == found.fresh
+    other = audit(dataclasses.replace(folded, sha256="0" * 64), [], measure=False)
+    assert other.errors == {} and other.fresh == () and "no audit of it ships" in text(other, "m")
+    (tmp_path / "audits" / "toy-v1.json").write_text("{}")
+    with pytest.raises(TaskError, match="is not what `vsfsim audit --ship` wrote"):
+        audit(folded, [tmp_path / "r"], measure=False)
+
+
 def test_a_task_without_errors_by_object_is_not_audited(task):
     with pytest.raises(TaskError, match="it needs cross-validation"):
         audit(task, [])

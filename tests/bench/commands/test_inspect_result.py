@@ -101,7 +101,7 @@ def test_a_row_without_its_predictions_is_made_again(kept, task, toy_dataset, tm
 
 def test_a_task_on_its_development_objects_is_another_task(task_text, toy_dataset, tmp_path):
     task = parse_task(task_text.replace("tier", DEVELOPED), "toy-v1.toml")
-    other = task.on_development()
+    other = task.on("development")
     assert other.name == "toy-v1-development" and other.sha256 != task.sha256 and not other.paper
     assert (other.dataset.folder, other.dataset.seed) == ("toy-development", 5) and other.development is None
     with pytest.raises(TaskError, match="--seed 5"):
@@ -110,13 +110,21 @@ def test_a_task_on_its_development_objects_is_another_task(task_text, toy_datase
         evaluate("toy_methods:Constant", task, toy_dataset, on="development")
     with pytest.raises(TaskError, match="on is 'tests'"):
         evaluate("toy_methods:Constant", task, toy_dataset, on="tests")
+    fresh = task.on("seed-7")
+    assert (fresh.name, fresh.dataset.folder, fresh.dataset.seed) == ("toy-v1-seed-7", "toy-seed-7", 7)
+    assert task.on("test") is task and len({task.sha256, other.sha256, fresh.sha256}) == 3
+    for seed in (0, 5):
+        with pytest.raises(TaskError, match=f"has objects of seed {seed} itself"):
+            task.on(f"seed-{seed}")
+    with pytest.raises(TaskError, match="on is 'seed-x'"):
+        task.on("seed-x")
     with pytest.raises(TaskError, match="names no development objects"):
-        other.on_development()
+        other.on("development")
 
 
 def test_a_result_on_development_objects_is_no_row(task_text, toy_dataset, tmp_path):
     task = parse_task(task_text.replace("tier", DEVELOPED), "toy-v1.toml")
-    other = dataclasses.replace(task.on_development(), dataset=task.dataset)
+    other = dataclasses.replace(task.on("development"), dataset=task.dataset)
     evaluate("toy_methods:Constant", other, toy_dataset, out=tmp_path / "r.json")
     with pytest.raises(TaskError, match="is a result of task toy-v1-development, not of toy-v1"):
         collect(task, [tmp_path / "r.json"])

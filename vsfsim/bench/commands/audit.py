@@ -5,13 +5,16 @@
    and the least difference that the task can tell.
 3. Over-fit: Spearman's correlation of the rows with those of the same methods on objects of a fresh seed.
 4. Source: the same with results of methods that were trained on another scene.
+
+What needs data or further rows ships as `leaderboard/audits/TASK.json`; the ranks are those of the rows that are there.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,9 +29,13 @@ from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.stiffness_metrics import spearman
 from vsfsim.bench.task import Task, open_dataset
+from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
+from vsfsim.core.plain_text import plain
 from vsfsim.core.text_table import text_table
+from vsfsim.data.disk import write_atomic
 
+FORMAT = "vsfsim-audit"
 METHOD = "vsfsim.baselines.shortcuts:Shortcut"
 KINDS = ("constant", "action", "view", "touch")
 ENOUGH = 0.9
@@ -70,22 +77,41 @@ class Audit:
     """Of each folder of results on fresh objects: its name, rows in common, rank correlation."""
     source: tuple[tuple[str, int, float], ...]
     """The same of methods that were trained on another scene."""
+    errors: Mapping[str, ByObject]
+    """The task's metric of each object by shortcut, at the shot that ranks; {} where the data are not here and none
+    ship."""
 
     def table(self) -> dict[str, Any]:
         """For JSON."""
         return asdict(self)
 
+    def ship(self, path: Path, task_sha256: str) -> None:
+        """Write what needs data or further rows.
+
+        Raises:
+            TaskError: the file cannot be written.
+        """
+        table = {"format": FORMAT, "task_sha256": task_sha256, "fresh": self.fresh, "source": self.source,
+                 "errors": {sees: {name: float(f"{value:.7g}") for name, value in of.items()}
+                            for sees, of in self.errors.items()}}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise TaskError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --ship.") from error
+        write_atomic(path, (json.dumps(table, indent=1) + "\n").encode(), error=TaskError)
+
 
 def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, fresh: Sequence[Path] = (),
-          source: Sequence[Path] = (), folder: Path | None = None,
+          source: Sequence[Path] = (), folder: Path | None = None, measure: bool = True,
           progress: Callable[[int, int, str], None] | None = None) -> Audit:
     """Audit a task.
 
     Args:
         task: with cross-validation. results: further result files or folders, beside the rows that ship. dataset: its
-        folder, None for the task's; without data the shortcuts are left out. fresh: folders of results of the same
-        methods on objects of other seeds. source: folders of results of methods trained on other scenes. folder: where
-        the results of shortcuts are kept; None for results/TASK/audit. progress: as of `evaluate`.
+        folder, None for the task's. fresh: folders of results of the same methods on objects of other seeds. source:
+        folders of results of methods trained on other scenes. folder: where the results of shortcuts are kept; None for
+        results/TASK/audit. measure: evaluate the shortcuts; else, and without data, they are those that ship, as are
+        ``fresh`` and ``source`` where none are given. progress: as of `evaluate`.
 
     Raises:
         TaskError: the task is not scored object by object, or a file is not its result.
@@ -99,8 +125,11 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     values = [row.objects[task.ranking_shot] for row in ranked]
     pairs = [paired(worse, better) for better, worse in itertools.pairwise(values)]
     least = 2.0 * statistics.median(pair.error for pair in pairs) if pairs else float("nan")
+    known = _shipped(task)
+    errors = (_shortcuts(task, dataset, folder or Path("results") / task.name / "audit", progress) if measure else
+              {}) or known.get("errors", {})
     shortcuts = []
-    for sees, of in _shortcuts(task, dataset, folder or Path("results") / task.name / "audit", progress).items():
+    for sees, of in errors.items():
         behind = paired(of, values[0]) if values else None
         mean, error = interval(of)
         shortcuts.append(Shortcut(sees, mean, error, behind.mean / behind.error if behind is not None and
@@ -108,8 +137,30 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     means = {_key(row.result): row.scores[task.primary][task.ranking_shot].mean for row in ranked}
     return Audit(task.name, names[0] if names else "", tuple(shortcuts), len(ranked),
                  sum(pair.told_apart for pair in pairs), least,
-                 tuple(_agreement(means, path, task) for path in fresh),
-                 tuple(_agreement(means, path, task) for path in source))
+                 tuple(_agreement(means, path, task) for path in fresh) or _triples(known.get("fresh", ())),
+                 tuple(_agreement(means, path, task) for path in source) or _triples(known.get("source", ())), errors)
+
+
+def _shipped(task: Task) -> dict[str, Any]:
+    """What ships of a task's audit; {} where nothing does, or of another text of the task.
+
+    Raises:
+        TaskError: the file is damaged.
+    """
+    path = shelf.folder("leaderboard") / "audits" / f"{task.name}.json"
+    if not path.is_file():
+        return {}
+    try:
+        table = json.loads(path.read_text())
+        if table["format"] != FORMAT:
+            raise ValueError(f"its format is {table['format']!r}")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise TaskError(f"{path} is not what `vsfsim audit --ship` wrote: {plain(error)}. Write it again.") from error
+    return table if table.get("task_sha256") == task.sha256 else {}
+
+
+def _triples(rows: Sequence[Sequence[Any]]) -> tuple[tuple[str, int, float], ...]:
+    return tuple((str(name), int(count), float(value)) for name, count, value in rows)
 
 
 def text(found: Audit, board_metric: str) -> str:
@@ -126,7 +177,7 @@ def text(found: Audit, board_metric: str) -> str:
         lines += [f"{s.sees}: no row is better than this shortcut by two standard errors" for s in found.shortcuts
                   if s.behind < 2.0]
     else:
-        lines.append("not measured: the task's dataset is not here (vsfsim tasks says which it is)")
+        lines.append("not measured: the task's dataset is not here, and no audit of it ships")
     pairs = max(found.rows - 1, 0)
     share = f"{100.0 * found.told / pairs:.0f} %" if pairs else "not measured: fewer than two rows are ranked"
     lines += ["", "2. Ranks", f"neighbours that differ: {share}" + (f" ({found.told} of {pairs}); the least difference "
@@ -150,11 +201,12 @@ def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callabl
         return {}
     data = open_dataset(task, dataset)
     out: dict[str, ByObject] = {}
+    source = "the method"  # what the harness makes of the same answers changes no rank
     for sees in KINDS:
         path, given = folder / f"shortcut-{sees}.json", {"sees": sees}
         result = Result.load(path) if path.is_file() else None
-        if result is None or (result.task_sha256, result.dataset_sha256, dict(result.contents)) != (
-                task.sha256, data.sha256, contents_of(METHOD, result.parameters)):
+        if result is None or (result.task_sha256, result.dataset_sha256, result.contents.get(source)) != (
+                task.sha256, data.sha256, contents_of(METHOD, result.parameters)[source]):
             result = evaluate(METHOD, task, data, parameters=given, out=path, progress=progress)
         out[sees] = by_object(result, task.primary, task.ranking_shot)
     return out

@@ -19,7 +19,7 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.bench.trials import curves
 from vsfsim.bench.trials.training import Training
-from vsfsim.core.errors import MethodError, TaskError, did_you_mean
+from vsfsim.core.errors import MethodError
 from vsfsim.core.shelf import ceilings
 from vsfsim.data.dataset import Dataset
 
@@ -49,7 +49,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         processes: trainings that run at the same time, each in a process of its own.
         keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim inspect`
         draws; "" writes none.
-        on: "test", or "development" for the objects on which settings are made; such a result is of TASK-development.
+        on: "test"; "development" for the objects on which settings are made; or "seed-N" for others of seed N. Such a
+        result is of TASK-development or TASK-seed-N (`Task.on`).
         progress: called with (trials done, of how many, what is going on).
 
     Raises:
@@ -61,7 +62,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     if keep not in ("", "predictions") or (keep and out is None):
         raise MethodError(f"keep is '{keep}' and out is {out}; keep is '' or 'predictions', which are written beside "
                           f"the result file of out.")
-    wanted = on_objects(task if isinstance(task, Task) else load_task(task), on)
+    wanted = (task if isinstance(task, Task) else load_task(task)).on(on)
     data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
     if name in ceilings():
         return evaluate_ceiling(name, wanted, data, parameters=parameters, processes=processes, progress=progress,
@@ -111,17 +112,6 @@ def finish(name: str, task: Task, dataset: Dataset, path: Path, **options: Any) 
         if text:
             log.write_text(text)
     return result
-
-
-def on_objects(task: Task, on: str) -> Task:
-    """The task on its "test" or on its "development" objects.
-
-    Raises:
-        TaskError: ``on`` is neither, or there are no development objects.
-    """
-    if on not in ("test", "development"):
-        raise TaskError(f"on is '{on}'. {did_you_mean(on, ('test', 'development'))}")
-    return task if on == "test" else task.on_development()
 
 
 def log_of(result: Path) -> Path:

@@ -15,7 +15,7 @@ from vsfsim.bench.board.named import claimed
 from vsfsim.bench.leaderboard import Board, Row, collect, score_table
 from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
-from vsfsim.bench.task import DEVELOPMENT, Task, load_task
+from vsfsim.bench.task import OTHERS, Task, load_task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import file_stem, markdown
 from vsfsim.core.shelf import methods
@@ -51,9 +51,10 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
         TaskError: the file is not a result, its task is unknown, or a check refuses it; nothing is written then.
     """
     result = Result.load(path)
-    if result.task.endswith(DEVELOPMENT):
-        raise TaskError(f"{path} is a result of {result.task}, on which settings are made; it is no row. Evaluate the "
-                        f"method on {result.task.removesuffix(DEVELOPMENT)} with the settings that were chosen.")
+    others = OTHERS.fullmatch(result.task)
+    if others is not None:
+        raise TaskError(f"{path} is a result of {result.task}, which has other objects than {others[1]}; it is no row. "
+                        f"Evaluate the method on {others[1]} with the settings that were chosen.")
     task = task or load_task(result.task)
     board = collect(task, [path])
     row = _row_of(board, path, result)
