@@ -72,14 +72,15 @@ def test_every_command_and_option_exists():
     from vsfsim.core import shelf
 
     found = [(page.name, words) for page in PAGES for words in commands(page.read_text())]
+    whole, tasks, methods = get_command(app), shelf.tasks(), shelf.methods()
     assert len(found) > 40
     for page, given in found:
-        command, words = get_command(app), list(given)
+        command, words = whole, list(given)
         while words and words[0] in getattr(command, "commands", {}):
             command = command.commands[words.pop(0)]
         parameters = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
         assert {w for w in words if w.startswith("--")} <= parameters | {"--help"}, (page, given)
-        for key, shelved in (("--task", shelf.tasks()), ("--method", shelf.methods())):
+        for key, shelved in (("--task", tasks), ("--method", methods)):
             if key in words:
                 name = words[words.index(key) + 1]
                 assert name in shelved or ":" in name or name.isupper() or name == "NAME-v1", (page, given)

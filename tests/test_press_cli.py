@@ -114,12 +114,12 @@ def test_the_scan_of_a_box_presses_as_the_box_does(press, tmp_path, probe, half,
 
 def test_a_hollow_ball_that_was_mirrored_keeps_its_cavity(press, tmp_path):
     """Exporters mirror the corners and keep the winding, so that every face is inside out."""
-    outer, inner = (trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (0.04, 0.026))
+    outer, inner = (trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (0.04, 0.02))
     inner.invert()
     hollow = trimesh.util.concatenate([outer, inner])
     hollow.export(tmp_path / "a.stl")
     trimesh.Trimesh(hollow.vertices * [-1.0, 1.0, 1.0], hollow.faces, process=False).export(tmp_path / "b.stl")
-    one, other = (pressed(press("--json", "-", shape=f'mesh = "{name}.stl"', size=0.014, tier="linear",
+    one, other = (pressed(press("--json", "-", shape=f'mesh = "{name}.stl"', size=0.02, tier="linear",
                                 probe="plane = true", frames=1, start=0.08, stop=0.078)) for name in "ab")
     assert other["force"][-1][2] == pytest.approx(one["force"][-1][2], rel=0.02)
     for result in (one, other):

@@ -152,7 +152,7 @@ def _killed(folder: Path, moment: float) -> tuple[str, bool]:
 def _worker_killed(folder: Path, moment: float) -> tuple[str, bool]:
     run, end = start(folder), time.monotonic() + moment
     run.until(lambda: time.monotonic() > end)
-    children = _descendants(run.process.pid)
+    children = descendants(run.process.pid)
     if children:
         os.kill(children[-1], signal.SIGKILL)
     code, said = run.end()
@@ -224,7 +224,7 @@ def _short_of_memory() -> dict[str, Any]:
             "survived": fits == 256 and "--touches" in told}
 
 
-def _descendants(process: int) -> list[int]:
+def descendants(process: int) -> list[int]:
     """Processes that a process and its children have started, children first (Linux)."""
     out, todo = [], [process]
     while todo:

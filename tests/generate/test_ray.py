@@ -1,11 +1,17 @@
 """Ray makes the dataset of one process, on two nodes of this machine."""
 
 import contextlib
+import os
+import random
+import signal
+import subprocess
 import time
+from pathlib import Path
 
 import pytest
-from test_generate import SCENE
+from test_generate import SCENE, command
 
+from benchmarks.datasets.faults import descendants
 from vsfsim.core.engines import ray_cluster
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
@@ -60,5 +66,39 @@ def test_a_cluster_that_is_not_there_is_said_within_ten_seconds():
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_any_number_of_workers_gives_the_bytes_of_one_process(scene, made, tmp_path, workers):
     with cluster(workers) as there:
+        found = generate(scene, tmp_path / "d", objects=OBJECTS, share=Share(ray=there.address))
+    assert found.sha256 == made.sha256 and contents(tmp_path / "d") == contents(made.path)
+
+
+def ray_workers(of):
+    """Processes of tasks among the descendants of a process, those at work first."""
+    names = {}
+    for pid in descendants(of):
+        with contextlib.suppress(OSError):
+            names[pid] = Path(f"/proc/{pid}/cmdline").read_bytes()
+    found = [pid for pid, name in names.items() if name.startswith(b"ray::")]
+    return sorted(found, key=lambda pid: b"IDLE" in names[pid])
+
+
+@pytest.mark.slow
+def test_after_twenty_kills_of_workers_and_one_of_the_head_the_bytes_are_the_same(scene, made, tmp_path):
+    """Of the processes that make views at random moments; then of the head, whose loss is told within a minute."""
+    rng, kills = random.Random(0), 0
+    words = [*command("generate", scene.path, "--out", tmp_path / "d", "--objects", OBJECTS), "--on", "ray"]
+    with cluster(4) as there:
+        run = subprocess.Popen([*words, "--address", there.address], stderr=subprocess.PIPE, text=True)
+        while kills < 20 and run.poll() is None:
+            time.sleep(rng.uniform(0.0, 1.0))
+            for pid in ray_workers(os.getpid())[:1]:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+                    kills += 1
+        there.head_node.kill_gcs_server()
+        there.head_node.kill_raylet()
+        _, said = run.communicate(timeout=120.0)
+    print(f"{kills} kills of workers, one of the head; exit code {run.returncode}: {said.strip()[-300:]}")
+    assert kills == 20 and run.returncode == 2 and "was lost" in said and "Traceback" not in said
+    assert not (tmp_path / "d" / "dataset.json").exists()
+    with cluster(2) as there:
         found = generate(scene, tmp_path / "d", objects=OBJECTS, share=Share(ray=there.address))
     assert found.sha256 == made.sha256 and contents(tmp_path / "d") == contents(made.path)

@@ -199,6 +199,29 @@ def test_the_files_for_schedulers_hold_the_command():
     assert container["resources"]["limits"]["nvidia.com/gpu"] == "1"
 
 
+def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim):
+    """The signal arrives at the worst moment: the file lies there and its line does not."""
+    words = ("generate", scene.path, "--out", "d", "--objects", 4)
+    before, real = signal.getsignal(signal.SIGTERM), lines.put_line
+
+    def put_line(store, entry, recipe):
+        if entry.name == "tiny-0001-v0":
+            signal.raise_signal(signal.SIGTERM)
+        real(store, entry, recipe)
+
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(lines, "put_line", put_line)
+            stopped = vsfsim(*words, cwd=tmp_path)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert stopped.returncode == 143 and "Run the same command again" in stopped.stderr
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [
+        "dataset.part.json", "manifest", "tiny-0000-v0.h5", "tiny-0001-v0.h5"]
+    assert generate(scene, tmp_path / "d", objects=4).sha256 == made.sha256
+    assert contents(tmp_path / "d") == contents(made.path)
+
+
 @pytest.mark.slow
 def test_sigterm_drops_the_touch_and_the_same_command_goes_on(scene, made, tmp_path):
     out = tmp_path / "d"

@@ -71,10 +71,11 @@ def check_tree(file: h5py.File, path: Path) -> dict[str, h5py.Group | h5py.Datas
             raise DatasetError(f"{path}{where} is nested too deep or has too many members; it was not written by "
                                f"vsfsim.")
         _check_attributes(group, f"{path} {group.name}")
+        links = group.id.links
         for raw in group.id:  # h5py's low level: a file has thousands of fields, and most of the time went into names
             name = raw.decode("utf-8", "surrogateescape")
             spot = f"{path} {where}/{plain(name, longest=100)}"
-            if group.id.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
+            if links.get_info(raw).type != h5py.h5l.TYPE_HARD:
                 raise DatasetError(f"{spot} is a link to another place; an object file holds its data itself.")
             opened = h5py.h5o.open(group.id, raw)
             inside = f"{where}/{name}"
@@ -127,9 +128,8 @@ def _check_attributes(item: h5py.Group | h5py.Dataset, spot: str) -> None:
     if count > 100:
         raise DatasetError(f"{spot} has {count} attributes; it was not written by vsfsim.")
     for k in range(count):
-        attribute = h5py.h5a.open(item.id, index=k)
-        if attribute.get_storage_size() > LARGEST_ATTRIBUTE:
-            name = attribute.name.decode(errors="replace")
+        if h5py.h5a.get_info(item.id, index=k).data_size > LARGEST_ATTRIBUTE:
+            name = h5py.h5a.open(item.id, index=k).name.decode(errors="replace")
             raise DatasetError(f"{spot} has an attribute '{plain(name, longest=100)}' of more than "
                                f"{LARGEST_ATTRIBUTE / 1e6:.0f} MB.")
 

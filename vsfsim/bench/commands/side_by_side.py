@@ -23,6 +23,7 @@ from typing import Any
 from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import MethodProcess
+from vsfsim.bench.method import contents_of
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.collect import NOTE, Collector
 from vsfsim.bench.trials.reader import Reader
@@ -256,6 +257,8 @@ def _looked_at(one: Evaluation, check: bool) -> bool:
     with MethodProcess(one.method, one.parameters, one.isolation, one.parts / "check.log") as process:
         if check:
             process.require()
+        # The source of the harness is parsed here, once, and not in every job, which are forks of this process.
+        contents_of(one.method, process.description.parameters)
         return process.description.seeded
 
 

@@ -78,14 +78,16 @@ def end_descendants() -> None:
     """Kill all that runs below this process, and take note of their ends; new ones that appear meanwhile, too."""
     until = time.monotonic() + 20.0
     while time.monotonic() < until:
+        try:
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+        except ChildProcessError:
+            return  # no child, and so no descendant: this process adopts them
         below = descendants(os.getpid())
         for number in (signal.SIGSTOP, signal.SIGKILL):  # what is stopped starts no other
             for pid in below:
                 with contextlib.suppress(OSError):
                     os.kill(pid, number)
-        with contextlib.suppress(ChildProcessError):
-            while os.waitpid(-1, os.WNOHANG)[0]:
-                pass
         if not below:
             return
         time.sleep(0.002)

@@ -31,10 +31,9 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
     except ModuleNotFoundError:
         raise missing_package("ray", "ray") from None
     try:
-        _connect(ray, address)
-        if gpus and ray.cluster_resources().get("GPU", 0.0) < gpus:
-            raise VsfsimError(f"--gpus-per-task is {gpus:g}, but the Ray cluster has "
-                              f"{ray.cluster_resources().get('GPU', 0.0):g} GPUs.")
+        head = _connect(ray, address)
+        if gpus and (there := ray.cluster_resources().get("GPU", 0.0)) < gpus:
+            raise VsfsimError(f"--gpus-per-task is {gpus:g}, but the Ray cluster has {there:g} GPUs.")
         one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         task = ray.remote(function).options(name="vsfsim", num_cpus=1, num_gpus=gpus, max_retries=retries,
                                             runtime_env={"env_vars": one})
@@ -45,9 +44,10 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
             while todo and len(going) < room:
                 number = todo.pop(0)
                 going[task.remote(items[number])] = number
-            for ready in ray.wait(list(going), num_returns=1, timeout=10.0)[0]:
+            for ready in ray.wait(list(going), num_returns=1, timeout=WAIT)[0]:
                 yield going.pop(ready), _error(ray, ready)
-    except (ray.exceptions.RaySystemError, ConnectionError) as error:
+            _reach(head)  # Ray itself waits a minute for a head that is gone, and then ends this process
+    except (ray.exceptions.RaySystemError, OSError) as error:
         raise VsfsimError(f"the Ray cluster at '{address}' was lost: {error}. What is finished is kept; start it and "
                           f"run the same command again.") from error
     finally:
@@ -55,19 +55,21 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
             ray.shutdown()
 
 
-def _connect(ray: Any, address: str) -> None:
+def _connect(ray: Any, address: str) -> str:
     where = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
-    help = "Start one with `ray start --head`, or give --address HOST:PORT of its head."
-    host, colon, port = where.removeprefix("ray://").rpartition(":")
-    if colon:
-        try:
-            socket.create_connection((host, int(port)), timeout=WAIT).close()
-        except (OSError, ValueError) as error:
-            raise VsfsimError(f"there is no Ray cluster at '{where}': {error}. {help}") from None
     try:
+        if ":" in where.removeprefix("ray://"):
+            _reach(where)
         ray.init(address=where, log_to_driver=False, logging_level="ERROR")
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise VsfsimError(f"there is no Ray cluster at '{where}': {str(error).splitlines()[0]} {help}") from None
+    except (OSError, RuntimeError, ValueError) as error:
+        raise VsfsimError(f"there is no Ray cluster at '{where}': {str(error).partition(chr(10))[0]} Start one with "
+                          f"`ray start --head`, or give --address HOST:PORT of its head.") from None
+    return where if "://" in where else str(ray.get_runtime_context().gcs_address)
+
+
+def _reach(head: str) -> None:
+    host, _, port = head.removeprefix("ray://").rpartition(":")
+    socket.create_connection((host, int(port)), timeout=WAIT).close()
 
 
 def _error(ray: Any, ready: Any) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.machinery import ModuleSpec, PathFinder
@@ -31,8 +32,10 @@ def source_files(module: str, folder: str | Path = "") -> dict[str, Path]:
     seen = set(waiting)
     while waiting:
         name = waiting.pop()
-        file = None if name.partition(".")[0] in sys.stdlib_module_names else _file(name, str(folder))
-        if file is None or not _counts(file, name.partition(".")[0], top):
+        first = name.partition(".")[0]
+        look = _own_file if first == "vsfsim" else _file
+        file = None if first in sys.stdlib_module_names else look(name, str(folder))
+        if file is None or not _counts(file, first, top):
             continue
         found[name] = file
         for used in _imports(str(file), file.stat().st_mtime_ns, name, file.name == "__init__.py"):
@@ -104,17 +107,22 @@ def _texts(values: Any) -> Iterator[str]:
 
 def _file(name: str, folder: str) -> Path | None:
     """The source file of a module, found without importing anything; None for a module without one."""
-    path: Iterable[str] | None = None
-    parts = name.split(".")
-    for k in range(1, len(parts) + 1):
-        spec = _spec(".".join(parts[:k]), path, folder if k == 1 else "")
-        if spec is None:
-            return None
-        path = spec.submodule_search_locations
-        if path is None and k < len(parts):
-            return None
-    assert spec is not None
-    return Path(spec.origin).resolve() if spec.origin and spec.origin.endswith(".py") else None
+    spec = _module(name, folder)
+    return Path(spec.origin).resolve() if spec and spec.origin and spec.origin.endswith(".py") else None
+
+
+def _module(name: str, folder: str) -> ModuleSpec | None:
+    above, _, _ = name.rpartition(".")
+    if not above:
+        return _spec(name, None, folder)
+    package = (_own_module if above.partition(".")[0] == "vsfsim" else _module)(above, folder)
+    if package is None or package.submodule_search_locations is None:
+        return None
+    return _spec(name, package.submodule_search_locations, "")
+
+
+# What belongs to vsfsim stays where it is while it runs.
+_own_module, _own_file = functools.lru_cache(maxsize=8192)(_module), functools.lru_cache(maxsize=8192)(_file)
 
 
 def _spec(name: str, path: Iterable[str] | None, folder: str) -> ModuleSpec | None:
@@ -136,15 +144,30 @@ def _counts(file: Path, package: str, top: str) -> bool:
     return package in (top, "vsfsim") or not _INSTALLED & set(file.parts)
 
 
+_NAMED = re.compile(rb"""["']vsfsim\.""")
+"""A text that may name a module of a table."""
+
+
+def _statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """The statements at any depth, without their expressions: a quarter of the time of `ast.walk`."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+            waiting += getattr(node, field, ())
+
+
 @functools.lru_cache(maxsize=4096)
 def _imports(file: str, _: int, name: str, is_package: bool) -> tuple[str, ...]:
     """Names of what a file imports; of ``from a import b`` both a and a.b, of which one may be no module."""
     try:
-        tree = ast.parse(Path(file).read_bytes())
+        text = Path(file).read_bytes()
+        tree = ast.parse(text)
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return ()
     out: list[str] = []
-    for node in ast.walk(tree):
+    for node in ast.walk(tree) if _NAMED.search(text) else _statements(tree):
         if isinstance(node, ast.Import):
             out += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

@@ -63,7 +63,9 @@ def export(dataset: Dataset, folder: Path) -> None:
     for view in dataset:
         if any(touch.q is None or touch.torque is None for touch in view.touches):
             raise DatasetError(f"export --to openvsf: {view.name} was not touched by an arm, and openvsf reads joint "
-                               f"angles. Export a dataset of a scene with [arm], e.g. plants-v4-mini.")
+                               f"angles: a probe or a bubble that moves by itself has none. Use --to lerobot, "
+                               f"webdataset or croissant, or export a dataset of a scene with [arm], e.g. "
+                               f"plants-v4-mini.")
         place = folder / view.name
         (place / "object").mkdir(parents=True)
         (place / "ground_truth").mkdir()
