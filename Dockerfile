@@ -5,6 +5,10 @@ WORKDIR /vsfsim
 COPY . .
 ARG COMMIT=""
 ENV VSFSIM_COMMIT=$COMMIT
-RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[sim]"
+RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[all]"
 WORKDIR /out
-CMD ["sh", "-c", "vsfsim press indent --plot indent.png && vsfsim leaderboard --task fewshot-shoes-v3-mini-v1"]
+# the commands of the README
+CMD ["sh", "-c", "vsfsim generate shoes-v3-mini \
+  && vsfsim evaluate --method gaussian --preset tuned --task fewshot-shoes-v3-mini-v1 \
+  && vsfsim evaluate --method contact-points --preset tuned --task fewshot-shoes-v3-mini-v1 \
+  && vsfsim leaderboard --task fewshot-shoes-v3-mini-v1"]

@@ -32,7 +32,7 @@ def promise(scene: Annotated[list[str] | None,
             budget: Annotated[str | None, typer.Option(metavar="TIME", help="Begin nothing new after this time, e.g. "
                                                                             "90s or 10m.")] = None,
             json: JsonFile = None) -> None:
-    """Is an accuracy that `generate --accuracy` buys kept on objects that its pilot has not seen, and at what price?"""
+    """Measure whether an accuracy that `generate --accuracy` buys is kept on fresh objects, and at what price."""
     from benchmarks.trade.promise import ACCURACIES, measure
 
     asked = tuple(share_of("--accuracy", text) for text in accuracy or ()) or ACCURACIES

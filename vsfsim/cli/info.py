@@ -37,7 +37,7 @@ class Fact:
 
 @app.command()
 def info(json: JsonFile = None) -> None:
-    """Versions, devices, renderers, caches, weights and datasets of this machine, and what to do about each."""
+    """Show versions, devices, renderers, caches, weights and datasets of this machine, and what to do about each."""
     facts: list[Fact] = []
     with Progress("info") as progress:
         for number, group in enumerate(GROUPS):

@@ -43,7 +43,7 @@ class _Group(WholeSentences):
 
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=_Group,
-                  help="Measure: time and error of the solver and of the estimators.")
+                  help="Measure time and error of the solver and of the estimators.")
 
 
 @app.callback()

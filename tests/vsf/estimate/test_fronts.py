@@ -124,3 +124,12 @@ def test_where_rounding_spoils_the_sparse_factor_springs_are_fitted_without_one(
     monkeypatch.setattr(Fronts, "factor", spoilt)
     found = map_estimate(w, z, noise_std=0.1, prior_mean=5.0, prior_var=1e4)
     np.testing.assert_allclose(found.mean, dense.mean, rtol=1e-4, atol=1e-4 * dense.mean.max())
+
+
+def test_the_diagonal_of_an_inverse_is_the_same_on_both_devices():
+    some = torch.as_tensor(np.random.default_rng(5).normal(size=(12, 12)))
+    matrix = some @ some.T + torch.eye(12, dtype=torch.float64)
+    wanted = torch.linalg.inv(matrix).diagonal()
+    factor = torch.linalg.cholesky(matrix)
+    for diagonal in (touch_blocks._inverse_diagonal, touch_blocks._inverse_diagonal_on_gpu):
+        assert torch.allclose(diagonal(factor), wanted, rtol=1e-10)

@@ -357,10 +357,14 @@ def _times(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
 def _inverse_diagonal(factor: torch.Tensor) -> torch.Tensor:
     """Diagonal of (L L^T)^-1 (k,): the squared norms of the columns of L^-1, half the work of the inverse."""
     if factor.device.type != "cpu":
-        one = torch.eye(len(factor), dtype=factor.dtype, device=factor.device)
-        inverse = torch.linalg.solve_triangular(factor, one, upper=False)
-        return (inverse * inverse).sum(dim=0)
+        return _inverse_diagonal_on_gpu(factor)
     upper = factor.numpy().T  # in Fortran's order without a copy
     (invert,) = linalg.get_lapack_funcs(("trtri",), (upper,))
     inverse = invert(upper, lower=0)[0]
     return torch.as_tensor(np.einsum("ij,ij->i", inverse, inverse))
+
+
+def _inverse_diagonal_on_gpu(factor: torch.Tensor) -> torch.Tensor:
+    one = torch.eye(len(factor), dtype=factor.dtype, device=factor.device)
+    inverse = torch.linalg.solve_triangular(factor, one, upper=False)
+    return (inverse * inverse).sum(dim=0)
