@@ -1,5 +1,6 @@
 """`vsfsim tradeoff`: limits of known sequences, the front, its page, and what is refused."""
 
+import dataclasses
 import json
 import math
 import xml.etree.ElementTree as ET
@@ -237,3 +238,12 @@ def test_a_segment_is_cut_into_beams_of_the_same_plant():
                                                                                                        2, 5]
     assert cut.radius[1:].tolist() == [3e-3, 3e-3, 2e-3, 2e-3, 1e-3, 1e-3] and parted(plant, 1) is plant
     assert cut.lengths().sum() == pytest.approx(plant.lengths().sum())
+
+
+def test_the_table_has_every_other_reading_in_its_unit():
+    point = dataclasses.replace(POINTS[0], channels={"force": {"rms": 0.03}, "direction": {"rms": 0.1},
+                                                     "pressure": {"rms": 0.02}})
+    head, (row,) = front.cells([point])
+    assert head[-2:] == ["direction deg", "pressure %"]
+    assert [float(cell) for cell in row[-2:]] == pytest.approx([math.degrees(0.1), 2.0], rel=0.05)
+    assert len(row) == len(head)

@@ -45,7 +45,7 @@ def audit(task: Annotated[str, typer.Argument(metavar="TASK", autocompletion=com
           ship: Annotated[Path | None, typer.Option(metavar="DIR", help="For developers: write what needs data or "
                                                                         "further rows to DIR/audits/TASK.json.")
                           ] = None, json: JsonFile = None) -> None:
-    """Does a task measure what it says?
+    """Measure whether a task measures what it says.
 
     Four diagnostics: what methods reach that do not look at everything, which share of neighbouring ranks differ and
     the least difference that can be told, and whether the ranks hold on fresh objects and with other training data.
