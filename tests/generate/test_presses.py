@@ -9,6 +9,7 @@ import pytest
 from vsfsim.baselines.near_springs import NearSprings
 from vsfsim.bench import predictions, sealed
 from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.inspect_result import by_kind
 from vsfsim.bench.protocol import divide, record, specimen
 from vsfsim.bench.task import load_task, parse_task
 from vsfsim.core.errors import DatasetError, SceneError, TaskError
@@ -130,6 +131,17 @@ def test_the_true_object_answers_other_presses_and_a_method_sees_what_presses(ma
     punch = record(view, task).queries[1].action
     flat, ball = method.predict([punch, dataclasses.replace(punch, probe=Sphere(0.008))])
     assert flat[-1, 0] > ball[-1, 0] == 0.0, "the face of the punch is 10 mm ahead of its centre, the ball 8 mm"
+
+
+def test_errors_are_told_by_what_presses(made, task, tmp_path, monkeypatch):
+    (tmp_path / "kinds.toml").write_text(SCENE)
+    monkeypatch.setattr("vsfsim.core.shelf.scenes", lambda: {"kinds": tmp_path / "kinds.toml"})
+    answers = {key: np.zeros((len(action.time), 1)) for q in predictions.questions(task, made)
+               for key, action in zip(q.keys, q.actions)}
+    np.savez(tmp_path / "zero.npz", **answers)
+    found = by_kind(predictions.score_predictions(tmp_path / "zero.npz", task, made, name="zero"), task)
+    assert found == {'{"cylinder": [0.008, 0.02]}': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0)),
+                     '{"sphere": 0.01} from the side': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0))}
 
 
 def test_a_sealed_set_tells_what_presses(made, task, tmp_path):

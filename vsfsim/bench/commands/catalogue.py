@@ -57,12 +57,13 @@ class Catalogue(Mapping[str, T], Generic[T]):
 
 
 def tasks() -> Catalogue[Task]:
-    """The tasks that ship, by name.
+    """The tasks that ship, by name; superseded ones are last.
 
     Returns:
         A mapping; ``tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots`` is a part of one.
     """
-    found = {name: load_task(name) for name in shelf.tasks()}
+    loaded = {name: load_task(name) for name in shelf.tasks()}
+    found = dict(sorted(loaded.items(), key=lambda one: bool(one[1].superseded_by)))
     rows = tuple((name, t.observation.name, t.dataset.folder, t.description, t.superseded_by)
                  for name, t in found.items())
     return Catalogue("task", found, ("task", "observation", "dataset", "description", "superseded by"), rows)

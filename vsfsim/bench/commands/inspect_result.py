@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,9 +18,12 @@ from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.result import Result
-from vsfsim.bench.task import load_task
+from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.curves import Curves
+from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError, did_you_mean
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shape import probe_table
 from vsfsim.core.text_table import text_table
 from vsfsim.data.disk import write_atomic
 
@@ -72,16 +76,38 @@ def inspect_result(path: Path, out: Path | None, *, shot: str = "") -> tuple[str
     unit = result.unit
     sort = (f"touches with the largest errors at {shot}-shot, means over {len(result.seeds)} runs; share: of the mean "
             f"error of predicting zero on the object" + ("; gain: prediction over truth" if curves else ""))
+    kinds = by_kind(result, load_task(result.task)) if result.task in shelf.tasks() else {}
     lines = [score_table(result, metric), "", f"{metric} by object, the worst first", text_table(head, rows), "", sort,
              text_table(*_touch_table(touches[:MOST_LINES], result.shots, unit))]
+    if kinds:
+        cells = [[name, *(f"{of[label]:.3f}" for label in result.shots)] for name, of in kinds.items()]
+        lines += ["", "error over that of predicting zero, pooled over objects, by what presses",
+                  text_table(["press", *head[1:]], cells)]
     if curves is None:
         lines += ["", "The predictions were not kept: `vsfsim evaluate --keep predictions` makes the curves of the "
                       "touches."]
     lines += ["", f"page: {target}"]
     return "\n".join(lines), {
         "task": result.task, "method": result.method, "metric": metric, "shot": shot, "page": str(target),
-        "objects": objects, "touches": [{"view": t.view, "touch": t.touch, "rmse": dict(t.error), "share": t.share,
-                                         "gain": t.gain} for t in touches]}
+        "objects": objects, "presses": kinds,
+        "touches": [{"view": t.view, "touch": t.touch, "rmse": dict(t.error), "share": t.share, "gain": t.gain}
+                    for t in touches]}
+
+
+def by_kind(result: Result, task: Task) -> dict[str, dict[str, float]]:
+    """Of a task with ``transfer``, the root of the summed squared errors over that of predicting zero [-], by what
+    presses and by shot; {} for other tasks."""
+    if not task.protocol.transfer:
+        return {}
+    scene = load_scene(shelf.find_scene(task.dataset.scene)).sample(0)
+    names = [json.dumps(probe_table(press.probe)) + (" from the side" if press.required_touches.level else "")
+             for press in scene.presses]
+    sums: dict[str, dict[str, np.ndarray]] = {}
+    for row in result.rows():
+        of = sums.setdefault(names[scene.required_touches.kind(row["touch"])], {})
+        of[row["shot"]] = of.get(row["shot"], np.zeros(2)) + [row["sse"], row["ss"] or 0.0]
+    return {name: {shot: math.sqrt(error / zero) if zero > 0.0 else math.nan for shot, (error, zero) in of.items()}
+            for name, of in sorted(sums.items())}
 
 
 def _asked(result: Result) -> tuple[str, str]:
