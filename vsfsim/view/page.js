@@ -158,12 +158,12 @@ function draw() {
 function drawFrame(pen, view, touch) {
   const k = state.frame, at = touch.place[k], force = touch.force[k], good = touch.converged[k];
   const most = Math.max(1e-9, ...touch.force.flat().map(f => Math.abs(f ?? 0)));
-  if (shown.o.probe_radius) {                            // a ball is a circle from everywhere
+  if (touch.probe_radius) {                            // a ball is a circle from everywhere
     const [x, y] = pixel(view, at);
     pen.strokeStyle = colour("chosen");
     pen.lineWidth = 1.5 * devicePixelRatio;
     pen.beginPath();
-    pen.arc(x, y, shown.o.probe_radius * view.scale, 0, 7);
+    pen.arc(x, y, touch.probe_radius * view.scale, 0, 7);
     pen.stroke();
   }
   if (touch.skin) drawSkin(pen, view, touch.skin, k);

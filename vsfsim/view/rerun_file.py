@@ -74,7 +74,7 @@ def _log(recording: Any, one: dict[str, Any], about: dict[str, Any], low: float,
             recording.set_time("frame", sequence=frame)
             frame += 1
             label, force = f"touch {touch.get('number', number)}", touch["force"][k]
-            recording.log(f"{name}/probe", rr.Points3D([place], radii=one["probe_radius"] or 0.002, labels=label))
+            recording.log(f"{name}/probe", rr.Points3D([place], radii=touch["probe_radius"] or 0.002, labels=label))
             if None not in force:
                 recording.log(f"{name}/force", rr.Arrows3D(origins=[place], vectors=[ARROW * np.array(force)]))
             scalars = {"normal_force": touch["normal_force"][k],

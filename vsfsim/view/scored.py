@@ -83,7 +83,7 @@ def _maps(result: Result) -> dict[str, np.ndarray]:
 
 def _object(name: str, dataset: Dataset | None, curves: Curves | None, found: np.ndarray | None) -> dict[str, Any]:
     view = None if dataset is None else dataset.load(name)
-    one = of_view(view) if view is not None else {"name": name, "probe_radius": None, "touches": [], "picture": None}
+    one = of_view(view) if view is not None else {"name": name, "touches": [], "picture": None}
     if found is not None:
         one |= of_body(found[:, :3], found[:, 3], np.zeros(len(found), int))
         one |= {"estimate": quantised(np.log10(found[:, 4:])),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.core.shape import Sphere
+from vsfsim.core.shape import ProbeShape, Sphere
 from vsfsim.data.records import ObjectView, Touch, Truth, View
 from vsfsim.view.encode import base64_of, png_uri, quantised, rounded
 
@@ -38,8 +38,7 @@ def of_view(shown: ObjectView) -> dict[str, Any]:
         some = cloud[::max(1, -(-len(cloud) // CLOUD))]
         body = of_body(some, None, np.zeros(len(some), int))
     return {"name": shown.name, "about": f"{shown.split}, {len(shown.touches)} touches", **body,
-            "probe_radius": shown.probe.radius if isinstance(shown.probe, Sphere) else None,
-            "touches": [_touch(touch) for touch in shown.touches],
+            "touches": [_touch(touch, shown.probe_of(touch)) for touch in shown.touches],
             "picture": _picture(shown.view)}
 
 
@@ -47,7 +46,7 @@ def of_drawing(name: str, drawing: Drawing) -> dict[str, Any]:
     """The object of a scene, without touches; where only a surface is drawn, the corners of its triangles in grey."""
     corners = drawing.surface.vertices
     body = of_body(corners, None, np.zeros(len(corners), int)) if drawing.truth is None else of_truth(drawing.truth)
-    return {"name": name, "about": drawing.lines[0], **body, "probe_radius": None, "touches": [], "picture": None}
+    return {"name": name, "about": drawing.lines[0], **body, "touches": [], "picture": None}
 
 
 def of_truth(truth: Truth) -> dict[str, Any]:
@@ -89,9 +88,10 @@ def beads(ends: np.ndarray, young_modulus: np.ndarray, region: np.ndarray,
     return centre, young_modulus[of], region[of], radius[of]
 
 
-def _touch(touch: Touch) -> dict[str, Any]:
+def _touch(touch: Touch, probe: ProbeShape) -> dict[str, Any]:
     """One touch, frame by frame. Of a bubble also the nodes of its skin and the force on each."""
-    table = {"target": rounded(touch.target, 5), "axis": rounded(touch.axis, 4),
+    table = {"probe_radius": probe.radius if isinstance(probe, Sphere) else None,
+             "target": rounded(touch.target, 5), "axis": rounded(touch.axis, 4),
              "place": rounded(touch.mount_pose[:, :3, 3], 5), "force": rounded(touch.force, 4),
              "normal_force": rounded(touch.normal_force(), 4), "touched": bool(touch.touched),
              "travel": rounded((touch.mount_pose[:, :3, 3] - touch.mount_pose[0, :3, 3]) @ touch.axis, 6),
