@@ -38,6 +38,7 @@ def test_a_box_in_four_frames_stays_on_the_branch_that_twelve_frames_follow():
     assert np.linalg.norm(run.force[-1]) == pytest.approx(16.137, rel=2e-3)
 
 
+@pytest.mark.slow  # the predictor itself: tests/physics/solve/test_prediction.py
 def test_without_the_predictor_a_cell_takes_more_iterations_to_the_same_force(tmp_path):
     found = measure(["ball"], names=["predictor"])
     row = found.tables[0].rows[0]

@@ -1,6 +1,7 @@
 """Recordings of real robots in openvsf's layout, written here, as datasets without truth."""
 
 import dataclasses
+import itertools
 import json
 
 import numpy as np
@@ -148,9 +149,10 @@ def test_pressures_of_a_bubble_become_pascals_over_the_tare(shoes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["joint-torque", "pressure"])
-@pytest.mark.parametrize("method", ["gaussian", "point-vsf", "contact-points", "sbml", "near-springs",
-                                    "surface-gp", "cnp"])
+@pytest.mark.parametrize(("kind", "method"), [
+    *itertools.product(["joint-torque", "pressure"], ["gaussian", "point-vsf", "contact-points", "sbml"]),
+    # these predict one number a frame, and refuse the seven of an arm
+    *itertools.product(["pressure"], ["near-springs", "surface-gp", "cnp"])])
 def test_methods_are_scored_on_recordings(plants, shoes, tmp_path, kind, method):
     dataset = plants[2] if kind == "joint-torque" else shoes[3]
     (tmp_path / "task.toml").write_text(TASK.format(kind=kind))

@@ -266,6 +266,15 @@ def test_a_dry_run_is_within_a_quarter_of_the_run(scene, tmp_path, here, monkeyp
     assert said.hours(2, 2) == pytest.approx(said.cpu_seconds / 3 / 3600.0)
 
 
+def test_a_killed_server_of_workers_is_told_as_a_killed_worker(scene, tmp_path, monkeypatch):
+    def killed(*_):
+        raise EOFError
+
+    monkeypatch.setattr(workers, "submit", killed)
+    with pytest.raises(DatasetError, match="a worker process ended before .*Run the same command again"):
+        generate(scene, tmp_path / "d", objects=2, workers=2)
+
+
 def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
     asked = []
 

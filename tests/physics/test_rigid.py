@@ -268,7 +268,7 @@ def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):
     cache = tmp_path / "cache"
 
     def grid(path):
-        return baked(MeshFile(str(path), 1.0), spacing=0.001, cache=cache, slow=0.0)
+        return baked(MeshFile(str(path), 1.0), spacing=0.002, cache=cache, slow=0.0)
 
     first = grid(path)
     stored, = cache.glob("distance-*.npz")

@@ -151,7 +151,7 @@ def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line, thi
         return np.linalg.norm(frames.force[-1, 0])
 
     known = press(0.001)
-    for step in (0.002, 0.003, 0.004, 0.006):
+    for step in (0.003, 0.006):
         # displacements are known to 1e-3, and the forces agree to 3e-3
         assert press(step) == pytest.approx(known, rel=0.01)
 

@@ -50,7 +50,8 @@ def test_it_starts_as_the_naive_prior(output):
     assert mean.std() < 20.0
 
 
-@pytest.mark.parametrize("output, gain", [("softplus", 0.25), ("relu", 0.2)])
+@pytest.mark.parametrize("output, gain", [
+    ("softplus", 0.25), pytest.param("relu", 0.2, marks=pytest.mark.slow)])
 def test_training_learns_the_stiffness_from_the_feature(output, gain):
     tasks = [row[0] for row in objects(40, 1)]
     prior = build(output=output)

@@ -129,7 +129,10 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
 def _make_in_pool(jobs: Sequence[Job], device: str, count: int | None) -> Iterator[tuple[int, str]]:
     queue = _processes(device).Queue()
     with process_pool(len(jobs), count, device=device, begin=_begin, given=(queue,)) as pool:
-        futures = [submit(pool, _make, job, device) for job in jobs]
+        try:
+            futures = [submit(pool, _make, job, device) for job in jobs]
+        except (EOFError, ConnectionError) as error:  # the server that forks the workers was killed
+            raise BrokenProcessPool("no worker could be started") from error
         threading.Thread(target=_close, args=(futures, queue), daemon=True).start()
         while (item := queue.get()) is not None:
             yield item
