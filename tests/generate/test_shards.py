@@ -271,7 +271,7 @@ def test_a_killed_server_of_workers_is_told_as_a_killed_worker(scene, tmp_path, 
         raise EOFError
 
     monkeypatch.setattr(workers, "submit", killed)
-    with pytest.raises(DatasetError, match="a worker process ended before .*Run the same command again"):
+    with pytest.raises(DatasetError, match=r"a worker process ended before .*Run the same command again"):
         generate(scene, tmp_path / "d", objects=2, workers=2)
 
 
