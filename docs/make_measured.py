@@ -155,22 +155,22 @@ def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> st
 def written(found: Any, words: str, about: str, tables: list) -> str:
     """Tables of a measurement below the command that prints them and a sentence ``about`` them."""
     parts = [f"<!-- vsfsim measure {words}: version {found.version}, commit {found.commit} -->\n{about}\n"]
-    for table in tables:
+    for table in (table for table in tables if table.rows):
         rows = [[column.cell(row) for column in table.columns] for row in table.rows]
         parts.append(f"{table.title[0].upper()}{table.title[1:]}:\n\n"
                      + piped([column.title() for column in table.columns], rows))
     return "\n".join(parts)
 
 
-def trust() -> str:
-    """The tables of `vsfsim measure trust` from the presses in measured/trust.jsonl, which took a large machine."""
+def kept(name: str, module: str) -> str:
+    """The tables of `vsfsim measure NAME` from the presses in measured/NAME.jsonl, which took a large machine."""
     sys.path.insert(0, str(ROOT))
-    found = dataclasses.replace(
-        (known := importlib.import_module("benchmarks.trust").stored(FOLDER / "trust.jsonl")),
-        version=known.settings["version"], commit=known.settings["commit"])
-    of = found.settings
-    return written(found, f"trust --cells {of['cells']} --seed {of['seed']} --limit {of['limit']:g}",
-                   f"{of['cells']} presses of seed {of['seed']}; {'; '.join(found.notes)}.", list(found.tables))
+    found = importlib.import_module(f"benchmarks.{module}").stored(FOLDER / f"{name}.jsonl")
+    of = dict(found.settings)
+    found = dataclasses.replace(found, version=of.pop("version"), commit=of.pop("commit"))
+    words = "".join(f" --{key} {value:g}" for key, value in of.items())
+    about = "; ".join(found.notes)
+    return written(found, name + words, f"{about[0].upper()}{about[1:]}.", list(found.tables))
 
 
 def tradeoff(scene: str, **options: Any) -> str:
@@ -197,7 +197,9 @@ def tradeoff(scene: str, **options: Any) -> str:
 
 MEASURED: dict[str, Callable[[], str]] = {
     **{name: partial(result, name) for name in included()},
-    "trust": trust, "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
+    "trust": partial(kept, "trust", "trust"),
+    "indentation": partial(kept, "indentation", "trust.indentation"),
+    "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
     "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
     "built": partial(measurement, "built", 1),

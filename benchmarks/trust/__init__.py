@@ -98,7 +98,7 @@ def report(rows: list[dict[str, Any]], settings: dict[str, Any]) -> Measurement:
     kinds = Counter(word for row in rows for word in _words(row))
     shares = [_shares("all", rows)] + [_shares(kind, [row for row in rows if kind in _words(row)])
                                        for kind, _ in kinds.most_common()]
-    columns = (Column("kind", "cells"), Column("cells", "number", "1", form="d"),
+    columns = (Column("kind", "cells"), Column("cells", "presses", "1", form="d"),
                Column("without", "no reference", "1", "%", ".0f"), Column("judged", "judged", "1", form="d"),
                *(Column(f"within_{100 * w:.0f}", f"within {100 * w:.0f} %", "1", "%", ".0f") for w in WITHIN),
                Column("marked", "all frames marked", "1", "%", ".0f"),

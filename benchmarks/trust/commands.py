@@ -36,9 +36,12 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the fi
 @app.command()
 def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Number of a random body; may be given "
                                                                            "again. Default: those of pages.")] = None,
+                out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a "
+                                                              "later run goes on with it.")] = None,
+                workers: Workers = None,
                 json: JsonFile = None) -> None:
     """The local indentation, with and without, on random bodies that it was not fitted to."""
     from benchmarks.trust.indentation import BODIES, measure
 
-    found = measure(body or BODIES, progress=step)
+    found = measure(body or BODIES, out, workers=workers or os.cpu_count() or 1, progress=step)
     report(found.text(), found.record(), json, indent=1)

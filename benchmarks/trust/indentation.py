@@ -2,19 +2,29 @@
 
 Balls of 6 to 16 mm are pressed at random places into random blocks of one material, over a stiff ball 0.3 to 3 mm under
 the surface, or over a stiff layer, at each tier with and without the compliance. The reference is tier fem on elements
-of a fifth of the ball's radius.
+of a fifth of the ball's radius, or of `FINER` of the tier's own where that is less.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import references
+import vsfsim
 from benchmarks.measurement import Column, Measurement, Progress, Table
-from vsfsim.core.scene import Scene, parse_scene
+from benchmarks.stability.team import Ended, answers, kept
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.scene import Scene, load_scene, parse_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.data.provenance import commit
 from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.probe import prepare
 from vsfsim.physics import tiers
@@ -35,9 +45,15 @@ from = {start}
 to = {stop}
 frames = 5
 """
-BODIES = (1, 3)
-"""Numbers of the bodies that pages tell of: one over a stiff ball, one of one material."""
+BODIES = (1, 2, 3, 4, 5, 6)
+"""Numbers of the bodies that pages tell of, two of each kind."""
+FINER = 0.6
+"""Element size of the reference over that of tier fem at most [-]."""
+BLOCKS = {"S1": "indent-homogeneous", "S2": "indent"}
+"""Scenes of the blocks that pages report, by their name: C was fitted to the first; see `references/`."""
+COMMAND = "vsfsim measure indentation"
 TIERS = ("linear", "fem-coarse", "fem")
+REFERENCE = ("the fine mesh", True)
 _KINDS = ("one material", "a stiff ball", "a stiff layer")
 
 
@@ -58,9 +74,13 @@ def scene_of(number: int, *, fine: bool = False) -> Scene:
         inside = (f"{{ box = {[-1.0, -1.0, high - 2.0 * thick, 1.0, 1.0, high - thick]}, "
                   f"value = {float(10 ** rng.uniform(5.5, 6.5))} }}")
     nu, depth = float(rng.choice([0.3, 0.45, 0.48])), float(rng.uniform(0.15, 0.3) * radius)
-    return parse_scene(SCENE.format(
-        box=box, nu=nu, inside=inside, radius=radius, start=[x, y, high + radius], stop=[x, y, high + radius - depth],
-        resolution=f"resolution = {radius / 5.0}" if fine else ""), Path("indentation.toml")).sample(0)
+    text = partial(SCENE.format, box=box, nu=nu, inside=inside, radius=radius, start=[x, y, high + radius],
+                   stop=[x, y, high + radius - depth])
+    scene = parse_scene(text(resolution=""), Path("indentation.toml")).sample(0)
+    if not fine:
+        return scene
+    size = min(radius / 5.0, FINER * tiers.element_size(scene.required_object, "fem", scene.probe))
+    return parse_scene(text(resolution=f"resolution = {size}"), Path("indentation.toml")).sample(0)
 
 
 def push(scene: Scene, tier: str, *, local: bool) -> np.ndarray:
@@ -74,21 +94,90 @@ def push(scene: Scene, tier: str, *, local: bool) -> np.ndarray:
     return frames.force[:, 0, 2]
 
 
-def measure(bodies: Sequence[int] = BODIES, *, progress: Progress = lambda said: None) -> Measurement:
-    """Errors of the force at five depths, of these ``bodies``."""
-    rows = []
-    for number in bodies:
-        progress(f"body {number}: the fine mesh ...")
-        exact = push(scene_of(number, fine=True), "fem", local=True)
-        for tier in TIERS:
-            for local in (True, False):
-                progress(f"body {number}: {tier} ...")
-                error = push(scene_of(number), tier, local=local) / exact - 1.0
-                rows.append({"body": number, "kind": _KINDS[number % 3], "tier": tier, "local": "with" if local else
-                             "without", "rms": float(np.sqrt((error**2).mean())),
-                             **{f"e{k}": float(e) for k, e in enumerate(error)}})
+def measure(bodies: Sequence[int] = BODIES, file: Path | None = None, *, workers: int = 1,
+            progress: Progress = lambda said: None) -> Measurement:
+    """Errors of the force at five depths, of these ``bodies``.
+
+    Args:
+        bodies: their numbers.
+        file: keeps the forces of each press, from which a later run goes on; None for none.
+        workers: processes.
+        progress: called with a sentence a press.
+
+    Raises:
+        VsfsimError: the file was made with another version or commit, or is no such file; a press did not end.
+    """
+    settings = {"version": vsfsim.__version__, "commit": commit()}
+    done = {} if file is None else {_job(row): row for row in kept(file, settings, COMMAND)}
+    ways = list(product(TIERS, (True, False)))
+    every: list[tuple[int | str, str, bool]] = [(name, *way) for name in BLOCKS for way in ways]
+    every += [(body, *way) for body in bodies for way in (REFERENCE, *ways)]
+    for job, found in answers([job for job in every if job not in done], _forces, workers=workers, most=3600.0):
+        if isinstance(found, Ended):
+            raise VsfsimError(f"body {job[0]}, tier {job[1]}: {found.words}. Run it again, with fewer --workers "
+                              f"perhaps.")
+        done[job] = found
+        if file is not None:
+            with file.open("a") as out:
+                out.write(json.dumps(found) + "\n")
+        progress(f"body {job[0]}: {job[1]}")
+    return report([done[job] for job in every], settings)
+
+
+def stored(file: Path) -> Measurement:
+    """The report of the presses in a ``file`` of `measure`.
+
+    Raises:
+        VsfsimError: it is no such file.
+    """
+    return report(kept(file, {}, COMMAND), json.loads(file.read_text().partition("\n")[0]))
+
+
+def _job(row: Mapping[str, Any]) -> tuple[int | str, str, bool]:
+    return row["body"], row["tier"], row["local"]
+
+
+def _forces(job: tuple[int | str, str, bool]) -> dict[str, Any]:
+    body, tier, local = job
+    fine = tier == REFERENCE[0]
+    # every tier presses the blocks, whatever they show
+    scene = (dataclasses.replace(load_scene(find_scene(BLOCKS[body])).sample(0), needs=()) if isinstance(body, str)
+             else scene_of(body, fine=fine))
+    return {"body": body, "tier": tier, "local": local,
+            "force": push(scene, "fem" if fine else tier, local=local).tolist()}
+
+
+def report(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> Measurement:
+    """Errors of every press against its body's reference, and their rms by tier."""
+    exact = {row["body"]: np.array(row["force"]) for row in rows if row["tier"] == REFERENCE[0]}
+    errors, blocks = [], []
+    for row in (row for row in rows if row["body"] in BLOCKS):
+        known = references.load(row["body"].lower())["force_N"]
+        half, full = (row["force"][len(row["force"]) // n - 1] / known[len(known) // n - 1] - 1.0 for n in (2, 1))
+        blocks.append({"block": row["body"], "tier": row["tier"], "local": "with" if row["local"] else "without",
+                       "half": half, "full": full})
+    judged = [row for row in rows if row["body"] in exact and row["tier"] in TIERS]
+    for row in sorted(judged, key=lambda row: (row["body"], TIERS.index(row["tier"]), not row["local"])):
+        error = np.array(row["force"]) / exact[row["body"]] - 1.0
+        errors.append({"body": row["body"], "kind": _KINDS[row["body"] % 3], "tier": row["tier"],
+                       "local": "with" if row["local"] else "without", "rms": float(np.sqrt((error**2).mean())),
+                       **{f"e{k}": float(e) for k, e in enumerate(error)}})
+    means = [{"tier": tier, "local": local, "bodies": len(some),
+              "rms": float(np.sqrt(np.mean([row["rms"] ** 2 for row in some]))),
+              "last": float(np.mean([row["e4"] for row in some]))}
+             for tier, local in product(TIERS, ("with", "without"))
+             if (some := [row for row in errors if (row["tier"], row["local"]) == (tier, local)])]
     columns = (Column("body", "body", "1", form="d"), Column("kind", "kind"), Column("tier", "tier"),
                Column("local", "compliance"), *(Column(f"e{k}", f"{20 * (k + 1)} % of the depth", "1", "%", "+.1f")
                                                 for k in range(5)), Column("rms", "rms", "1", "%", ".2f"))
-    return Measurement.of("indentation", {"bodies": list(bodies)}, [
-        Table("Error of the force on bodies that the compliance was not fitted to", columns, rows, "errors")])
+    return Measurement.of("indentation", settings, [
+        Table("All bodies together", (Column("tier", "tier"), Column("local", "compliance"),
+                                      Column("bodies", "bodies", "1", form="d"), Column("rms", "rms", "1", "%", ".2f"),
+                                      Column("last", "mean at full depth", "1", "%", "+.1f")), means, "means"),
+        Table("Error of the force on the blocks S1, to which the compliance was fitted, and S2, against references/", (
+            Column("block", "block"), Column("tier", "tier"), Column("local", "compliance"),
+            Column("half", "at 2.5 mm", "1", "%", "+.1f"), Column("full", "at 5 mm", "1", "%", "+.1f")),
+            sorted(blocks, key=lambda row: (row["block"], TIERS.index(row["tier"]), row["local"])), "blocks"),
+        Table("Error of the force on bodies that the compliance was not fitted to", columns, errors, "errors")],
+        notes=[f"the reference of a random body is tier fem on elements of a fifth of the ball's radius, or of "
+               f"{FINER:g} of the tier's own"])

@@ -26,6 +26,7 @@ from vsfsim.generate.plants.prepare import prepare_job
 from vsfsim.generate.plants.touches import make_views
 from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.recipe import make_recipe
+from vsfsim.robot.reach import LINE_POSITION
 from vsfsim.scenes.plant import grow
 from vsfsim.sensing.kinect import kinect_depth
 
@@ -72,23 +73,40 @@ def test_the_file_holds_what_was_made(made):
 
 def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp_path):
     """With a limit of 3 N: the arm turns back, every touch has all its readings, none past the limit, and the tool
-    stays on its line where readings are between the planned ones."""
+    stays on its line: at planned places to the tolerance of the inverse kinematics, between them as far off as the line
+    through the joint angles is, which is 0.2 mm in the first touch because this scene's rows are 20 mm apart."""
     text = scene_file.text.replace('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "return"')
     text = text.replace("force_limit = 40.0", "force_limit = 3.0")
-    recipe = make_recipe(parse_scene(text, scene_file.path), seed=3, objects=1, views=1, touches=3)
+    recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3)
     job = jobs_of(recipe, scene_file.path, tmp_path, None)[0]
-    touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
-    turned = 0
+    touches, prepared = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu")
+    aims, turned = prepared.aims, 0
     for touch, a in zip(touches, aims, strict=True):
         assert (touch.ended == 0 and len(touch.time) == len(a.plan)
                 and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0)
         off = touch.mount_pose[:, :3, 3] - a.start
-        # what the inverse kinematics promise
-        assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() < 1e-5
+        aside = np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1)
+        assert aside.max() <= off_line(prepared.arm, a) + LINE_POSITION
         planned = np.linalg.norm(a.stop - a.start) / a.plan.max()
-        turned += np.abs((off @ a.axis) / planned - np.rint((off @ a.axis) / planned)).max() > 0.01
+        row = (off @ a.axis) / planned
+        turned += np.abs(row - np.rint(row)).max() > 0.01
+        assert aside[np.abs(row - np.rint(row)) < 1e-6].max() <= LINE_POSITION
     assert turned > 0, "at least one touch has readings between the planned ones"
     assert np.array_equal(aims[0].angles(aims[0].plan), aims[0].line[aims[0].plan.astype(int)])
+
+
+def off_line(arm, aim):
+    """Furthest that the tool leaves the line of an aim, between its rows [m]."""
+    off = arm.postures(aim.angles(np.linspace(0.0, len(aim.line) - 1.0, 20 * len(aim.line)))).tool[:, :3, 3] - aim.start
+    return float(np.linalg.norm(off - (off @ aim.axis)[:, None] * aim.axis, axis=1).max())
+
+
+def test_with_the_rows_of_shipped_scenes_the_tool_is_on_its_line_between_them_too(scene_file, tmp_path):
+    text = scene_file.text.replace("in = 14, hold = 1, out = 4", "in = 64, hold = 2, out = 14")
+    job = jobs_of(make_recipe(parse_scene(text, scene_file.path), seed=5, objects=1, views=1, touches=4),
+                  scene_file.path, tmp_path, None)[0]
+    prepared = prepare_job(job, device="cpu")
+    assert max(off_line(prepared.arm, a) for a in prepared.aims) < 2.0 * LINE_POSITION, "measured: 0.8 at most"
 
 
 def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
