@@ -61,7 +61,7 @@ HEAVY = {
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy"},
-    "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer"},
+    "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem"},
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},
     "active": {"numpy", "gymnasium"},

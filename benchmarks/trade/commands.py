@@ -66,3 +66,23 @@ def effectivity(json: JsonFile = None) -> None:
 
     found = measure(progress=step)
     report(found.text(), found.record(), json, indent=1)
+
+
+@app.command()
+def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; may be given again.")] = None,
+          case: Annotated[list[str] | None, typer.Option(help="S1 or S2; may be given again. Default: both.")] = None,
+          tier: Annotated[str, typer.Option(help="Whose mesh all press: fem-coarse or fem.")] = "fem",
+          out: Annotated[Path, typer.Option(help="Folder of their venvs, made on the first run.")] = Path("peers"),
+          here: Annotated[bool, typer.Option("--here", help="Use this Python, which has the packages, in place of "
+                                                            "venvs.")] = False,
+          json: JsonFile = None) -> None:
+    """Press S1 and S2 in other simulators on our tetrahedra, each in a venv of its own."""
+    from benchmarks.indent import CASES, PEERS, measure
+
+    for name in peer or []:
+        check_choice("--peer", name, PEERS)
+    for name in case or []:
+        check_choice("--case", name, CASES)
+    check_choice("--tier", tier, ("fem-coarse", "fem"))
+    found = measure(peer or (), case or (), tier=tier, folder=out, here=here, progress=step)
+    report(found.text(), found.record(), json, indent=1)

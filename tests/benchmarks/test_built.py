@@ -11,29 +11,35 @@ SCENE = """
 gravity = [0.0, 0.0, 0.0]
 [object]
 shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.015
-young_modulus = 3e5
+resolution = 0.0125
 poisson_ratio = 0.3
 [probe]
 shape = { sphere = 0.02 }
 [press]
 from = [0, 0, 0.05]
-to = [0, 0, 0.045]
+to = [0, 0, 0.042]
 frames = 2
+[object.young_modulus]
 """
+EVEN = "base = 8e4"
+LAYERED = "base = 4e4\ninclusions = [ { box = [-1.0, -1.0, 0.02, 1.0, 1.0, 0.04], value = 3e5 } ]"
 NOISE = 0.15
 """Of a force sensor [N], as the tasks have it."""
+NEEDS = ("normal-force", "bulging")
 
 
-def force(*needs):
-    made = press(parse_scene(f"needs = {list(needs)!r}\n{SCENE}", "small.toml"), keep=False)
+def force(stuff, *needs):
+    made = press(parse_scene(f"needs = {list(needs)!r}\n{SCENE}{stuff}", "small.toml"), keep=False)
     return made.normal_force[made.result.deepest]
 
 
-def test_a_need_that_is_dropped_is_missed_and_one_that_is_added_is_not():
-    whole = force("normal-force", "bulging")
-    assert abs(force("contact") - whole) > NOISE and abs(force("normal-force") - whole) > NOISE
-    assert force("normal-force", "bulging", "appearance", "contact") == whole, "what is unused changes nothing"
+@pytest.mark.parametrize("stuff", [EVEN, pytest.param(LAYERED, marks=pytest.mark.slow)])
+def test_a_need_that_is_dropped_is_missed_and_one_that_is_added_is_not(stuff):
+    whole = force(stuff, *NEEDS)
+    assert abs(force(stuff, "normal-force") - whole) > NOISE, "without bulging"
+    assert abs(force(stuff, "contact") - whole) > NOISE, "without both"
+    assert abs(force(stuff, *NEEDS, "large-deformation") - whole) < NOISE
+    assert force(stuff, *NEEDS, "appearance", "contact", "coupling") == whole, "what is unused changes nothing"
 
 
 def test_arrays_are_counted_once():
