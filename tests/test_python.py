@@ -164,6 +164,12 @@ def test_a_torch_view_gives_the_readings_and_no_truth(dataset):
     assert not {"truth", "young_modulus"} & set(item)
     views = dataset.torch("view", transform=lambda item: item["mask"].float().mean())
     assert len(views) == 3 and 0.0 < float(views[0]) < 1.0
+    objects = dataset.torch("object")
+    whole, touch = objects[2]["touches"], dataset[2].touches[5]
+    good = touch.converged
+    assert len(objects) == 3 and objects[2]["rgb"].shape[0] == 3 and whole["force"].shape[:1] == (12,)
+    np.testing.assert_allclose(whole["normal_force"][5][good], touch.normal_force()[good], rtol=1e-6)
+    assert [len(one["force"]) for one in objects.collate([objects[0], objects[1]])["touches"]] == [12, 12]
     with pytest.raises(DatasetError, match="Did you mean 'touch'"):
         dataset.torch("touches")
     with pytest.raises(DatasetError, match="have no 'pressure'"):

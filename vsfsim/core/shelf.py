@@ -172,7 +172,7 @@ def effectors() -> list[str]:
 
 def datasets() -> Path:
     """Where datasets are made and looked for: $VSFSIM_DATASETS, else the folder datasets/ of the current one."""
-    return Path(os.environ.get("VSFSIM_DATASETS", "datasets"))
+    return Path(os.environ.get("VSFSIM_DATASETS") or "datasets")
 
 
 def dataset_folder(scene: str, *, text: str, **recipe: Any) -> Path:

@@ -235,7 +235,7 @@ class Dataset:
         """These object views as a `torch.utils.data.Dataset`; see `vsfsim.data.torch_view.TorchView`.
 
         Args:
-            item: "touch" or "view": what one item is.
+            item: "touch", "view" or "object" (a view with its touches): what one item is.
             options: of `TorchView`.
         """
         from vsfsim.data.torch_view import TorchView

@@ -27,7 +27,7 @@ import torch.utils.data
 from vsfsim.core.errors import DatasetError, did_you_mean
 from vsfsim.data.records import ObjectView, Touch
 
-ITEMS = ("touch", "view")
+ITEMS = ("touch", "view", "object")
 PER_FRAME = ("time", "pose", "force", "normal_force")
 """Fields of a touch that every dataset has, each with one row a frame."""
 OPTIONAL = ("q", "torque", "pressure", "moment", "reaction")
@@ -43,11 +43,12 @@ class TorchView(torch.utils.data.Dataset):
     frame ``time`` (T,) [s], ``pose`` (T, 4, 4) [m], ``force`` (T, 3) [N], ``normal_force`` (T,) [N], ``valid`` (T,)
     bool; readings of frames that did not converge are NaN. An item of kind "view", or a touch with ``images=True``, has
     ``rgb`` (3, H, W) uint8, ``depth`` (1, H, W) [m], ``mask`` (1, H, W) bool, ``intrinsics`` (3, 3) [px] and
-    ``camera_pose`` (4, 4) [m]. Numbers are float32. There is no truth in an item.
+    ``camera_pose`` (4, 4) [m]. An item of kind "object" has these and ``touches``, the fields of its n touches as one
+    batch (n, T, ...); a batch of objects has a list of them. Numbers are float32. There is no truth in an item.
 
     Args:
         dataset: a `vsfsim.data.dataset.Dataset`, whole or a part of it.
-        item: "touch" or "view".
+        item: "touch", "view" or "object".
         images: whether a touch comes with the image of its object.
         fields: further readings of a touch, e.g. ("pressure",) or ("torque",).
         transform: called with each item; what it returns is the item.
@@ -81,8 +82,10 @@ class TorchView(torch.utils.data.Dataset):
         out: dict[str, Any] = {"name": name}
         if self.item == "touch":
             out |= {"touch": number, **self._touch(view.touches[number])}
-        if self.item == "view" or self.images:
+        if self.item != "touch" or self.images:
             out |= _images(view)
+        if self.item == "object":
+            out["touches"] = self.collate([self._touch(touch) for touch in view.touches])
         return out if self.transform is None else self.transform(out)
 
     def __repr__(self) -> str:

@@ -10,6 +10,7 @@ from vsfsim.core.arm_spec import ARM_MODELS
 from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.shelf import dataset_folder, datasets, find_scene
+from vsfsim.data.archive import taken
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.store import is_url
 from vsfsim.generate import run
@@ -84,6 +85,12 @@ def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: 
                        tier=tier, arm=arm)
     if share is not None and share.ray:
         folder = folder if is_url(folder) else Path(folder).resolve()  # tasks have working folders of their own
+    if (share is None or share == run.Share()) and isinstance(folder, Path) and accuracy is None and (
+            device, precision, renderer, arm) == ("cpu", "float64", "warp", None):
+        known = folder_of(loaded, None, seed=seed, objects=objects, views=views, touches=touches, tier=tier, arm=arm)
+        found = taken(folder, Path(known).name, progress=progress, note=note)  # with other options the bits are others
+        if found is not None:
+            return run.Made((), 0, found, {})
     options: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier,
                                "device": device, "precision": precision, "renderer": renderer, "arm": arm}
     if accuracy is not None:
