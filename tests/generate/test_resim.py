@@ -153,6 +153,15 @@ def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, t
     assert row.rank == 1 and not is_ceiling(row.result)
 
 
+def test_a_tier_below_the_scenes_needs_can_be_asked(made):
+    recipe = dataclasses.replace(made.recipe, tier="fem-coarse", scene_text=made.recipe.scene_text.replace(
+        'needs = ["normal-force"]', 'needs = ["bulging"]').replace('tier = "linear"\n', ""))
+    view = made.load(made.entries[0].name)
+    plan = record(view, parse_task(TASK, "sprung-v1.toml")).queries[0].action
+    (touch,) = again(recipe, view.name, [plan], tier="linear")
+    np.testing.assert_allclose(touch.force, view.touches[0].force, rtol=2e-4, atol=1e-7)
+
+
 def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
     task = parse_task(TASK, "sprung-v1.toml")
     with pytest.raises(MethodError, match=r"no parameter 'teir'. Did you mean 'tier'"):

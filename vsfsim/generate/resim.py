@@ -72,7 +72,8 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
     if not tier:
         return job
-    chosen = effector.check(job.scene(), tier, recipe.precision)
+    # what a tier that does not show the scene's needs errs is what is asked
+    chosen = effector.check(dataclasses.replace(job.scene(), needs=()), tier, recipe.precision)
     return dataclasses.replace(job, recipe=dataclasses.replace(recipe, tier=chosen))
 
 
