@@ -7,7 +7,8 @@ test compares them with what ships; the others measure, for minutes, on the mach
 
 import dataclasses
 import functools
-import importlib
+import importlib.util
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -142,15 +143,19 @@ def result(name: str) -> str:
     return study(what.removesuffix("-standard"), "standard" if what.endswith("-standard") else "mini")
 
 
-def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> str:
-    """``tables`` tables of `vsfsim measure NAME`, from the ``first`` one on, with the machine and the day."""
+def measurement(name: str, tables: int, first: int = 0, dataset: str = "", module: str = "", **settings: Any) -> str:
+    """``tables`` tables of `vsfsim measure NAME`, from the ``first`` one on, with the machine, the day and the notes;
+    ``module`` of benchmarks/ is by default that of the name."""
     from vsfsim.core.shelf import datasets
 
     sys.path.insert(0, str(ROOT))
     operands = [datasets() / dataset] if dataset else []
-    found = importlib.import_module(f"benchmarks.{name.replace('-', '_')}").measure(*operands, progress=print)
+    script = importlib.import_module(f"benchmarks.{module or name.replace('-', '_')}")
+    found = script.measure(*operands, progress=print, **settings)
     words = f"{name} datasets/{dataset}" if dataset else name
-    return written(found, words, f"{found.machine}, {found.date}.", found.tables[first:first + tables])
+    words += f" --tier {settings['tier']}" if "tier" in settings else ""
+    text = written(found, words, f"{found.machine}, {found.date}.", found.tables[first:first + tables])
+    return text + "".join(f"\n- {note[0].upper()}{note[1:]}." for note in found.notes if module) + "\n" * bool(module)
 
 
 def written(found: Any, words: str, about: str, tables: list) -> str:
@@ -204,6 +209,13 @@ MEASURED: dict[str, Callable[[], str]] = {
     "shoe-forces": partial(measurement, "shoe-forces", 1),
     "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
     "built": partial(measurement, "built", 1),
+    "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
+                       workers=os.cpu_count() or 1),
+    "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",
+                       workers=os.cpu_count() or 1),
+    "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
+    "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
+                     here=importlib.util.find_spec("skfem") is not None),
     "tradeoff-shoes-v3-mini": partial(tradeoff, "shoes-v3-mini", touches=2,
                                       tiers_only=("vsf", "linear", "fem-coarse", "fem")),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
