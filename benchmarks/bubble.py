@@ -24,6 +24,7 @@ from vsfsim.generate.effectors import bubble as touch_bubble
 from vsfsim.generate.solid import surface_of
 from vsfsim.physics import clock, tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
+from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.coupled import CoupledSolver
@@ -240,7 +241,7 @@ def measure(*, device: str = "cpu", touches: int | None = None, frames: int = FR
     s = prepare(count, frames=frames, tier=tier, resolution=resolution, nodes=nodes)
     progress(f"{len(s.body.mesh.tets)} tetrahedra, {len(s.sensor.mesh.points)} nodes of the bubble, built in "
              f"{s.seconds:.1f} s; compiling kernels")
-    compile_kernels(coupled_kernels("float64", touch_bubble.KINDS), device)
+    compile_kernels(coupled_kernels("float64", elements_of([*s.body.blocks, *s.sensor.blocks])), device)
     one = poke(s, tier, device, progress)
     progress(f"one touch: {one.seconds:.3f} s a frame, {one.newton:.1f} Newton, {one.cg:.1f} CG")
     many = batch(s, count, tier, device, progress, compare=compare)

@@ -19,6 +19,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.generate.presses.probe import tip
 from vsfsim.generate.presses.verdict import direction
 from vsfsim.physics import clock, tiers
+from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.frames import Frames
@@ -133,7 +134,7 @@ def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "fl
     reference = references.load(case.lower())["force_N"][-1]
     model = _model(scene, tier)
     poses = press_path(scene.press, scene.probe)
-    compile_kernels(solver_kernels(precision), device)
+    compile_kernels(solver_kernels(precision, elements_of(model.blocks)), device)
     _solver(scene, model, tier, device, precision).run(poses[:, None])
     clock.start()
     began = time.process_time()
@@ -175,7 +176,7 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
     scene = _scene(name)
     model = _model(scene, tier)
     poses = batch_poses(scene, touches)
-    compile_kernels(solver_kernels("float64"), device)
+    compile_kernels(solver_kernels("float64", elements_of(model.blocks)), device)
 
     def run() -> tuple[Frames, float]:
         solver = _solver(scene, model, tier, device, "float64")

@@ -23,6 +23,8 @@ WALL = 0.006
 """Thickness of an upper with its padding and lining [m]."""
 OUTSOLE = 0.005
 """Thickness of the outsole [m]."""
+LAWS = tuple(law_of(name) for name in MATERIALS)
+"""Of all parts that a shoe may have."""
 _OWN = ("model", "style", "side", "variation", "appearance_informative", "lined")
 
 

@@ -7,7 +7,7 @@ from scipy.integrate import simpson
 from scipy.optimize import brentq
 
 from vsfsim.physics.coefficients import lame
-from vsfsim.physics.elements.neo_hooke import CRUSHED
+from vsfsim.physics.laws.neo_hooke import CRUSHED
 
 
 def energy_density(f, mu, lam):

@@ -126,9 +126,9 @@ def test_each_part_has_its_own_law_in_the_model() -> None:
     region = np.asarray(model.solid.region)
     foams = [law.foam for law in model.solid.laws]
     assert [foam is not None for foam in foams] == [True, False, False, True, False, False]
-    assert {block.kind for block in model.blocks} == {"tet10", "hyperfoam"}
+    assert {block.law for block in model.blocks} == {"neo-hooke", "hyperfoam"}
     assert sum(len(block) for block in model.blocks) == len(region) and len(model.blocks) == 3
-    rigid = next(block for block in model.blocks if block.kind == "tet10")
+    rigid = next(block for block in model.blocks if block.law == "neo-hooke")
     assert len(rigid) == np.isin(region, [r for r, foam in enumerate(foams) if foam is None]).sum()
     # the weight is that of parts of different density
     volume = tet_volumes(model.solid.vertices, model.solid.tets)
@@ -136,7 +136,7 @@ def test_each_part_has_its_own_law_in_the_model() -> None:
     assert -model.load.sum() == pytest.approx(9.81 * (density * volume).sum())
     assert 0.12 < (density * volume).sum() < 0.6, "a shoe weighs 0.1 to 0.6 kg"
     # the linear tier takes foams at small strain
-    assert {block.kind for block in tiers.build(scene, "linear", seed=0).blocks} == {"tet10"}
+    assert {block.law for block in tiers.build(scene, "linear", seed=0).blocks} == {"neo-hooke"}
 
 
 def test_the_datasets_have_each_shoe_once() -> None:

@@ -10,7 +10,7 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.foam import FOAMS
 from vsfsim.core.shape import Plane
 from vsfsim.physics import tiers
-from vsfsim.physics.elements.hyperfoam import CRUSHED
+from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.model import foam_tetrahedra
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 from vsfsim.robot.path import turn_to
@@ -91,13 +91,13 @@ def test_a_scene_names_its_foam(tmp_path):
     assert spec.object.foam is FOAMS["ff-leap"] and spec.object.poisson_ratio == 0.0
     assert spec.object.young_modulus.base == pytest.approx(380e3)
     assert tiers.choose(spec) == "fem-coarse", "the cheapest tier that has the law"
-    assert [b.kind for b in tiers.build(spec, "fem-coarse").blocks] == ["hyperfoam"]
+    assert [b.law for b in tiers.build(spec, "fem-coarse").blocks] == ["hyperfoam"]
     small = tiers.build(spec, "linear")
-    assert [b.kind for b in small.blocks] == ["tet10"] and any("small strain" in n for n in small.solid.notes)
+    assert [b.law for b in small.blocks] == ["neo-hooke"] and any("small strain" in n for n in small.solid.notes)
     softer = scene(tmp_path, 'material = "pe-foam"\nyoung_modulus = 1e5').sample(0)
     assert softer.object.young_modulus.base == 1e5 and softer.object.poisson_ratio == pytest.approx(0.1, abs=1e-3)
     model = tiers.build(softer, "fem-coarse")
-    assert model.blocks[0].parameters["scale"] == pytest.approx(1e5 / FOAMS["pe-foam"].young_modulus)
+    assert model.blocks[0].parameters["own"][..., 0] == pytest.approx(1e5 / FOAMS["pe-foam"].young_modulus)
 
 
 @pytest.mark.parametrize(("text", "said"), [

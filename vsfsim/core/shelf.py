@@ -23,6 +23,7 @@ CEILING_GROUP = "vsfsim.ceilings"
 FITTED_GROUP = "vsfsim.fitted_ceilings"
 EFFECTOR_GROUP = "vsfsim.effectors"
 FAMILY_GROUP = "vsfsim.families"
+LAW_GROUP = "vsfsim.laws"
 
 
 def folder(name: str) -> Path:
@@ -102,7 +103,7 @@ def plug_ins(scene: Mapping[str, Any], effector: str) -> list[importlib.metadata
         scene: its tables. effector: the name of its effector.
     """
     texts = {effector, *_texts(scene.get("object", {}))}
-    return [entry for group in (EFFECTOR_GROUP, FAMILY_GROUP)
+    return [entry for group in (EFFECTOR_GROUP, FAMILY_GROUP, LAW_GROUP)
             for entry in importlib.metadata.entry_points(group=group) if entry.name in texts]
 
 

@@ -82,7 +82,8 @@ class Effector(Protocol):
         ...
 
     def kernels(self, scene: Scene, precision: str) -> list[Any]:
-        """The Warp kernels that its touches launch, to be compiled before the workers start."""
+        """The Warp kernels that its touches launch, to be compiled before the workers start; the scene's object names
+        the tier."""
         ...
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:

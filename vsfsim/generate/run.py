@@ -6,6 +6,7 @@ machine of its own, or as a task of a cluster. What has its line is finished.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,6 +23,7 @@ from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.workers import make_one
 from vsfsim.physics.runtime import compile_kernels
+from vsfsim.physics.tiers import TIERS
 
 
 @dataclass(frozen=True)
@@ -103,8 +105,7 @@ def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int |
         for sentence in writer.notes if note is not None else ():
             note(sentence)  # type: ignore[misc]
         if mine:
-            work = _on_ray(mine, device, share) if share.ray else _here(mine, scene, found.precision, device, workers,
-                                                                        progress)
+            work = _on_ray(mine, device, share) if share.ray else _here(mine, scene, device, workers, progress)
             total, done = len(mine) * found.touches * sum(scene.required_touches.frames), 0
             for frames, what in work:
                 done += frames
@@ -119,9 +120,10 @@ def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int |
         return Made(tuple(job.name for job in mine), 0, dataset, dataset.left_out)
 
 
-def _here(jobs: Sequence[Job], scene: Scene, precision: str, device: str, workers: int | None,
+def _here(jobs: Sequence[Job], scene: Scene, device: str, workers: int | None,
           progress: Callable[[int, int, str], None] | None) -> Iterator[tuple[int, str]]:
-    compile_kernels(kernels_of(scene, precision), device, progress=progress)
+    recipe = jobs[0].recipe
+    compile_kernels(kernels_of(scene, recipe.precision, recipe.tier), device, progress=progress)
     yield from effector_of(scene).make_all(jobs, device=device, workers=workers)
 
 
@@ -136,9 +138,11 @@ def _on_ray(jobs: Sequence[Job], device: str, share: Share) -> Iterator[tuple[in
         yield frames, jobs[number].name
 
 
-def kernels_of(scene: Scene, precision: str) -> list[Any]:
+def kernels_of(scene: Scene, precision: str, tier: str = "auto") -> list[Any]:
     """The Warp kernels that a dataset of a scene needs: its effector's, the camera's and those of the oracle VSF."""
     from vsfsim.sensing import render_warp
     from vsfsim.vsf import particles
 
+    if tier in TIERS:
+        scene = dataclasses.replace(scene, object=dataclasses.replace(scene.required_object, tier=tier))
     return [*effector_of(scene).kernels(scene, precision), render_warp.cast_kernel, particles._behind]

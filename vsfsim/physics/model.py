@@ -13,8 +13,10 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene_tables.foam import Foam
 from vsfsim.core.solid import Law, Solid
 from vsfsim.physics.coefficients import lame
-from vsfsim.physics.elements import hyperfoam, tet10
+from vsfsim.physics.elements import tet10
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.laws import hyperfoam, neo_hooke
+from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.near_rigid import limited
 from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh
@@ -113,23 +115,29 @@ def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: fl
     return ((points >= low - 1e-9) & (points <= high + 1e-9)).all(axis=1)
 
 
-def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
+def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float, *,
+               law: SolidLaw = neo_hooke.LAW, settings: Settings | None = None) -> tuple[Block, ...]:
     """The elements of a solid: quadratic tetrahedra.
 
     Args:
         mesh: the mesh in the world frame.
-        young_modulus: Young's modulus at the Gauss points (m, 4) [Pa].
-        poisson_ratio: nu, 0 to 0.4999 [-].
+        young_modulus: Young's modulus at small strain at the Gauss points (m, 4) [Pa].
+        poisson_ratio: nu at small strain, 0 to 0.4999 [-].
+        law: of the material, with its rows of numbers ``settings``.
+
+    Raises:
+        SceneError: the law cannot be that of such a material.
     """
     mu, lam = lame(young_modulus, poisson_ratio)
-    return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam),)
+    return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam, law=law, settings=settings),)
 
 
 def foam_tetrahedra(foam: Foam) -> Elements:
     """Makes the elements of a solid of foam: quadratic tetrahedra of the hyperfoam law, scaled to Young's modulus at
     each Gauss point; Poisson's ratio is the foam's own."""
     def make(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
-        return (hyperfoam.block(mesh.tets, mesh.gradients, mesh.volume, young_modulus / foam.young_modulus, foam),)
+        return tetrahedra(mesh, young_modulus, foam.poisson_ratio, law=hyperfoam.LAW,
+                          settings=hyperfoam.settings_of(foam))
 
     return make
 
@@ -152,10 +160,8 @@ def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool)
             if not len(at):
                 continue
             shape, e = (mesh.tets[at], mesh.gradients[at], mesh.volume[at]), young_modulus[at]
-            if foam is None:
-                blocks.append(tet10.block(*shape, *lame(e, ratio[region[at]][:, None])))
-            else:
-                blocks.append(hyperfoam.block(*shape, e / foam.young_modulus, foam))
+            own = {} if foam is None else {"law": hyperfoam.LAW, "settings": hyperfoam.settings_of(foam)}
+            blocks.append(tet10.block(*shape, *lame(e, ratio[region[at]][:, None]), **own))
         return tuple(blocks)
 
     return make

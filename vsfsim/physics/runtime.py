@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import warp as wp
 
 from vsfsim.core.errors import VsfsimError, did_you_mean
 
+_THREADS = 4  # that compile modules side by side, as `wp.force_load` takes
 PRECISIONS = ("float32", "float64")
 """Of the solver."""
 
@@ -104,12 +107,14 @@ def compile_kernels(kernels: list[Any], device: str, *,
     """
     check_device(str(wp.get_device(device).alias) if device == "cuda" else device)
     modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
-    for done, module in enumerate(modules):
-        if progress is not None:
-            short = module.name.rpartition(".")[2].removeprefix("vsfsim_").split("__")[0]
-            progress(done, len(modules), f"kernel modules compiled or found, now {short}")
-        # on a CPU Warp launches blocks of one thread, and keeps a module for each size of block that it met
-        where = wp.get_device(device)
-        module.load(where, block_dim=1 if where.is_cpu else None)
+    where = wp.get_device(device)
+    # on a CPU Warp launches blocks of one thread, and keeps a module for each size of block that it met
+    load = functools.partial(wp.Module.load, device=where, block_dim=1 if where.is_cpu else None)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for done, (module, loaded) in enumerate(zip(modules, [pool.submit(load, m) for m in modules], strict=True)):
+            if progress is not None:
+                short = module.name.rpartition(".")[2].removeprefix("vsfsim_").split("__")[0]
+                progress(done, len(modules), f"kernel modules compiled or found, now {short}")
+            loaded.result()
     if progress is not None:
         progress(len(modules), len(modules), "kernel modules ready")

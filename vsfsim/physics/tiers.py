@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +14,14 @@ from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Cylinder, Family, MeshFile, ProbeShape, Rod, extent
+from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.elements.block import Block
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
+from vsfsim.physics.laws import hyperfoam, neo_hooke
+from vsfsim.physics.laws.catalogue import law_of
+from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.foot import scan_foot
@@ -66,7 +73,7 @@ along its length with this many, which its bending resolves."""
 # the cheapest tier that shows each need
 _SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear",
           "bulging": "fem-coarse", "large-deformation": "fem"}
-_FOAM = "fem-coarse"  # the cheapest tier with a material's law at large strain
+_LAW = "fem-coarse"  # the cheapest tier with a material's law at large strain
 _DEFAULT = "linear"  # of a scene that names no need: the cheapest tier with a trustworthy force
 
 
@@ -81,6 +88,7 @@ def choose(scene: Scene, asked: str | None = None) -> str:
         SceneError: the tier asked for is unknown, or cannot show what the scene needs or is made of.
     """
     order = list(TIERS)
+    own_law = scene.object.foam is not None or law_of(scene) is not None
     enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_DEFAULT)
     tier = asked or scene.object.tier
     if tier == "auto" and isinstance(scene.object.shape, MeshFile) and "needs" not in scene.given:
@@ -88,8 +96,8 @@ def choose(scene: Scene, asked: str | None = None) -> str:
         return max("fem", enough, key=order.index)
     incompressible = scene.object.poisson_ratio > MOST_POISSON_RATIO
     if tier == "auto":
-        if scene.object.foam is not None and order.index(enough) < order.index(_FOAM):
-            return _FOAM
+        if own_law and order.index(enough) < order.index(_LAW):
+            return _LAW
         return "spring" if enough == "vsf" and incompressible else enough
     if tier not in TIERS:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
@@ -102,6 +110,22 @@ def choose(scene: Scene, asked: str | None = None) -> str:
                          f"tier 'vsf', whose layers cannot move sideways: its stiffness has no bound as nu goes to "
                          f"1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'spring' or above.")
     return tier
+
+
+def elements(scene: Scene, tier: str) -> list[tuple[str, str]]:
+    """Kinds and laws of the elements that the objects of a scene may have at a tier, as `block.elements_of`: their
+    kernels are compiled before there is a model. A family names its materials' laws in ``LAWS``."""
+    own, spec = TIERS[tier], scene.object
+    if own.elements is not tetrahedra:
+        return [("anchor", "")] if own.elements is foundation else [("spring", ""), ("cell", "")]
+    laws = [neo_hooke.LAW.name]
+    if own.nonlinear and isinstance(spec.shape, Family):
+        parts = getattr(family(spec.shape.name, f"{scene.source} [object] shape"), "LAWS", ())
+        laws += [hyperfoam.LAW.name] * any(law.foam is not None for law in parts)
+    elif own.nonlinear:
+        law = hyperfoam.LAW if spec.foam is not None else law_of(scene)
+        laws = laws if law is None else [law.name]
+    return [("tet10", law) for law in laws]
 
 
 def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
@@ -153,6 +177,13 @@ def options(tier: str) -> SolverOptions:
     return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain, local_indentation=own.local_indentation,
                          indentation_by_place=own.indentation_by_place,
                          cg_tolerance=0.03 if own.plain else SolverOptions.cg_tolerance)
+
+
+def _lawful(law: SolidLaw, rows: Settings, where: str, *given: Any) -> tuple[Block, ...]:
+    try:
+        return tetrahedra(*given, law=law, settings=rows)
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from error
 
 
 def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
@@ -264,12 +295,16 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
         density = np.array([law.density for law in solid.laws])[region]
         if elements is tetrahedra:
             elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
-    if spec.foam is not None and elements is tetrahedra and TIERS[tier].nonlinear:
-        elements = foam_tetrahedra(spec.foam)
-    elif spec.foam is not None:
+    law = law_of(scene)
+    if elements is tetrahedra and TIERS[tier].nonlinear:
+        if spec.foam is not None:
+            elements = foam_tetrahedra(spec.foam)
+        elif law is not None:
+            elements = functools.partial(_lawful, law, spec.law[1], where)  # type: ignore[index]
+    elif spec.foam is not None or law is not None:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
-            f"Tier '{tier}' takes the foam at small strain, with the modulus at rest; use '{_FOAM}' or above for its "
-            f"law.")))
+            f"Tier '{tier}' takes the {'foam' if law is None else 'law'} at small strain, with the modulus at rest; "
+            f"use '{_LAW}' or above for its law.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
                        where=where, density=density, gravity=scene.gravity, rotation=turn, translation=shift,
                        elements=elements)

@@ -44,7 +44,10 @@ class ObjectSpec:
     young_modulus: MaterialField
     """The field E(x) [Pa]."""
     foam: Foam | None
-    """The foam that `material` names, whose moduli are scaled to `young_modulus`; None for the neo-Hookean law."""
+    """The foam that `material` names, whose moduli are scaled to `young_modulus`; None for another law."""
+    law: tuple[str, Mapping[str, tuple[float, ...]]] | None
+    """Name and rows of numbers of the law that ``law`` gives, see `vsfsim.physics.laws.law`; None for the neo-Hookean
+    one."""
     appearance: Mapping[str, Any]
     """Table for the family or the renderer."""
 
@@ -57,7 +60,7 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     """
     where = f"{path} [object]"
     t = Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
-                             "friction", "young_modulus", "material", "appearance"))
+                             "friction", "young_modulus", "material", "law", "appearance"))
     shape = parse_object_shape(t.table.get("shape"), where)
     fixed = t.table.get("fixed", "bottom")
     if isinstance(fixed, str):
@@ -89,6 +92,7 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
         friction=friction,
         young_modulus=material,
         foam=foam,
+        law=_law(t, isinstance(shape, Family)),
         appearance=appearance,
     )
 
@@ -113,3 +117,29 @@ def _foam(t: Table, family: bool) -> Foam | None:
         raise SceneError(f"{t.where}: material = {name!r} is for objects of one material; a family's parts have "
                          f"materials of their own. Leave it out, or give a box, a cylinder, a sphere or a mesh.")
     return FOAMS[name]
+
+
+def _law(t: Table, family: bool) -> tuple[str, dict[str, tuple[float, ...]]] | None:
+    """The law that ``law`` names, with its rows of numbers.
+
+    Raises:
+        SceneError: it is no name or table of numbers, or the object has its laws from elsewhere.
+    """
+    if "law" not in t.table:
+        return None
+    given = t.table["law"]
+    table = {"name": given} if isinstance(given, str) else given
+    rows = {}
+    for key, value in table.items() if isinstance(table, Mapping) else ():
+        numbers = value if isinstance(value, list) else [value]
+        if key != "name" and all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)
+                                 for v in numbers):
+            rows[key] = tuple(float(v) for v in numbers)
+    if not isinstance(table, Mapping) or not isinstance(table.get("name"), str) or len(rows) != len(table) - 1:
+        raise SceneError(f"{t.where}: law is {given!r}; it must be a name, or a table of a name and numbers, e.g. "
+                         f'law = {{ name = "hyperfoam", mu = [2e5, 2e4], alpha = [8.0, -2.0], beta = [0.0, 0.0] }}.')
+    if family or "material" in t.table:
+        raise SceneError(f"{t.where}: law = {given!r} beside "
+                         f"{'a family, whose parts have laws' if family else 'material, which has a law'} of its own. "
+                         f"Leave one of them out.")
+    return table["name"], rows

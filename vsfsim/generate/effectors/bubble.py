@@ -48,7 +48,6 @@ from vsfsim.sensing.bubble_touch import touch_fields
 from vsfsim.sensing.surface import Surface
 
 BATCH = {"cpu": 9, "cuda": 256}  # touches that are solved together; part of what fixes the bits
-KINDS = ("tet10", "triangle", "hinge", "gas")  # of the elements of object and bubble
 LEADING = Plane()  # a sensor's +z leads, as a plane's does
 CG_FRAME = 200  # conjugate gradients of a touch in one frame
 # Newton iterations of a touch in one frame on a GPU: there hundreds of touches wait for the last one, whose steps cost
@@ -98,7 +97,8 @@ class BubbleEffector:
         from vsfsim.sensing import render_bubble
 
         camera = [render_bubble.inside_kernel] if scene.required_sensor.camera else []
-        return [*coupled_kernels(precision, KINDS), *camera]
+        own = tiers.elements(scene, tier_for(scene, None))
+        return [*coupled_kernels(precision, [*own, ("triangle", ""), ("hinge", ""), ("gas", "")]), *camera]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""

@@ -55,7 +55,8 @@ class Probe:
 
     def kernels(self, scene: Scene, precision: str) -> list[Any]:
         """Those of the solver, and of the oracle VSF's stick and slip."""
-        return [*solver_kernels(precision), stick_slip_kernel(wp.float64)[0]]
+        own = tiers.elements(scene, tiers.choose(scene))
+        return [*solver_kernels(precision, own), stick_slip_kernel(wp.float64)[0]]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals, press."""

@@ -23,6 +23,7 @@ from vsfsim.generate.presses.verdict import direction
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.membrane import TriangleMesh
 from vsfsim.physics.mesh.membrane_refine import wishes
 from vsfsim.physics.model import Model
@@ -137,7 +138,7 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
 def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, poses: np.ndarray,
                   request: PressRequest, built: float, notes: tuple[str, ...]) -> Solved:
     _before_housing(scene, model, poses)
-    compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
+    compile_kernels(solver_kernels(request.precision, elements_of(model.blocks)), request.device,
                     progress=request.progress)
     first = np.eye(4)
     first[:3, :3], first[:3, 3] = mount[0, :3, :3], path.start
@@ -203,7 +204,7 @@ def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndar
                              f"= \"fem-coarse\" or finer would do.")
         chosen = "fem-coarse"
     body = tiers.build(scene, chosen, seed=request.seed, cache=request.cache)
-    compile_kernels(coupled_kernels(request.precision, [block.kind for block in (*body.blocks, *model.blocks)]),
+    compile_kernels(coupled_kernels(request.precision, elements_of([*body.blocks, *model.blocks])),
                     request.device, progress=request.progress)
     first = mount[0].copy()
     first[:3, 3] = path.start

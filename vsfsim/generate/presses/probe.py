@@ -44,6 +44,7 @@ from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
 from vsfsim.physics.contact.patch import smooth_radius
+from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.mesh.resolved import in_words, resolved
 from vsfsim.physics.model import Model
@@ -188,7 +189,7 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     assert spec is not None
     poses = press_path(spec, scene.probe)
     first = pose_at(spec, scene.probe, 0)
-    compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
+    compile_kernels(solver_kernels(request.precision, elements_of(model.blocks)), request.device,
                     progress=request.progress)
     axis = direction(spec)
     moving = 1 + len(scene.parts)

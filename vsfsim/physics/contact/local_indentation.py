@@ -61,11 +61,12 @@ _CHUNK = 16  # touches whose wide footprints are made at once
 
 
 def poisson_ratio(model: Model) -> float | None:
-    """Poisson's ratio of a body of quadratic tetrahedra at small strain, its mean [-]; None for other elements."""
+    """Poisson's ratio of a neo-Hookean body at small strain, its mean [-]; None for other laws and elements, on which
+    the local indentation was not measured."""
     for block in model.blocks:
         p = block.parameters
-        if block.kind.startswith("tet10") and "mu" in p and "lam" in p:
-            lam = float((p["lam"] + np.asarray(p.get("mean_lam", np.zeros(len(block))))[:, None]).mean())
+        if block.law == "neo-hooke":
+            lam = float((p["lam"] + p["mean_lam"][:, None]).mean())
             return lam / (2.0 * (lam + float(p["mu"].mean())))
     return None
 

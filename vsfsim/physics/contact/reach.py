@@ -13,6 +13,11 @@ from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.patch import smooth_radius, solid_cuts
 from vsfsim.physics.model import Model
 
+_BULGE = 0.15  # of the depth: margin for surface that bulges up
+# share of the depth of a mount that its spring is taken to give way; that of shoes-v3 gives way by more. What a body
+# that comes further meets becomes part of the patch when it does
+_BEHIND = 0.3
+
 
 class Reach:
     """Distances from the boundary of an object to rigid bodies.
@@ -25,11 +30,13 @@ class Reach:
         device: Warp device.
         local: whether round bodies sink in locally, see `local_indentation`: their contact is small.
         by_place: whether by what the object lacks where it is touched.
+        sprung: whether springs carry the bodies: poses are those of their mounts, and the bodies stay behind.
     """
 
     def __init__(self, model: Model, bodies: RigidBodies, uploaded: Any, kernels: Any, device: str, *,
-                 local: bool = False, by_place: bool = False):
+                 local: bool = False, by_place: bool = False, sprung: bool = False):
         self.model, self.bodies, self.device = model, bodies, device
+        self._behind = _BEHIND if sprung else 0.0
         self._local = {"local": local, "by_place": by_place}
         self._set, self._kernels = uploaded, kernels
         self._surface = torch.as_tensor(model.mesh.surface_nodes(), device=device)
@@ -83,7 +90,8 @@ class Reach:
         nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype,
                              device=self.device)
         nearest[self._surface] = gap
-        margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
+        deepest = (-gap.amin(dim=0)).clamp(min=0.0)
+        margin = (_BULGE * (1.0 - self._behind) - self._behind) * deepest + 0.1 * self.model.element_size
         return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
 
     def met(self, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:

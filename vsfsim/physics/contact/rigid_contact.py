@@ -88,7 +88,8 @@ class RigidContact(PointStiffness):
         self._passage = check(model.mesh, bodies, model.element_size, device=device)
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
-        self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local, by_place=self._by_place)
+        self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local, by_place=self._by_place,
+                            sprung=mount is not None)
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]

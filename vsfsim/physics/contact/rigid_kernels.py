@@ -56,6 +56,7 @@ def kernels() -> Any:
     vec3 = wp.types.vector(length=3, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_contact"
+    # loops over the points of a part end at a variable: unrolled, their six copies take Warp seconds to compile
     probe = sdf.functions(real, module)
     most_anchorings = wp.constant(friction.ANCHORINGS)
     facing = wp.constant(real(FACING))
@@ -135,7 +136,7 @@ def kernels() -> Any:
         corner = x_in[b, local[b, f, 0]]
         outward = wp.cross(x_in[b, local[b, f, 1]] - corner, x_in[b, local[b, f, 2]] - corner)
         outward = outward / wp.max(wp.length(outward), real(1e-30))
-        for q in range(6):
+        for q in range(shape.shape[1]):
             force = vec3()
             rows = mat33()
             geometric = mat33()
@@ -260,7 +261,7 @@ def kernels() -> Any:
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         f, k = wp.tid()
         b = columns[k]
-        for q in range(6):
+        for q in range(shape.shape[1]):
             limit = real(0.0)
             g = gap_in[b, f, q]
             if g < real(0.0):
@@ -320,7 +321,7 @@ def kernels() -> Any:
         # points that slipped drag their anchor along, points that left lose it
         f, k = wp.tid()
         b = columns[k]
-        for q in range(6):
+        for q in range(shape.shape[1]):
             owner = owner_out[b, f, q]
             if gap_in[b, f, q] >= real(0.0):
                 owner_out[b, f, q] = -1

@@ -5,7 +5,7 @@ A file ``elements/NAME.py`` is found by its name. It provides
     NODES                        nodes of one element, a
     block(...) -> Block          makes a block, and refuses what the element cannot be
     rest_stiffness(block)        (m, 3 a, 3 a) [N/m], rows node by node: the tangent at u = 0; (0, 3 a, 3 a) for none
-    kernels(real)                Warp kernels for one scalar type, see below
+    kernels(real)                Warp kernels for one scalar type, see below; ``kernels(real, law)`` of a solid element
     state_size(block)            numbers that a tangent stores per element and touch, besides the displacements
 
 ``kernels(real)`` is an object with ``parameters(block, device)``, the element's own device arrays, each with a row for
@@ -52,9 +52,10 @@ the array that `respond` takes. `Elasticity` adds the shares in a fixed order.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -69,11 +70,17 @@ class Block:
     """Nodes of each element (m, a), int32."""
     parameters: Mapping[str, np.ndarray]
     """Parameters of each element (m, ...); the element's file gives their units."""
+    law: str = ""
+    """Name of the law of a solid element's material, see `vsfsim.physics.laws`; empty for other elements."""
 
     @property
     def element(self) -> ModuleType:
         """The element's module."""
         return importlib.import_module(f"vsfsim.physics.elements.{self.kind}")
+
+    def kernels(self, real: type) -> Any:
+        """The element's kernels for one scalar type."""
+        return kernels_of(self.kind, self.law, real)
 
     @property
     def collective(self) -> bool:
@@ -88,12 +95,24 @@ class Block:
         return len(self.nodes)
 
 
+def elements_of(blocks: Iterable[Block]) -> list[tuple[str, str]]:
+    """Kinds and laws of some blocks, each pair once."""
+    return list(dict.fromkeys((block.kind, block.law) for block in blocks))
+
+
+def kernels_of(kind: str, law: str, real: type) -> Any:
+    """The kernels of elements of a ``kind`` under a ``law`` (empty for elements that take none), for one scalar
+    type."""
+    make = importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels
+    return make(real, law) if law else make(real)
+
+
 def matrices_at_rest(block: Block) -> np.ndarray:
     """True tangent at u = 0 (m, 3 a, 3 a) [N/m] of a block whose element has ``matrices``, by its own kernel on the
     CPU."""
     import warp as wp
 
-    element, own = block.element, block.element.kernels(wp.float64)
+    element, own = block.element, block.kernels(wp.float64)
     width = int(block.nodes.max()) + 1 if len(block) else 1
     state = wp.zeros((len(block), element.state_size(block), 1), dtype=wp.float64, device="cpu")
     wp.launch(own.tangent, dim=(len(block), 1), device="cpu", inputs=[

@@ -1,10 +1,8 @@
-"""Quadratic tetrahedron of a compressible neo-Hookean solid. At a high Poisson's ratio most of the bulk stiffness acts
-on the element's mean volume.
+"""Quadratic tetrahedron of a solid under any law of `vsfsim.physics.laws`. At a high Poisson's ratio most of the bulk
+stiffness acts on the element's mean volume; under the neo-Hookean law
 
     Psi(F) = mu/2 (|F|^2 - 3) - mu f(J) + lambda_p/2 (J - 1)^2 + lambda_m/2 (Jbar - 1)^2,      J = det F
-    f(J) = ln J for J >= 0.1, and below it the Taylor polynomial of second order of ln J about 0.1
-
-`neo_hooke.py` describes the law, its continuation below a tenth of the volume, and the projection of its tangent.
+    f(J) = ln J for J >= 0.1, and below it the Taylor polynomial of second order of ln J about 0.1.
 
 At a high Poisson's ratio an element with J at four Gauss points has nearly as many constraints as degrees of freedom,
 and locks. With the element's mean Jbar alone (Nagtegaal, Parks and Rice 1974; Simo, Taylor and Pister 1985: one
@@ -19,10 +17,8 @@ at nu 0.499 they were not refined further.
     all at the points / divided / all on the mean:   nu 0.45   9.72 / 9.68 / 9.52 N   against  9.68 N
                                                      nu 0.499  10.31 / 10.18 / 10.02 N  against 10.17 N
 
-The tangent at a Gauss point is H = mu I + kappa cof F (x) cof F + c d(cof F)/dF, with kappa = lambda_p - mu f''(J) and
-c = lambda_p (J - 1) - mu f'(J) + lambda_m (Jbar - 1); lambda_m adds one term of rank one per element. F is recomputed
-for every product. The numbers c, kappa and tau at the Gauss points (see `neo_hooke.py`) and the gradient of Jbar are
-stored.
+lambda_m adds a pressure to c of the law (see `laws/neo_hooke.py`), and one term of rank one per element to the tangent.
+F is recomputed for every product. What the law stores at the Gauss points and the gradient of Jbar are stored.
 
 The element has ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`), straight sides and four Gauss points,
 each with moduli of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows 3 i, 3 i + 1, 3 i + 2.
@@ -37,9 +33,12 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.elements import deformation, neo_hooke, tet10_shape
+from vsfsim.physics.elements import deformation, tet10_shape
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import shape_gradients
+from vsfsim.physics.laws import neo_hooke
+from vsfsim.physics.laws.catalogue import LAWS
+from vsfsim.physics.laws.law import Settings, SolidLaw
 
 NODES = 10
 POINTWISE = 4.0
@@ -49,28 +48,35 @@ _NEARLY_INCOMPRESSIBLE, _SOFT_SHARE, _SOFT_BULK = 60.0, 0.5, 120.0
 
 
 def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.ndarray, lam: np.ndarray, *,
-          pointwise: float = POINTWISE) -> Block:
+          law: SolidLaw = neo_hooke.LAW, settings: Settings | None = None, pointwise: float = POINTWISE) -> Block:
     """A block of quadratic tetrahedra.
 
     Args:
         nodes: (m, 10), corners then edges.
         gradients: of the barycentric coordinates (m, 4, 3) [1/m].
         volume: (m,) [m^3].
-        mu: Lamé's second constant at the Gauss points (m, 4) [Pa].
+        mu: Lamé's second constant at small strain at the Gauss points (m, 4) [Pa].
         lam: Lamé's first constant there (m, 4) [Pa].
-        pointwise: largest lambda that acts at the Gauss points, in units of mu.
+        law: of the material.
+        settings: its rows of numbers.
+        pointwise: largest lambda that acts at the Gauss points, in units of mu, of a law that takes a pressure.
+
+    Raises:
+        SceneError: the law cannot be that of such a material.
     """
-    local = np.minimum(lam, pointwise * mu)
+    local = np.minimum(lam, pointwise * mu) if law.pressed else lam
     over = np.where(lam - local > 1e-9 * lam, lam - local, 0.0)  # below 1e-9 it is rounding error
     mean = np.where((over > 0.0).all(axis=1), 4.0 / (1.0 / np.maximum(over, 1e-300)).sum(axis=1), 0.0)
+    own, terms = law.parameters(mu, local, settings or {})
     return Block("tet10", np.asarray(nodes, np.int32), {
-        "gradients": gradients, "volume": volume, "mu": mu, "lam": local, "mean_lam": mean})
+        "gradients": gradients, "volume": volume, "mu": mu, "lam": local, "mean_lam": mean, "own": own,
+        "terms": terms}, law=law.name)
 
 
 def state_size(block: Block) -> int:
-    """A tangent stores c, kappa and tau / J^2 at the Gauss points (12) and, where lambda_m acts, the gradient of Jbar
+    """A tangent stores what the law does at the four Gauss points and, where lambda_m acts, the gradient of Jbar
     (30)."""
-    return 42 if block.parameters["mean_lam"].any() else 12
+    return 4 * LAWS[block.law].stored + (30 if block.parameters["mean_lam"].any() else 0)
 
 
 def softened(block: Block) -> Block:
@@ -111,22 +117,21 @@ def rest_stiffness(block: Block) -> np.ndarray:
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels of this element for one scalar type (`wp.float32` or `wp.float64`)."""
+def kernels(real: type, law: str) -> Any:
+    """The kernels of this element for one scalar type (`wp.float32` or `wp.float64`) and the law of this name."""
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat43 = wp.types.matrix(shape=(4, 3), dtype=real)
     mat103 = wp.types.matrix(shape=(10, 3), dtype=real)
-    module = f"vsfsim_tet10_{real.__name__}"
+    module = f"vsfsim_tet10_{law}_{real.__name__}"
 
     shape = tet10_shape.functions(real, module)
     load, edge_sums, gradient, stresses, spread, finish = (
         shape.load, shape.edge_sums, shape.gradient, shape.stresses, shape.spread, shape.finish)
     kinematics = deformation.functions(real, module)
-    deform, cofactor, cofactor_change, volume_change, squares = (
-        kinematics.gradient, kinematics.cofactor, kinematics.cofactor_change, kinematics.volume_change,
-        kinematics.squares)
-    law = neo_hooke.functions(real, module)
-    barrier, bulk, projection = law.barrier, law.bulk, law.projection
+    deform, cofactor, volume_change = kinematics.gradient, kinematics.cofactor, kinematics.volume_change
+    point = LAWS[law].functions(real, module)
+    respond, linearise, product = point.respond, point.linearise, point.multiply
+    mean_at = wp.constant(4 * LAWS[law].stored)  # first row of the gradient of Jbar
 
     @wp.func(module=module)
     def pressure(x: mat103, s: mat43, g: mat33, mean_lam: real):
@@ -143,9 +148,9 @@ def kernels(real: type) -> Any:
         nodes: wp.array2d(dtype=wp.int32),
         gradients: wp.array(dtype=mat33),
         volume: wp.array(dtype=real),
-        mu: wp.array2d(dtype=real),
-        lam: wp.array2d(dtype=real),
         mean_lam: wp.array(dtype=real),
+        own: wp.array3d(dtype=real),
+        terms: wp.array2d(dtype=real),
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -169,21 +174,10 @@ def kernels(real: type) -> Any:
         force = mat103()
         total = mat43()
         for q in range(4):
-            # The energy is computed from the displacement gradient, not from F, so that it keeps its digits at small
-            # strains.
-            d = gradient(x, s, g, q)
-            f = deform(d)
-            cof = cofactor(f)
-            trace, rest = volume_change(d)
-            j1 = trace + rest
-            m = mu[t, q]
-            value, slope = barrier(j1)
-            # mu/2 (|F|^2 - 3) - mu (J - 1) = mu (|D|^2/2 - second - det D)
-            energy += m * (real(0.5) * wp.ddot(d, d) - rest + value) + real(0.5) * lam[t, q] * j1 * j1
-            lowest = wp.min(lowest, real(1.0) + j1)
-            # P = mu F + c cof F = mu (F - cof F) + (c + mu) cof F
-            p = weight * (m * (f - cof) + (lam[t, q] * j1 + m * slope + push) * cof)
-            stress = stresses(p, g)
+            value, det, p = respond(gradient(x, s, g, q), own, terms, t, q, push)
+            energy += value
+            lowest = wp.min(lowest, det)
+            stress = stresses(weight * p, g)
             total += stress
             force = spread(force, stress, q)
         force = finish(force, total)
@@ -199,9 +193,9 @@ def kernels(real: type) -> Any:
         nodes: wp.array2d(dtype=wp.int32),
         gradients: wp.array(dtype=mat33),
         volume: wp.array(dtype=real),
-        mu: wp.array2d(dtype=real),
-        lam: wp.array2d(dtype=real),
         mean_lam: wp.array(dtype=real),
+        own: wp.array3d(dtype=real),
+        terms: wp.array2d(dtype=real),
         index: wp.array(dtype=wp.int32),
         projected: int,
         # state in
@@ -209,8 +203,7 @@ def kernels(real: type) -> Any:
         # state out
         state_out: wp.array3d(dtype=real),
     ):
-        # c (rows 0-3), kappa (4-7) and tau / J^2 (8-11) at the Gauss points; the gradient of Jbar times the volume
-        # (12-41)
+        # what the law stores at each Gauss point, then the gradient of Jbar times the volume
         t, k = wp.tid()
         b = index[k]
         x = load(nodes, u_in, t, b)
@@ -225,27 +218,16 @@ def kernels(real: type) -> Any:
         total = mat43()
         for q in range(4):
             d = gradient(x, s, g, q)
-            trace, rest = volume_change(d)
-            m = mu[t, q]
-            _, slope = barrier(trace + rest)
-            c = lam[t, q] * (trace + rest) + m * (slope - real(1.0)) + push
-            kappa = bulk(real(1.0) + trace + rest, m, lam[t, q])
-            tau = real(0.0)
-            f = deform(d)
-            if projected == 1:
-                c, kappa, tau = projection(squares(f), real(1.0) + trace + rest, m, kappa, c)
-            state_out[t, q, b] = c
-            state_out[t, 4 + q, b] = kappa
-            state_out[t, 8 + q, b] = tau
+            linearise(d, own, terms, t, q, b, push, projected, state_out)
             if mean:
-                stress = stresses(weight * cofactor(f), g)
+                stress = stresses(weight * cofactor(deform(d)), g)
                 total += stress
                 force = spread(force, stress, q)
         if mean:
             force = finish(force, total)
             for a in range(10):
                 for i in range(3):
-                    state_out[t, 12 + 3 * a + i, b] = force[a, i]
+                    state_out[t, mean_at + 3 * a + i, b] = force[a, i]
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
@@ -253,9 +235,9 @@ def kernels(real: type) -> Any:
         nodes: wp.array2d(dtype=wp.int32),
         gradients: wp.array(dtype=mat33),
         volume: wp.array(dtype=real),
-        mu: wp.array2d(dtype=real),
-        lam: wp.array2d(dtype=real),
         mean_lam: wp.array(dtype=real),
+        own: wp.array3d(dtype=real),
+        terms: wp.array2d(dtype=real),
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -275,15 +257,7 @@ def kernels(real: type) -> Any:
         force = mat103()
         total = mat43()
         for q in range(4):
-            f = deform(gradient(u, us, g, q))
-            d = gradient(x, xs, g, q)
-            cof = cofactor(f)
-            p = weight * (mu[t, q] * d + (state_in[t, 4 + q, b] * wp.ddot(cof, d)) * cof
-                          + state_in[t, q, b] * cofactor_change(f, d))
-            tau = weight * state_in[t, 8 + q, b]
-            if tau > real(0.0):
-                turned = wp.transpose(cof) * d
-                p += (real(0.5) * tau) * (cof * (turned - wp.transpose(turned)))
+            p = weight * product(gradient(u, us, g, q), gradient(x, xs, g, q), own, t, q, b, state_in)
             stress = stresses(p, g)
             total += stress
             force = spread(force, stress, q)
@@ -292,11 +266,11 @@ def kernels(real: type) -> Any:
             along = real(0.0)
             for a in range(10):
                 for c in range(3):
-                    along += state_in[t, 12 + 3 * a + c, b] * x[a, c]
+                    along += state_in[t, mean_at + 3 * a + c, b] * x[a, c]
             along = along * mean_lam[t] / volume[t]
             for a in range(10):
                 for c in range(3):
-                    force[a, c] += along * state_in[t, 12 + 3 * a + c, b]
+                    force[a, c] += along * state_in[t, mean_at + 3 * a + c, b]
         for a in range(10):
             for c in range(3):
                 force_out[t, 3 * a + c, k] = force[a, c]
@@ -304,6 +278,6 @@ def kernels(real: type) -> Any:
     def parameters(block: Block, device: str) -> list[wp.array]:
         p = block.parameters
         return [wp.array(p["gradients"][:, 1:], dtype=mat33, device=device),
-                *(wp.array(p[name], dtype=real, device=device) for name in ("volume", "mu", "lam", "mean_lam"))]
+                *(wp.array(p[name], dtype=real, device=device) for name in ("volume", "mean_lam", "own", "terms"))]
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters, shared=(4,))

@@ -53,7 +53,7 @@ class Sensitivity(Solver):
 
     def __init__(self, model: Model, shape: ProbeShape, axis: np.ndarray, *, options: SolverOptions,
                  near: Sensitivity | None = None):
-        if any(not block.kind.startswith(("tet10", "hyperfoam")) for block in model.blocks):
+        if any(block.kind != "tet10" for block in model.blocks):
             raise SceneError(f"forces are differentiated by the moduli of tetrahedra alone; this object has "
                              f"{', '.join(block.kind for block in model.blocks)}. Take a tier of tetrahedra, as "
                              f"fem-coarse.")
@@ -101,7 +101,7 @@ class Sensitivity(Solver):
         for b, patch in enumerate(contact.patches):
             face = np.repeat(np.repeat(patch.faces, patch.cuts**2), 6)
             np.add.at(out[b], self.model.mesh.owner[face], points[b, :len(face)])
-        out[~converged | (negative > 0.0).numpy()] = np.nan
+        out[~converged | negative.numpy()] = np.nan
         self.derivative.append(out)
 
 

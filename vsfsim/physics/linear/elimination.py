@@ -117,7 +117,7 @@ class Order:
             work, stack)]
         for f, own in enumerate(self._own):
             p, q = int(self.tables[f, 0]), int(self.tables[f, 2])
-            wp.launch(_gather(), dim=1, device="cpu", inputs=[f, *arrays])
+            wp.launch(gather_kernel(), dim=1, device="cpu", inputs=[f, *arrays])
             dense = work[:(p + q)**2].reshape(p + q, p + q)
             update = stack[self._at[f, 3]:self._at[f, 3] + q * q].reshape(q, q)
             if p:
@@ -219,7 +219,8 @@ _GATHER = """
 
 
 @functools.cache
-def _gather() -> Any:
+def gather_kernel() -> Any:
+    """The kernel that adds up the matrix of a front."""
     long, whole, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.float64))
 
     def gather(f: int, ends: long, own: whole, below: whole, children: whole, starts: whole, neighbours: whole,

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 import warp as wp
 
 from vsfsim.physics import clock
-from vsfsim.physics.linear.elimination import UNIT, Order, blocks_of
+from vsfsim.physics.linear.elimination import UNIT, Order, blocks_of, gather_kernel
 
 _WIDE = 16  # right-hand sides that share one reading of the factor
 _FEW = 4  # fewer right-hand sides are solved one by one
@@ -78,6 +78,11 @@ class Multifrontal:
                       inputs=[self._fronts, self.size, self._wide, columns, start, *self._arrays, *ends,
                               *self._vectors[width]])
         return out
+
+
+def factor_kernels() -> list[Any]:
+    """One kernel of each module that a factor is made and applied with."""
+    return [gather_kernel(), _kernels()[1]]
 
 
 def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray, *, within: float = TRUST) -> bool:

@@ -9,7 +9,7 @@ import torch
 
 from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.elements.neo_hooke import CRUSHED
+from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.mesh.resolved import corner_det_f, mesh_error
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
@@ -105,7 +105,7 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
         force: on each body (B, K, 3) [N].
     """
     model, batch = balance.model, len(radius)
-    solid = all(block.kind.startswith(("tet10", "hyperfoam")) for block in model.blocks)
+    solid = all(block.kind == "tet10" for block in model.blocks)
     if not (solid and isinstance(balance.contact, RigidContact)):
         return np.full(batch, np.nan), np.full(batch, np.nan)
     u = balance.u.to(torch.float64).cpu().numpy().reshape(-1, 3, batch)

@@ -244,7 +244,7 @@ class Elasticity:
         self.kernels = kernels(real)
         self.blocks = model.blocks
         self._points = len(model.mesh.points)
-        self._of = [block.element.kernels(real) for block in self.blocks]
+        self._of = [block.kernels(real) for block in self.blocks]
         self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
                        for block, k in zip(self.blocks, self._of, strict=True)]
         self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i,

@@ -20,7 +20,7 @@ import warp as wp
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.elements.neo_hooke import CRUSHED
+from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import linear_tolerance, newton_direction

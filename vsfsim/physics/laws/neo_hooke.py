@@ -10,7 +10,7 @@ the volume goes to zero. Below `CRUSHED`, a tenth of the volume, the continuatio
 and continuous, so that Newton's method recovers from an inverted element (J < 0); frames with such an element are
 marked. U is convex for every J, which makes the energy polyconvex.
 
-With kappa = U''(J) and c = U'(J), to which an element may add a pressure of its own, the tangent is
+With kappa = U''(J) and c = U'(J), to which an element adds a pressure of its own, the tangent is
 
     H = mu I + kappa cof F (x) cof F + c d(cof F)/dF.
 
@@ -23,7 +23,8 @@ so under pressure (c < 0 < J), where only twists and changes of volume can be ne
 inverted element) c is replaced by theta c with the theta <= 1 at which no eigenvalue is negative. Those have a closed
 form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic distortion energies", 2019): mu +- c s_k for twists
 and flips, and the eigenvalues of the 3 x 3 block of the stretches, with s_k the singular values of F. Under pressure
-theta c would not do: it takes away what c adds to the stiffness of every other mode, a factor of 1/J.
+theta c would not do: it takes away what c adds to the stiffness of every other mode, a factor of 1/J. A tangent stores
+c, kappa and tau / J^2.
 """
 
 from types import SimpleNamespace
@@ -33,6 +34,8 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements import deformation
+from vsfsim.physics.laws.law import Settings, SolidLaw
 
 CRUSHED = 0.1
 """det F below which the logarithm is continued by a polynomial [-]."""
@@ -40,19 +43,20 @@ _FLAT = 0.02  # det F below which the projected tangent is that of an inverted e
 
 
 def functions(real: type, module: str) -> Any:
-    """Device functions for one scalar type, compiled into ``module``.
-
-    ``barrier`` gives (J - 1) - f(J) and its derivative from J - 1. ``bulk`` gives kappa. ``projection`` gives c, kappa
-    and tau / J^2 of the projected tangent from the squared singular values of F.
-    """
+    """See `law.SolidLaw`."""
     vec3 = wp.types.vector(length=3, dtype=real)
+    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
+    kinematics = deformation.functions(real, module)
+    deform, cofactor, cofactor_change, volume_change, singular = (
+        kinematics.gradient, kinematics.cofactor, kinematics.cofactor_change, kinematics.volume_change,
+        kinematics.squares)
     least, log_least = wp.constant(real(CRUSHED)), wp.constant(real(np.log(CRUSHED)))
     flat = wp.constant(real(_FLAT))
 
     @wp.func(module=module)
     def barrier(j1: real):
-        # The value is of second order in J - 1; near J = 1 the series ln J = 2 (s + s^3/3 + ..), s = (J - 1)/(J + 1),
-        # keeps its digits.
+        # (J - 1) - f(J) and its derivative from J - 1. The value is of second order in J - 1; near J = 1 the series
+        # ln J = 2 (s + s^3/3 + ..), s = (J - 1)/(J + 1), keeps its digits.
         j = real(1.0) + j1
         value = real(0.0)
         slope = real(0.0)
@@ -130,4 +134,56 @@ def functions(real: type, module: str) -> Any:
             s2 = -s2
         return c * scaling(wp.sqrt(squares[0]), wp.sqrt(squares[1]), s2, mu, kappa, c), kappa, real(0.0)
 
-    return SimpleNamespace(barrier=barrier, bulk=bulk, projection=projection)
+    @wp.func(module=module)
+    def respond(d: mat33, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int, push: real):
+        # The energy is computed from the displacement gradient, not from F, so that it keeps its digits at small
+        # strains: mu/2 (|F|^2 - 3) - mu (J - 1) = mu (|D|^2/2 - second - det D).
+        f = deform(d)
+        cof = cofactor(f)
+        trace, rest = volume_change(d)
+        j1 = trace + rest
+        mu = own[t, q, 0]
+        lam = own[t, q, 1]
+        value, slope = barrier(j1)
+        energy = mu * (real(0.5) * wp.ddot(d, d) - rest + value) + real(0.5) * lam * j1 * j1
+        # P = mu F + c cof F = mu (F - cof F) + (c + mu) cof F
+        return energy, real(1.0) + j1, mu * (f - cof) + (lam * j1 + mu * slope + push) * cof
+
+    @wp.func(module=module)
+    def linearise(d: mat33, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int, b: int,
+                  push: real, projected: int, state_out: wp.array3d(dtype=real)):
+        trace, rest = volume_change(d)
+        mu = own[t, q, 0]
+        lam = own[t, q, 1]
+        _, slope = barrier(trace + rest)
+        c = lam * (trace + rest) + mu * (slope - real(1.0)) + push
+        kappa = bulk(real(1.0) + trace + rest, mu, lam)
+        tau = real(0.0)
+        if projected == 1:
+            c, kappa, tau = projection(singular(deform(d)), real(1.0) + trace + rest, mu, kappa, c)
+        state_out[t, 3 * q, b] = c
+        state_out[t, 3 * q + 1, b] = kappa
+        state_out[t, 3 * q + 2, b] = tau
+
+    @wp.func(module=module)
+    def multiply(d: mat33, x: mat33, own: wp.array3d(dtype=real), t: int, q: int, b: int,
+                 state_in: wp.array3d(dtype=real)):
+        f = deform(d)
+        cof = cofactor(f)
+        p = (own[t, q, 0] * x + (state_in[t, 3 * q + 1, b] * wp.ddot(cof, x)) * cof
+             + state_in[t, 3 * q, b] * cofactor_change(f, x))
+        tau = state_in[t, 3 * q + 2, b]
+        if tau > real(0.0):
+            turned = wp.transpose(cof) * x
+            p += (real(0.5) * tau) * (cof * (turned - wp.transpose(turned)))
+        return p
+
+    return SimpleNamespace(respond=respond, linearise=linearise, multiply=multiply)
+
+
+def parameters(mu: np.ndarray, lam: np.ndarray, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """mu and lambda of every point [Pa]."""
+    return np.stack([mu, lam], axis=2), np.zeros((0, 1))
+
+
+LAW = SolidLaw("neo-hooke", 3, functions, parameters, pressed=True)

@@ -1,0 +1,124 @@
+"""A law that another package brings: the finite element takes it, and a scene names it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+from element_body import SIZE, Body, E
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene
+from vsfsim.physics import tiers
+from vsfsim.physics.laws import principal
+from vsfsim.physics.laws.catalogue import LAWS
+from vsfsim.physics.laws.law import SolidLaw
+from vsfsim.physics.model import tetrahedra
+
+
+def functions(real, module):
+    """Hencky's law: Psi = mu sum (ln l)^2 + lambda/2 (ln J)^2."""
+    vec3, mat33 = wp.types.vector(length=3, dtype=real), wp.types.matrix(shape=(3, 3), dtype=real)
+
+    @wp.func(module=module)
+    def energy(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
+        trace = x[0] + x[1] + x[2]
+        return own[t, q, 0] * wp.dot(x, x) + real(0.5) * own[t, q, 1] * trace * trace
+
+    @wp.func(module=module)
+    def slopes(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
+        trace = x[0] + x[1] + x[2]
+        out = vec3()
+        for k in range(3):
+            out[k] = (real(2.0) * own[t, q, 0] * x[k] + own[t, q, 1] * trace) / lam[k]
+        return out
+
+    @wp.func(module=module)
+    def curvatures(lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
+        x = vec3(wp.log(lam[0]), wp.log(lam[1]), wp.log(lam[2]))
+        first = slopes(x, lam, own, terms, t, q)
+        out = mat33()
+        for a in range(3):
+            for b in range(3):
+                out[a, b] = own[t, q, 1] / (lam[a] * lam[b])
+            out[a, a] = out[a, a] + real(2.0) * own[t, q, 0] / (lam[a] * lam[a]) - first[a] / lam[a]
+        return out
+
+    return principal.functions_of(energy, slopes, curvatures, real, module)
+
+
+HENCKY = SolidLaw("hencky", principal.STORED, functions,
+                  lambda mu, lam, rows: (np.stack([mu, lam], axis=2), np.array([rows.get("unused", (0.0,))])))
+NU = 0.3
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch):
+    """An installed package has the law as an entry point."""
+    entry = SimpleNamespace(name="hencky", value="elsewhere:HENCKY", load=lambda: HENCKY)
+    monkeypatch.setattr("vsfsim.core.shelf._entries", lambda group, path: {"hencky": entry} if group == LAWS.group
+                        else {})
+    yield
+    LAWS._rows.pop("hencky", None)
+
+
+@pytest.mark.slow  # a module to compile
+def test_the_element_takes_a_law_of_another_package(block, device):
+    """Energy of a uniform stretch in closed form; forces and tangent as its derivatives at a random state."""
+    model = block(SIZE, 0.02, young_modulus=E, poisson_ratio=NU,
+                  elements=lambda *given: tetrahedra(*given, law=LAWS["hencky"]))
+    assert model.blocks[0].law == "hencky"
+    body, points = Body(model, device), model.mesh.points
+    stretch = np.array([1.2, 0.7, 0.9])
+    _, energy, det = body((points * (stretch - 1.0)).reshape(-1, 1))
+    mu, lam, x = E / (2.0 * (1.0 + NU)), E * NU / ((1.0 + NU) * (1.0 - 2.0 * NU)), np.log(stretch)
+    assert energy[0] == pytest.approx(np.prod(SIZE) * (mu * (x @ x) + 0.5 * lam * x.sum() ** 2), rel=1e-9)
+    assert det[0] == pytest.approx(stretch.prod(), rel=1e-9)
+    random = np.random.default_rng(0)
+    u, way = 3e-4 * random.normal(size=points.size), random.normal(size=points.size)
+    h = 1e-7
+    force, energy, _ = body(np.stack([u + h * way, u - h * way, u], axis=1))
+    assert force[:, 2] @ way == pytest.approx((energy[0] - energy[1]) / (2.0 * h), rel=1e-5)
+    exact = (force[:, 0] - force[:, 1]) / (2.0 * h)
+    found = body.tangent_times(u, way[:, None], projected=False)[:, 0]
+    assert np.abs(found - exact).max() < 1e-5 * np.abs(exact).max()
+
+
+def scene(tmp_path, text):
+    path = tmp_path / "law.toml"
+    path.write_text(f"[object]\nshape = {{ box = [0.04, 0.04, 0.04] }}\nresolution = 0.02\nyoung_modulus = 1e5\n"
+                    f"{text}\n")
+    return load_scene(path).sample(0)
+
+
+def test_a_scene_names_a_law(tmp_path):
+    found = scene(tmp_path, f'law = "hencky"\npoisson_ratio = {NU}')
+    assert tiers.choose(found) == "fem-coarse", "the cheapest tier that has the law"
+    assert tiers.elements(found, "fem-coarse") == [("tet10", "hencky")]
+    assert [b.law for b in tiers.build(found, "fem-coarse").blocks] == ["hencky"]
+    small = tiers.build(found, "linear")
+    assert [b.law for b in small.blocks] == ["neo-hooke"] and any("small strain" in n for n in small.solid.notes)
+    foam = scene(tmp_path, 'law = { name = "hyperfoam", mu = [1e4, 2e4], alpha = [3.0, -2.0], beta = [0.0, 0.0] }\n'
+                           'poisson_ratio = 0.0')
+    (block,) = tiers.build(foam, "fem-coarse").blocks
+    assert block.parameters["own"][..., 0] == pytest.approx(5e4 / 3e4), "scaled to Young's modulus"
+
+
+@pytest.mark.parametrize("text, said", [
+    ('law = "henky"', "hencky"),
+    ('law = { name = "hencky", mu = 1e5 }', "no numbers"),
+    ('law = { name = "hyperfoam", mu = 1e5 }', "mu, alpha, beta"),
+    ('law = "hencky"\npoisson_ratio = 0.49', "0.45"),
+    ("law = 3", "name"),
+    ('law = { name = "hyperfoam", mu = "soft" }', "numbers"),
+    ('law = "hencky"\nmaterial = "eva"', "material"),
+])
+def test_a_wrong_law_is_refused_with_what_to_do(tmp_path, text, said):
+    with pytest.raises(SceneError, match=said):
+        tiers.choose(scene(tmp_path, text))
+
+
+def test_a_law_that_needs_another_poisson_ratio_says_which(tmp_path):
+    text = 'law = { name = "hyperfoam", mu = 1e4, alpha = 3.0, beta = 0.5 }\npoisson_ratio = 0.1'
+    with pytest.raises(SceneError, match=r"law.toml.*poisson_ratio = 0\.25"):
+        tiers.build(scene(tmp_path, text), "fem-coarse")

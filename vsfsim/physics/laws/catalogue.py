@@ -1,0 +1,36 @@
+"""The laws by name: those of this package, and the entry points of the group ``vsfsim.laws``."""
+
+from __future__ import annotations
+
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.scene import Scene
+from vsfsim.core.shelf import LAW_GROUP, Registry
+from vsfsim.physics.laws import hyperfoam, neo_hooke
+from vsfsim.physics.laws.law import MOST_POISSON_RATIO, SolidLaw
+
+LAWS: Registry[SolidLaw] = Registry(LAW_GROUP, {law.name: law for law in (neo_hooke.LAW, hyperfoam.LAW)})
+"""Laws of solid materials."""
+
+
+def law_of(scene: Scene) -> SolidLaw | None:
+    """The law that ``[object] law`` names; None where it names none.
+
+    Raises:
+        SceneError: there is no such law, it takes other numbers than the scene gives, or it cannot be that of a body
+            with this Poisson's ratio.
+    """
+    if scene.object.law is None:
+        return None
+    name, rows = scene.object.law
+    where = f"{scene.source} [object]: law '{name}'"
+    if name not in LAWS:
+        raise SceneError(f"{where} is unknown. {did_you_mean(name, tuple(LAWS))}")
+    law = LAWS[name]
+    if set(rows) != set(law.settings):
+        raise SceneError(f"{where} takes {', '.join(law.settings) or 'no numbers'} beside its name; the scene gives "
+                         f"{', '.join(rows) or 'none'}.")
+    if not law.pressed and scene.object.poisson_ratio > MOST_POISSON_RATIO:
+        raise SceneError(f"{where} acts at points alone, where a nearly incompressible element locks: poisson_ratio = "
+                         f"{scene.object.poisson_ratio:g} is more than {MOST_POISSON_RATIO:g}. Give less, or leave law "
+                         f"out.")
+    return law
