@@ -169,6 +169,6 @@ def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
     with pytest.raises(SceneError, match="fem-corse"):
         again(made.recipe, made.entries[0].name, [], tier="fem-corse")
     text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0",
-                                          '[sensor]\nkind = "bubble"')
+                                          '[arm]\nmodel = "gen3"')
     with pytest.raises(SceneError, match="its effector takes no paths"):
         again(dataclasses.replace(made.recipe, scene_text=text), made.entries[0].name, [])

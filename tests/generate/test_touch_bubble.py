@@ -20,6 +20,7 @@ from vsfsim.generate.aim import Aim, tilted
 from vsfsim.generate.effectors import bubble as touch_bubble
 from vsfsim.generate.inspect import inspect
 from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.resim import again
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.robot.path import turn_to
 from vsfsim.sensing.bubble_touch import rim_of
@@ -59,6 +60,15 @@ def command(*words, cwd):
     return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *map(str, words)],
                           capture_output=True, text=True, cwd=cwd,
                           env={**os.environ, "OMP_NUM_THREADS": "1"})
+
+
+@dataclasses.dataclass
+class Plan:
+    """Of a touch."""
+
+    poses: np.ndarray
+    axis: np.ndarray
+    probe: Dome
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +129,15 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
         assert way == pytest.approx([0.0, 0.005 + 0.0015, 0.005 + 0.003], abs=1e-9)
         assert touch.mount_pose[:, :3, 2] == pytest.approx(np.broadcast_to(touch.axis, (3, 3)))
     assert view.truth.vsf_touched.any() and np.isfinite(view.truth.vsf_stiffness).all()
+
+
+def test_a_plan_made_again_is_the_touch(made):
+    dataset = Dataset.open(made)
+    (view,) = dataset
+    (found,) = again(dataset.recipe, view.name, [Plan(view.touches[1].mount_pose, view.touches[1].axis, view.probe)])
+    assert found.force == pytest.approx(view.touches[1].force, rel=1e-3, abs=1e-6)
+    assert found.pressure - found.rest_pressure == pytest.approx(
+        view.touches[1].pressure - view.touches[1].rest_pressure, rel=1e-3, abs=1e-2)
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     touch = getattr(effector, "touch", None)
     if touch is None or "paths" not in inspect.signature(touch).parameters:
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their plans: its effector "
-                         f"takes no paths. Rigid probes ([probe] in the scene) do.")
+                         f"takes no paths. Rigid probes and bubbles do.")
     job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
     if not tier:
         return job
@@ -80,11 +80,11 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
 def retouch(subject: Subject, plans: Sequence[Planned], *, device: str) -> list[Touch]:
     """One touch a plan, in their order, of an object whose `job_of` can be made again."""
     touch, unknown = effector_of(subject.scene).touch, np.full(3, np.nan)  # type: ignore[attr-defined]
-    probes = [press.probe for press in subject.scene.presses]
+    kinds = {press.probe: number for number, press in reversed([*enumerate(subject.scene.presses)])}
     out: dict[int, Touch] = {}
     for frames in dict.fromkeys(len(plan.poses) for plan in plans):
         mine = [k for k, plan in enumerate(plans) if len(plan.poses) == frames]
         aims = [Aim(unknown, unknown, plans[k].axis, plans[k].poses[0, :3, 3], np.nan,
-                    press=probes.index(plans[k].probe)) for k in mine]
+                    press=kinds.get(plans[k].probe, 0)) for k in mine]
         out |= zip(mine, touch(subject, aims, device=device, paths=[plans[k].poses for k in mine]))
     return [out[k] for k in range(len(plans))]

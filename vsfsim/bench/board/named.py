@@ -27,7 +27,7 @@ def labels_of(results: list[Result]) -> list[str]:
         twins = [other.parameters for other in results
                  if (other.method, other.preset) == (result.method, result.preset)]
         differ = [f"{key}={value}" for key, value in result.parameters.items()
-                  if any(twin.get(key) != value for twin in twins)]
+                  if value != "" and any(twin.get(key) != value for twin in twins)]
         words = [*filter(None, ["claimed" if claimed(result) else "", result.preset]), *differ]
         out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
     return out

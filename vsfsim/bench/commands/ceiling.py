@@ -42,10 +42,10 @@ from vsfsim.data.recipe import Recipe
 
 
 def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
-    """The ceilings that `--all` makes of a task that asks for readings of touches by a rigid probe. Those that are
-    fitted to a support take a minute of a core for each, and are asked by their names."""
+    """The ceilings that `--all` makes of a task that asks for readings of touches by a rigid probe or a bubble. Those
+    that are fitted to a support take a minute of a core for each, and are asked by their names."""
     scene = parse_scene(dataset.recipe.scene_text, f"{dataset.recipe.scene}.toml").sample(0)
-    asked = task.metric.answer is Answer.READINGS and scene.effector == "probe"
+    asked = task.metric.answer is Answer.READINGS and scene.effector in ("probe", "bubble")
     return [Choice(name, "", {}) for name, entry in ceilings().items() if asked and entry.group == CEILING_GROUP]
 
 

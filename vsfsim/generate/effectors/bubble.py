@@ -121,11 +121,12 @@ class BubbleEffector:
         """Along the normals, or tilted from them."""
         return aim(subject.scene, subject.model, _sensor_of(subject), subject.view, subject.stream)
 
-    def touch(self, subject: Subject, aims: list[Aim], *, device: str,
-              progress: Callable[[int], None] | None = None) -> list[Touch]:
+    def touch(self, subject: Subject, aims: list[Aim], *, device: str, progress: Callable[[int], None] | None = None,
+              paths: Sequence[np.ndarray] = ()) -> list[Touch]:
         """See `touch_all`."""
         return touch_all(subject.scene, subject.model, _sensor_of(subject), aims,
-                         options=solver_options(subject.limits(), device), device=device, progress=progress)
+                         options=solver_options(subject.limits(), device), device=device, progress=progress,
+                         paths=paths)
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""
@@ -309,7 +310,7 @@ def solver_options(own: SolverOptions, device: str) -> SolverOptions:
 
 
 def touch_all(scene: Scene, model: Model, sensor: BubbleModel, aims: list[Aim], *, options: SolverOptions, device: str,
-              progress: Callable[[int], None] | None = None) -> list[Touch]:
+              progress: Callable[[int], None] | None = None, paths: Sequence[np.ndarray] = ()) -> list[Touch]:
     """Simulate touches, `BATCH` at a time at most.
 
     Args:
@@ -320,14 +321,16 @@ def touch_all(scene: Scene, model: Model, sensor: BubbleModel, aims: list[Aim], 
         options: of the solver.
         device: Warp device.
         progress: called with the number of frames newly done.
+        paths: of the mount (T, 4, 4) of each touch; () for those of the aims.
     """
     spec, camera = scene.required_sensor, None
+    paths = paths or [mount_path(scene.required_touches, a) for a in aims]
     if spec.camera is not None:
         width, height = spec.camera
         camera = BubbleCamera(width, height, BubbleCamera.focal * width / CAMERA[0])
     out: list[Touch] = []
-    for part in (aims[some] for some in batches(len(aims), BATCH[device.split(":")[0]])):
-        poses = np.stack([mount_path(scene.required_touches, a) for a in part], axis=1)
+    for some in batches(len(aims), BATCH[device.split(":")[0]]):
+        part, poses = aims[some], np.stack(paths[some], axis=1)
         solver = CoupledSolver(model, sensor, friction=spec.friction, device=device, options=options)
         width = len(part)
         frames = solver.run(poses, start=starts(scene.required_touches, part, poses[0]), keep=True,
