@@ -39,17 +39,18 @@ def pytest_generate_tests(metafunc):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
-    """The whole suite on a CPU runs in a process a core, a file of tests in one of them (pytest-xdist); parts of it,
-    and ``-n 0``, in this one."""
+    """The whole suite on a CPU runs in a process a core and one more, since tests wait a tenth of the time; a file of
+    tests in one of them (pytest-xdist); parts of it, and ``-n 0``, in this one."""
     if "PYTEST_XDIST_WORKER" in os.environ or hasattr(config, "workerinput"):
         return  # a worker, and what it starts, makes no workers
     options = config.option
     whole = config.args_source == config.ArgsSource.TESTPATHS and not options.collectonly and not options.usepdb
     if (whole and options.device == "cpu" and config.pluginmanager.hasplugin("xdist")
             and options.numprocesses is None and options.dist == "no"):
-        count = min(len(os.sched_getaffinity(0)), WORKERS)
-        if count > 1:
-            options.numprocesses, options.dist, options.loadscopereorder = count, "loadfile", False
+        cores = len(os.sched_getaffinity(0))
+        if cores > 1:
+            options.numprocesses = min(cores + 1, WORKERS)
+            options.dist, options.loadscopereorder = "loadfile", False
 
 
 def pytest_collection_finish(session):

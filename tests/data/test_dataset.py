@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import tracemalloc
 from pathlib import Path
 
 import h5py
@@ -359,3 +360,29 @@ def test_a_file_that_is_open_in_another_program_is_not_called_damaged(made):
         other.communicate()
     assert problem.file == entry and "elete" not in problem.todo and "Close it" in problem.todo
     assert verify(made).ok
+
+
+def test_a_dataset_larger_than_memory_is_read_a_few_views_at_a_time(tmp_path):
+    """Reading ten views takes the memory of those that a process keeps, `KEPT`, and of the one it reads."""
+    pytest.importorskip("torch")
+    from vsfsim.data.torch_view import KEPT
+
+    views = [mock_view(i, split="train", touches=2) for i in range(10)]
+    recipe = dataclasses.replace(RECIPE, objects=10, touches=2, splits={"train": 10})
+    with DatasetWriter(tmp_path / "d", recipe, [view.name for view in views]) as writer:
+        for view in views:
+            writer.add(view)
+        dataset = writer.finish()
+
+    def peak(count):
+        touches = dataset[:count].torch()
+        tracemalloc.start()
+        for k in range(len(touches)):
+            assert touches[k]["force"].shape[1] == 3
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    peak(1)  # what is imported stays
+    one, few, whole = peak(1), peak(KEPT + 1), peak(10)
+    assert one < 0.7 * few and whole < 1.2 * few

@@ -1,8 +1,9 @@
 """What a dataset will cost: CPU time and bytes of a view, learned from the views that this machine has made.
 
 Every finished view adds a line to a file of the user's cache ($VSFSIM_COSTS): scene, tier, device, kind of machine,
-touches, CPU seconds and bytes. A view costs a part of its own (meshing, picture, truth) and a part a touch; with views
-of one number of touches alone, all is taken for the touches'.
+code, touches, CPU seconds and bytes. Views of other code do not count: a solver that became faster misleads. A view
+costs a part of its own (meshing, picture, truth) and a part a touch; with views of one number of touches alone, all is
+taken for the touches'.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.provenance import processor
+from vsfsim.data.provenance import made_by, processor
 from vsfsim.data.recipe import Recipe
 
 _LATEST = 200
@@ -90,10 +91,10 @@ def estimate(recipe: Recipe, views: int) -> Cost:
     """
     rows = [row for row in _rows() if row["key"] == _key(recipe)][-_LATEST:]
     if not rows:
-        raise DatasetError(f"--dry-run: no view of the scene '{recipe.scene}' at tier {recipe.tier} was made on this "
-                           f"kind of machine yet, so that nothing is known of its cost. Make one first: vsfsim "
-                           f"generate {recipe.scene} --objects 1 --views 1 --touches {min(recipe.touches, 2)} --out "
-                           f"/tmp/{recipe.scene}-cost.")
+        raise DatasetError(f"--dry-run: no view of the scene '{recipe.scene}' at tier {recipe.tier} was made by this "
+                           f"code on this kind of machine yet, so that nothing is known of its cost. Make one first: "
+                           f"vsfsim generate {recipe.scene} --objects 1 --views 1 --touches {min(recipe.touches, 2)} "
+                           f"--out /tmp/{recipe.scene}-cost.")
     touches = np.array([row["touches"] for row in rows], float)
     seconds, spread = _fit(touches, np.array([row["seconds"] for row in rows]), recipe.touches)
     size, _ = _fit(touches, np.array([row["bytes"] for row in rows], float), recipe.touches)
@@ -116,7 +117,8 @@ def _fit(touches: np.ndarray, values: np.ndarray, wanted: int) -> tuple[float, f
 
 def _key(recipe: Recipe) -> Sequence[str]:
     finer = [f"{recipe.options['resolution']:.3g} m"] if "resolution" in recipe.options else []  # of an --accuracy
-    return [recipe.scene_sha256, recipe.tier, recipe.device, recipe.precision, processor(), *finer]
+    return [recipe.scene_sha256, recipe.tier, recipe.device, recipe.precision, processor(),
+            *map(str, made_by().values()), *finer]
 
 
 def _rows() -> list[dict[str, Any]]:
