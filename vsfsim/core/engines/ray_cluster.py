@@ -36,7 +36,7 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
             raise VsfsimError(f"--gpus-per-task is {gpus:g}, but the Ray cluster has {there:g} GPUs.")
         one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         # Ray takes a function, and no `functools.partial`
-        task = ray.remote(lambda item: function(item)).options(name="vsfsim", num_cpus=1, num_gpus=gpus,
+        task: Any = ray.remote(lambda item: function(item)).options(name="vsfsim", num_cpus=1, num_gpus=gpus,
                                                                max_retries=retries, runtime_env={"env_vars": one})
         going: dict[Any, int] = {}
         todo = list(range(len(items)))
