@@ -1,8 +1,8 @@
 """The weekly page of stability and speed: `python docs/make_weekly.py FOLDER [--budget 30m] [--kind solid ...]`.
 
-It runs two commands, `vsfsim stability` and `vsfsim measure solver --cell small`, keeps their output in FOLDER/DATE and
-writes FOLDER/index.md: the tables of this week, and one line a week, so that a change of either is seen. Run again on the
-same day it goes on where it stopped. Times are comparable on the same machine only, which each line names.
+It runs `vsfsim stability` and `vsfsim measure solver --cell small`, keeps their output in FOLDER/DATE and writes
+FOLDER/index.md: the tables of this week, and a line a week, so that a change is seen. Run again on the same day it goes
+on where it stopped. Times are comparable on the same machine only, which each line names.
 """
 
 import argparse
