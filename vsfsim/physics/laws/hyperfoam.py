@@ -66,7 +66,7 @@ def functions(real: type, module: str) -> Any:
             return wp.exp(y) - real(1.0) - y
         tail = real(1.0)
         for n in range(13):
-            tail = real(1.0) + tail * y / real(15 - n)
+            tail = real(1.0) + tail * y * (real(1.0) / real(15 - n))  # the compiler divides, once
         return real(0.5) * y * y * tail
 
     @wp.func(module=module)

@@ -30,6 +30,8 @@ def decomposition(real: type, module: str) -> Any:
     vec3 = wp.types.vector(length=3, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
 
+    done = wp.constant(real(1e-17))
+
     @wp.func(module=module)
     def rotate(a: mat33, v: mat33, p: int, q: int, r: int):
         # one rotation in the plane of p and q that makes a_pq zero
@@ -77,6 +79,10 @@ def decomposition(real: type, module: str) -> Any:
         v = mat33(real(1.0), real(0.0), real(0.0), real(0.0), real(1.0), real(0.0), real(0.0), real(0.0), real(1.0))
         sweeps = int(_SWEEPS)  # a variable: unrolled, the sweeps take Warp seconds to compile
         for _sweep in range(sweeps):
+            # what is left changes neither eigenvalues nor vectors in double precision
+            if wp.abs(a[0, 1]) + wp.abs(a[1, 2]) + wp.abs(a[2, 0]) <= done * (wp.abs(a[0, 0]) + wp.abs(a[1, 1])
+                                                                              + wp.abs(a[2, 2])):
+                break
             a, v = rotate(a, v, 0, 1, 2)
             a, v = rotate(a, v, 1, 2, 0)
             a, v = rotate(a, v, 2, 0, 1)
