@@ -30,7 +30,7 @@ from vsfsim.generate import run
 SCENE = Path(__file__).parent / "ranking.toml"
 TASK = """
 name = "ranking-v1"
-description = "The force of a ball on foam blocks with a stiff ball inside."
+description = "The force of a ball on foam blocks of two layers."
 [dataset]
 folder = "ranking"
 scene = "ranking"
