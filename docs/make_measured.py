@@ -38,8 +38,8 @@ def leaderboard(task: str) -> str:
     command = f"<!-- vsfsim leaderboard --task {task} -->\n"
     if not BOARDS[task].rows:
         scene = load_task(task).dataset.scene
-        return (f"{command}No rows ship yet. `vsfsim generate {scene}` makes the data and `vsfsim evaluate --all --task "
-                f"{task}` the rows.\n")
+        return (f"{command}No rows ship yet. `vsfsim generate {scene}` makes the data and `vsfsim evaluate --all "
+                f"--task {task}` the rows.\n")
     lines = markdown(BOARDS[task]).splitlines()
     title = next(line for line in lines if "mean ± st" in line)
     said = [line for line in lines if line.startswith(("of possible: ", "rank corr.: "))]
