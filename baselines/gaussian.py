@@ -36,6 +36,8 @@ class GaussianAverage(PosteriorAnswers):
         noise_share: fraction of a touch's largest reading by which the particle model errs besides [-].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
         reach: width of the neighbourhoods in which spring constants are alike [m]; 0: independent, as in the papers.
+        growth: power of the summed displacement with which a reading grows, see
+            `vsfsim.baselines.particle_model.VsfSettings` [-]; 1 as in the papers.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
         device: Warp device.
     """
@@ -44,10 +46,11 @@ class GaussianAverage(PosteriorAnswers):
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
                  fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
-                 band: float = 0.0, reach: float = 0.0, max_particles: int = 0, device: str = "cpu"):
+                 band: float = 0.0, reach: float = 0.0, growth: float = 1.0, max_particles: int = 0,
+                 device: str = "cpu"):
         self.fit_std = fit_std
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share, band=band, reach=reach,
+                                             noise_share=noise_share, band=band, reach=reach, growth=growth,
                                              max_particles=max_particles))
         self._prior: tuple[float, float] | None = None
 

@@ -56,11 +56,18 @@ class VsfSettings:
     reach: float = 0.0
     """Width of the neighbourhoods over which spring constants are averages of common ones [m]; 0: they are independent,
     as in the papers. With it a touch says something of springs that it did not move."""
+    growth: float = 1.0
+    """Power of the summed displacement of the particles with which a reading of one number grows [-]. 1: each spring
+    adds its own force, as in the papers, so that the force of a ball grows with the second to third power of its depth.
+    A surface that bends answers about in proportion, because one place carries the next; then a reading is the mean
+    spring constant under the probe, weighted by the displacements, times their sum [m] to this power."""
 
     def __post_init__(self) -> None:
         if self.max_particles < 0:
             raise MethodError(f"max_particles is {self.max_particles!r}; it must be a number of particles, or 0 "
                               f"for all.")
+        if not 0.0 < self.growth <= 1.0:
+            raise MethodError(f"growth is {self.growth!r}; it must be greater than 0 and at most 1.")
         for name, value, unit in (("noise_share", self.noise_share, "a fraction"), ("band", self.band, "in metres"),
                                   ("reach", self.reach, "in metres")):
             if not 0.0 <= value < np.inf:
@@ -151,8 +158,19 @@ class ParticleModel:
                                             device=self.settings.device)
             except VsfError as error:
                 raise MethodError(str(error)) from error
+            if self.settings.growth != 1.0 and action.size == 1:
+                total = np.asarray(np.abs(predicted).sum(axis=1)).ravel()
+                scale = np.power(total, self.settings.growth - 1.0, where=total > 0.0, out=np.zeros_like(total))
+                predicted = sparse.csr_matrix(sparse.diags_array(scale) @ predicted)
             self.rows[key] = predicted / row.force_per_unit
         return self.rows[key]
+
+    def plain(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
+        """All valid rows of some touches in the unit of the readings: W (m, n), z (m,) and the touch of each (m,)."""
+        rows = [self.observe(one.action)[np.flatnonzero(np.repeat(one.valid, one.action.size))] for one in readings]
+        every = sparse.csr_matrix(sparse.vstack([sparse.csr_matrix((0, len(self.particles))), *rows]))
+        return (every, np.concatenate([np.zeros(0), *(one.value[one.valid].ravel() for one in readings)]),
+                np.repeat(np.arange(len(rows)), [row.shape[0] for row in rows]))
 
     def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
         """All valid rows of some touches: W (m, n) and z (m,), in units in which each has the noise of

@@ -35,6 +35,8 @@ class PointVsf(PosteriorAnswers):
         noise_share: fraction of a touch's largest reading by which the particle model errs besides [-].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
         reach: width of the neighbourhoods in which spring constants are alike [m]; 0: independent, as in the papers.
+        growth: power of the summed displacement with which a reading grows, see
+            `vsfsim.baselines.particle_model.VsfSettings` [-]; 1 as in the papers.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
         device: Warp device.
         estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which assimilates one frame
@@ -47,7 +49,8 @@ class PointVsf(PosteriorAnswers):
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
                  prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
-                 band: float = 0.0, reach: float = 0.0, max_particles: int = 0, device: str = "cpu",
+                 band: float = 0.0, reach: float = 0.0, growth: float = 1.0, max_particles: int = 0,
+                 device: str = "cpu",
                  estimator: str = "batch", replay: int = 0, pose: str = "outline"):
         if estimator not in ESTIMATORS:
             raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
@@ -60,7 +63,7 @@ class PointVsf(PosteriorAnswers):
         self.prior_std, self.estimator, self.replay = prior_std, estimator, replay
         self._search = PoseSearch(pose=pose)
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share, band=band, reach=reach,
+                                             noise_share=noise_share, band=band, reach=reach, growth=growth,
                                              max_particles=max_particles))
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:

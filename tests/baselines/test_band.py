@@ -14,6 +14,10 @@ from vsfsim.baselines.particle_model import ParticleModel, VsfSettings
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
 from vsfsim.baselines.posterior import Posterior
 from vsfsim.baselines.sbml import Sbml
+from vsfsim.bench.check import MOCK_TASK
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import record
+from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 from vsfsim.vsf.meta.composition import GaussianPrior
@@ -86,6 +90,22 @@ def test_springs_that_are_alike_are_means_of_knots_and_a_touch_tells_of_those_be
         VsfSettings(**SETTINGS, reach=-1.0)
     with pytest.raises(MethodError, match="estimator 'filter', whose springs are independent"):
         PointVsf(estimator="filter", reach=0.05)
+
+
+def test_a_reading_grows_with_a_power_of_the_summed_displacement():
+    """Of equal springs; of others it is their mean, weighted by the displacements, times that."""
+    view, readings = mock_view(0).view, record(mock_view(0), parse_task(MOCK_TASK, "mock")).readings
+    whole, half = (ParticleModel.behind(view, VsfSettings(**SETTINGS, growth=g)).observe(readings[0].action).toarray()
+                   for g in (1.0, 0.5))
+    total = whole.sum(axis=1)
+    assert total.max() > 0.0
+    np.testing.assert_allclose(half.sum(axis=1), np.sqrt(total), rtol=1e-12)
+    springs = np.random.default_rng(0).uniform(1.0, 5.0, whole.shape[1])
+    at = total.argmax()
+    assert half[at] @ springs == pytest.approx((whole[at] @ springs) / total[at] * np.sqrt(total[at]))
+    for growth in (0.0, 1.5):
+        with pytest.raises(MethodError, match=f"growth is {growth}"):
+            VsfSettings(**SETTINGS, growth=growth)
 
 
 @pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf, DenseVsf, Sbml])

@@ -121,8 +121,8 @@ def evaluate(task: TaskName,
                                                                "with device=cuda each training of several "
                                                                "--processes uses one of all GPUs.")
                              ] = False,
-             preset: Annotated[str, typer.Option(help="Settings of a method that ships: paper or tuned; default: those "
-                                                      "of its constructor.")] = "",
+             preset: Annotated[str, typer.Option(help="Settings of a method that ships: paper, exact or tuned; default "
+                                                      "those of its constructor.")] = "",
              dataset: DatasetFolder = None,
              out: Annotated[Path | None, typer.Option(help="Result file, or with --all a folder of them; default: "
                                                            "results/TASK/METHOD.json.")] = None,

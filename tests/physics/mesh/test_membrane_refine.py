@@ -73,17 +73,6 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
     assert np.abs(model.read_out.positions(model.mesh.points) - model.mesh.points[:390]).max() < 1e-15
 
 
-@pytest.mark.parametrize("edge", [0.0008, 0.0001])
-@pytest.mark.parametrize("shape", [Box((0.02, 0.02, 0.02)), Plane()])
-def test_a_small_contact_edge_on_a_flat_face_ends(even, shape, edge):
-    """0.1 mm is the smallest that a scene may ask for."""
-    asked = membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(shape),
-                                   at(np.array([0.0, 0.0, 0.04 if isinstance(shape, Box) else 0.03]), 0.006), edge)
-    flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, even.spec.semi_axes,
-                                             even.mesh.points, asked)
-    assert 1000 < len(flat) <= 20_000 and len(faces) == 2 * len(flat) - 2 - len(rim)
-
-
 def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
     def asked(shape, place=(0.0, 0.0, 0.0335), edge=None):
         return membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(shape),

@@ -10,8 +10,8 @@ from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.shelf import folder
 from vsfsim.core.table import parse_toml, read_text
 
-PRESETS = ("paper", "tuned")
-"""Names: the literal text of a paper, and ours."""
+PRESETS = ("paper", "exact", "tuned")
+"""Names: the literal text of a paper, its algorithm solved to the end, and ours."""
 
 
 @dataclass(frozen=True)
