@@ -172,3 +172,25 @@ def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
                                           '[arm]\nmodel = "gen3"')
     with pytest.raises(SceneError, match="its effector takes no paths"):
         again(dataclasses.replace(made.recipe, scene_text=text), made.entries[0].name, [])
+
+
+def test_a_stopped_ceiling_goes_on_where_it_was(made, tmp_path):
+    task, out = parse_task(TASK, "sprung-v1.toml"), tmp_path / "resim.json"
+    asked = []
+
+    def stop(done, of, name):
+        asked.append(name)
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate("resim", task, made, out=out, progress=stop)
+    kept = {path: path.read_bytes() for path in (tmp_path / "resim.part").iterdir()}
+    assert len(kept) == 2 and not out.exists()
+    for path in kept:  # an answer that is taken up, and not made again
+        with np.load(path) as file:
+            np.savez(path, file["arr_0"], *[0.0 * file[f"arr_{k}"] for k in range(1, len(file.files))])
+    evaluate("resim", task, made, out=out)
+    (row,) = leaderboard.collect(task, [out]).rows
+    error = sorted(np.mean(one) for one in row.objects["1"].values())
+    assert error[0] < 1e-3 and error[1:] == pytest.approx([1.0, 1.0]) and not (tmp_path / "resim.part").exists()

@@ -25,7 +25,7 @@ def _commands() -> dict[str, Any]:
     root = str(checkout())
     if root not in sys.path:
         sys.path.insert(0, root)  # worker processes inherit the path
-    modules = ("commands", "datasets.commands", "trade.commands", "trust.commands")
+    modules = ("commands", "artificial_plants.commands", "datasets.commands", "trade.commands", "trust.commands")
     return {name: command for module in modules for name, command in
             typer.main.get_group(importlib.import_module(f"benchmarks.{module}").app).commands.items()}
 

@@ -1,9 +1,9 @@
 """`fem-map`: the true mesh with moduli that are fitted to the support touches, a ceiling of what touches can tell
 (`vsfsim evaluate --method fem-map`).
 
-It knows the object's form, its parts and their elastic laws, but no modulus. With ``field`` "parts" log E of each part
-has the mean and deviation of that part in the dataset's other objects; with "smooth" log E is a Gaussian process over
-the object that knows no parts.
+It knows the object's form, its parts and their elastic laws, but no modulus. With ``field`` "parts" log E of the parts
+has the means and, shrunk, the covariance of the parts of the dataset's other objects; with "smooth" log E is a
+Gaussian process over the object that knows no parts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.resim import Planned, job_of, retouch
 from vsfsim.generate.solid import Subject, prepare
 from vsfsim.physics import tiers
-from vsfsim.physics.inverse.modulus_fit import Noise, Press, Presser, Prior, fit_modulus
+from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus
 from vsfsim.physics.inverse.smooth_field import smooth_basis
 from vsfsim.physics.model import Model
 
@@ -34,14 +34,23 @@ derivative of a step leaves."""
 
 _OTHERS = 16  # objects that the prior is learned from
 _LEAST_STD = 0.3  # of log E of a part whose modulus the others share [-]
+_TOGETHER = 0.5  # share of the covariance of different parts that so few objects are believed
 _REACH = 0.06  # over which log E is alike where it varies smoothly [m]
+
+
+class Sprung(Planned, Protocol):
+    """What was done in a touch."""
+
+    @property
+    def mount_stiffness(self) -> float | None:
+        """Of the spring that carries the probe [N/m]; None for a rigid mount."""
 
 
 class Known(Protocol):
     """A touch that was made."""
 
     @property
-    def action(self) -> Planned:
+    def action(self) -> Sprung:
         """What was done."""
 
     @property
@@ -73,6 +82,8 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
     job = job_of(recipe, name, tier)
     subject = prepare(job, device=device)
     scene, model = subject.scene, subject.model
+    if scene.effector != "probe":
+        raise SceneError(f"fem-map differentiates touches by rigid probes, and scene '{recipe.scene}' has none.")
     if scene.required_object.friction:
         raise SceneError(f"fem-map differentiates touches without friction, and scene '{recipe.scene}' has friction = "
                          f"{scene.required_object.friction:g}.")
@@ -84,10 +95,9 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
     def model_of(log_modulus: np.ndarray) -> Model:
         return tiers.model_of(scene, job.recipe.tier, model.solid, np.repeat(np.exp(log_modulus)[:, None], 4, axis=1))
 
-    presses = [Press(one.action.poses, one.action.axis, np.where(one.valid, one.value[:, 0], np.nan))
-               for one in support]
-    presser = Presser(scene.probe, scene.mount_stiffness, subject.limits())
-    theta, _ = fit_modulus(model_of, prior, presses, presser, NOISE)
+    presses = [Press(one.action.poses, one.action.axis, np.where(one.valid, one.value[:, 0], np.nan), one.action.probe,
+                     one.action.mount_stiffness) for one in support]
+    theta, _ = fit_modulus(model_of, prior, presses, subject.limits(), NOISE)
     return retouch(dataclasses.replace(subject, model=model_of(prior.basis @ theta)), plans, device=device)
 
 
@@ -110,9 +120,11 @@ def _prior(job: Job, subject: Subject, field: str) -> Prior:
     known = np.isfinite(table).any(axis=0)
     mean = np.where(known, np.nanmean(np.where(known, table, level), axis=0), level)
     if field == "parts":
-        std = np.where(known, np.nanstd(np.where(known, table, level), axis=0), np.nanstd(table))
+        away = np.where(np.isfinite(table), table, mean) - mean
+        alike = np.eye(len(mean)) + _TOGETHER * (1.0 - np.eye(len(mean)))
+        unknown = np.where(known, _LEAST_STD, float(np.nanstd(table)) + _LEAST_STD)
         basis = (np.asarray(solid.region)[:, None] == np.arange(len(mean))).astype(float)
-        return Prior(basis, mean, np.diag(np.maximum(std, _LEAST_STD) ** 2))
+        return Prior(basis, mean, alike * (away.T @ away) / len(away) + np.diag(unknown**2))
     centre = subject.model.mesh.points[subject.model.mesh.tets[:, :4]].mean(axis=1)
     basis = smooth_basis(centre, reach=_REACH, std=max(float(np.nanstd(table)), _LEAST_STD))
     return Prior(np.concatenate([np.ones((len(centre), 1)), basis], axis=1),

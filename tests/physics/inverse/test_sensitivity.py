@@ -9,7 +9,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.physics import tiers
-from vsfsim.physics.inverse.modulus_fit import Noise, Press, Presser, Prior, fit_modulus
+from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press
 from vsfsim.physics.inverse.sensitivity import Sensitivity
 from vsfsim.physics.inverse.smooth_field import smooth_basis
 from vsfsim.physics.solve.mount import Mount
@@ -43,7 +43,7 @@ def presses():
         poses = np.tile(np.eye(4), (3, 1, 1))
         for t, depth in enumerate((-0.004, 0.003, 0.006)):
             poses[t, :3, 3] = np.array([x, 0.003, 0.03]) - (0.015 - depth) * axis
-        out.append(Press(poses, axis, np.full(3, np.nan)))
+        out.append(Press(poses, axis, np.full(3, np.nan), Sphere(0.015), 800.0))
     return out
 
 
@@ -79,12 +79,11 @@ def test_a_fit_finds_the_moduli_of_two_halves():
     read = forces(true, 800.0)[0]
     made = [dataclasses.replace(one, force=read[:, k]) for k, one in enumerate(presses())]
     prior = Prior(BASIS, start, np.eye(2))
-    presser = Presser(SCENE.probe, 800.0, LIMITS)
-    theta, covariance = fit_modulus(model_of, prior, made, presser, Noise(0.01, 0.0))
+    theta, covariance = fit_modulus(model_of, prior, made, LIMITS, Noise(0.01, 0.0))
     np.testing.assert_allclose(theta, true, atol=0.02)
     assert np.all(np.diag(covariance) < 0.01)
-    np.testing.assert_allclose(presser.press(model_of(BASIS @ theta), made)[0][1], read[:, 1], atol=0.02)
-    none, prior_covariance = fit_modulus(model_of, prior, [], presser, Noise(0.01, 0.0))
+    np.testing.assert_allclose(press(model_of(BASIS @ theta), made, LIMITS)[0][1], read[:, 1], atol=0.02)
+    none, prior_covariance = fit_modulus(model_of, prior, [], LIMITS, Noise(0.01, 0.0))
     assert np.array_equal(none, start) and np.array_equal(prior_covariance, np.eye(2))
 
 

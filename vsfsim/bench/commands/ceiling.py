@@ -9,8 +9,11 @@ group `vsfsim.fitted_ceilings` is given the readings of each trial as ``support`
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import io
 import multiprocessing
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -38,6 +41,7 @@ from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
 from vsfsim.data.recipe import Recipe
 
 
@@ -57,7 +61,8 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     Args:
         name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. parameters: over those of
         its function. processes: answers at the same time. progress: called with (answers made, of how many, object).
-        out: result file, or None. keep: as of `vsfsim.bench.commands.evaluate.evaluate`.
+        out: result file, or None; finished answers are kept beside it until all are made, and taken up again.
+        keep: as of `vsfsim.bench.commands.evaluate.evaluate`.
 
     Raises:
         MethodError: an unknown parameter.
@@ -83,7 +88,10 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
                 trials.append(Trial(one, shot, run, known))
                 asked[one, known] = queries, [recording.readings[index] for index in known]
     began = time.perf_counter()
-    work = partial(_ask, entry, dataset.recipe, given)
+    contents = contents_of(name, given)
+    part, identity = None if out is None else out.with_suffix(".part"), repr((task.sha256, dataset.sha256, given,
+                                                                              contents))
+    work = partial(_kept, part, identity, entry, dataset.recipe, given)
     said: dict[tuple[str, tuple[int, ...]], tuple[list[np.ndarray], int]] = {}
     for which, answer in zip(asked, _each(work, list(asked), list(asked.values()), processes), strict=True):
         said[which] = answer
@@ -95,11 +103,12 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
     result = result_of(answers, task, dataset, method=name, entry=ceilings()[name].value, parameters=given,
-                       notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents_of(name, given),
+                       notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents,
                        timing={"predict_s": time.perf_counter() - began,
                                "predicts": sum(len(queries) for queries, _ in asked.values())})
     if out is not None:
         result.save(out)
+        shutil.rmtree(str(part), ignore_errors=True)
         if keep:
             Curves.of(answers, task, dataset, result.seeds).save(beside(out))
     return result
@@ -112,6 +121,24 @@ def _each(work: Callable[..., Any], which: Sequence[tuple[str, tuple[int, ...]]]
         return
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
         yield from pool.map(work, which, asked)
+
+
+def _kept(folder: Path | None, identity: str, ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any],
+          which: tuple[str, tuple[int, ...]], asked: tuple[list[Action], list[Reading]]
+          ) -> tuple[list[np.ndarray], int]:
+    """As `_ask`, or what an earlier run with the same identity kept in the folder."""
+    if folder is None:
+        return _ask(ceiling, recipe, parameters, which, asked)
+    path = folder / f"{which[0]}-{hashlib.sha256(f'{identity} {which}'.encode()).hexdigest()[:24]}.npz"
+    if not path.is_file():
+        made, lost = _ask(ceiling, recipe, parameters, which, asked)
+        folder.mkdir(parents=True, exist_ok=True)
+        content = io.BytesIO()
+        np.savez(content, np.array(lost), *made)
+        write_atomic(path, content.getvalue(), error=MethodError)
+    with np.load(path, allow_pickle=False) as file:
+        lost, *readings = (file[f"arr_{k}"] for k in range(len(file.files)))
+    return readings, int(lost)
 
 
 def _ask(ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any], which: tuple[str, tuple[int, ...]],

@@ -6,7 +6,7 @@ deviation s, the fit minimises
     sum ((F(theta) - y) / s)^2 / 2 + (theta - m) . C^-1 (theta - m) / 2
 
 by steps of the linearised problem (Nocedal and Wright 2006, section 10.3) whose derivatives are those of `sensitivity`.
-Every run begins at the equilibria of the one before, and shares the factor of the first, which only preconditions.
+Every run begins at the equilibria of the one before, and shares a factor, which only preconditions, with moduli nearby.
 """
 
 from __future__ import annotations
@@ -23,12 +23,15 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.mount import Mount
 
+FRAMES = 5
+"""Of each touch that a fit looks at."""
 STEPS = 4
-"""Steps of the fit; after three the error of a shoe's queries changes by less than 0.01 of zero's."""
+"""Steps of the fit, at most."""
 _LONGEST = 1.2  # change of a coefficient in a step: of a modulus by 3.3 [-]
 _STILL = 0.03  # change of log E under which the fit has ended [-]
-_GAIN = 0.02  # share of what is minimised that a step must be expected to take off
+_GAIN = 0.005  # share of what is minimised that a step must be expected to take off
 _HALVINGS = 1  # of a step that explains the touches worse
+_NEAR = 1.0  # change of log E up to which a factor is shared: further off its iterations cost more than another one
 _TOGETHER = 16  # touches that are solved together
 
 
@@ -42,6 +45,17 @@ class Press:
     """Unit direction of the press (3,) [-]."""
     force: np.ndarray
     """Force against the press (T,) [N]; NaN where it was not read."""
+    shape: ProbeShape
+    """Of the body."""
+    mount_stiffness: float | None
+    """Of the spring that carries it [N/m]; None for a rigid mount."""
+
+    def thinned(self, most: int) -> Press:
+        """The same with ``most`` frames, evenly from the first to the last: neighbours tell little of one another."""
+        if len(self.poses) <= most:
+            return self
+        kept = np.unique(np.round(np.linspace(0, len(self.poses) - 1, most)).astype(int))
+        return dataclasses.replace(self, poses=self.poses[kept], force=self.force[kept])
 
 
 @dataclass(frozen=True)
@@ -66,68 +80,63 @@ class Noise:
     """What the model itself is off by [-]."""
 
 
-@dataclass(frozen=True)
-class Presser:
-    """The rigid body that presses, and the solver's limits."""
-
-    shape: ProbeShape
-    """Of the body."""
-    mount_stiffness: float | None
-    """Of the spring that carries it [N/m]; None for a rigid mount."""
-    options: SolverOptions
-    """Limits."""
-
-    def press(self, model: Model, presses: Sequence[Press], near: Sequence[Sensitivity] = (), *, derive: bool = False,
-              ) -> tuple[list[np.ndarray], list[np.ndarray], list[Sensitivity]]:
-        """Forces (T,) [N] of each press, NaN in frames without an equilibrium; their derivatives by the log modulus of
-        every element (T, m) [N], where asked for; and the runs, ``near`` which others begin."""
-        runs: list[Sensitivity] = []
-        force: list[np.ndarray] = [np.zeros(0)] * len(presses)
-        slopes: list[np.ndarray] = [np.zeros((0, 0))] * len(presses)
-        for some in _alike(presses):
-            axis, poses = np.stack([presses[k].axis for k in some]), np.stack([presses[k].poses for k in some], axis=1)
-            run = Sensitivity(model, self.shape, axis, options=self.options, near=near[len(runs)] if near else None)
-            frames = run.run(poses, mount=None if self.mount_stiffness is None else Mount(self.mount_stiffness, axis),
-                             keep=derive)
-            for j, k in enumerate(some):
-                force[k] = -(frames.force[:, j] @ presses[k].axis)
-                if derive:
-                    slopes[k] = np.stack([one[j] for one in run.derivative])
-            runs.append(run)
-        return force, slopes, runs
+def press(model: Model, presses: Sequence[Press], options: SolverOptions, near: Sequence[Sensitivity] = (), *,
+          derive: bool = False) -> tuple[list[np.ndarray], list[np.ndarray], list[Sensitivity]]:
+    """Forces (T,) [N] of each press, NaN in frames without an equilibrium; their derivatives by the log modulus of
+    every element (T, m) [N], where asked for; and the runs, ``near`` which others begin."""
+    runs: list[Sensitivity] = []
+    force: list[np.ndarray] = [np.zeros(0)] * len(presses)
+    slopes: list[np.ndarray] = [np.zeros((0, 0))] * len(presses)
+    for some in _alike(presses):
+        one = presses[some[0]]
+        axis, poses = np.stack([presses[k].axis for k in some]), np.stack([presses[k].poses for k in some], axis=1)
+        run = Sensitivity(model, one.shape, axis, options=options, near=near[len(runs)] if near else None)
+        mount = None if one.mount_stiffness is None else Mount(float(one.mount_stiffness), axis)
+        frames = run.run(poses, mount=mount, keep=derive)
+        for j, k in enumerate(some):
+            force[k] = -(frames.force[:, j] @ presses[k].axis)
+            if derive:
+                slopes[k] = np.stack([each[j] for each in run.derivative])
+        runs.append(run)
+    return force, slopes, runs
 
 
 def _alike(presses: Sequence[Press]) -> list[list[int]]:
-    """Numbers of presses of as many frames, `_TOGETHER` at most."""
+    """Numbers of presses by one body on one spring in as many frames, `_TOGETHER` at most."""
+    kinds = [(len(one.poses), one.shape, None if one.mount_stiffness is None else float(one.mount_stiffness))
+             for one in presses]
     out = []
-    for frames in dict.fromkeys(len(one.poses) for one in presses):
-        mine = [k for k, one in enumerate(presses) if len(one.poses) == frames]
+    for kind in dict.fromkeys(kinds):
+        mine = [k for k, own in enumerate(kinds) if own == kind]
         out += [mine[k:k + _TOGETHER] for k in range(0, len(mine), _TOGETHER)]
     return out
 
 
-def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: Sequence[Press], presser: Presser,
-                noise: Noise, *, steps: int = STEPS) -> tuple[np.ndarray, np.ndarray]:
+def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: Sequence[Press],
+                options: SolverOptions, noise: Noise, *, steps: int = STEPS) -> tuple[np.ndarray, np.ndarray]:
     """The coefficients (c,) that explain the presses best, and their covariance (c, c) in the linearised problem.
 
     Args:
         model_of: the object with log E (m,) of its elements.
-        prior: of the coefficients. presses: the touches. presser: the body. noise: of the readings.
+        prior: of the coefficients. presses: the touches. options: of the solver. noise: of the readings.
         steps: at most.
     """
+    presses = [one.thinned(FRAMES) for one in presses]
     theta, precision = prior.mean.copy(), np.linalg.inv(prior.covariance)
     if not presses:
         return theta, prior.covariance
     read = np.concatenate([one.force for one in presses])
     weight = np.where(np.isfinite(read), 1.0 / (noise.floor**2 + (noise.share * np.nan_to_num(read)) ** 2), 0.0)
-    first: Model | None = None
+    base: tuple[np.ndarray, Model] | None = None  # log E and model of the shared factor
 
     def look(at: np.ndarray, near: Sequence[Sensitivity]) -> tuple[float, np.ndarray, np.ndarray, list[Sensitivity]]:
-        nonlocal first
-        model = model_of(prior.basis @ at)
-        first = first or model
-        shared = dataclasses.replace(model, factor=first.factor, soft_factor=first.soft_factor)
-        force, slopes, runs = presser.press(shared, presses, near, derive=True)
+        nonlocal base
+        log_modulus = prior.basis @ at
+        model = model_of(log_modulus)
+        if base is None or np.abs(log_modulus - base[0]).max() > _NEAR:
+            base = log_modulus, model
+        shared = dataclasses.replace(model, factor=base[1].factor, soft_factor=base[1].soft_factor)
+        force, slopes, runs = press(shared, presses, options, near, derive=True)
         slope = np.concatenate(slopes) @ prior.basis
         off = read - np.concatenate(force)
         known = (weight > 0.0) & np.isfinite(off) & np.isfinite(slope).all(axis=1)
