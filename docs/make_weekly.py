@@ -1,8 +1,8 @@
 """The weekly page of stability and speed: `python docs/make_weekly.py FOLDER [--budget 30m] [--kind solid ...]`.
 
-It runs `vsfsim stability` and `vsfsim measure solver --cell small`, keeps their output in FOLDER/DATE and writes
-FOLDER/index.md: the tables of this week, and a line a week, so that a change is seen. Run again on the same day it goes
-on where it stopped. Times are comparable on the same machine only, which each line names.
+It runs `vsfsim stability` and `vsfsim measure solver --cell small`, keeps their output in FOLDER/DATE-COMMIT and
+writes FOLDER/index.md: the tables of this week, and a line a week, so that a change is seen. Run again on the same day
+it goes on where it stopped. Times are comparable on the same machine only, which each line names.
 """
 
 import argparse
@@ -14,6 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from vsfsim.data.provenance import commit
+
 HEAD = ("date", "vsfsim", "machine", "cells", "converged", "wrong, crashed or over the limit", "solver, 8 cells")
 
 
@@ -24,7 +26,8 @@ def main() -> None:
     parser.add_argument("--budget", default="30m", help="of vsfsim stability")
     parser.add_argument("--kind", action="append", default=[], help="of vsfsim stability; default: all")
     asked = parser.parse_args()
-    today = asked.folder / datetime.date.today().isoformat()
+    code = (commit() or "unknown")[:7]  # cells of two versions are not put together
+    today = asked.folder / f"{datetime.date.today().isoformat()}-{code}"
     today.mkdir(parents=True, exist_ok=True)
     kinds = [word for kind in asked.kind for word in ("--kind", kind)]
     said = {"stability": run(today, "stability", "--out", str(today / "cells"), "--budget", asked.budget, *kinds),
@@ -47,7 +50,7 @@ def weeks(folder: Path) -> list[list[str]]:
     """A row of `HEAD` for each day in the folder that is whole, the newest first."""
     days = sorted((path for path in folder.iterdir() if (path / "solver.json").is_file()
                    and (path / "stability.json").is_file()), reverse=True)
-    return [row(path.name, *(json.loads((path / f"{name}.json").read_text()) for name in ("stability", "solver")))
+    return [row(path.name[:10], *(json.loads((path / f"{name}.json").read_text()) for name in ("stability", "solver")))
             for path in days]
 
 

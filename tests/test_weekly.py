@@ -17,13 +17,14 @@ def weekly():
 
 def test_a_line_a_day_that_is_whole(weekly, tmp_path):
     for date, converged, cpu in (("2026-11-20", 0.84, 20.0), ("2026-11-27", 0.869, 12.34), ("2026-11-28", 0.9, None)):
-        (tmp_path / date).mkdir()
+        day = tmp_path / f"{date}-0123456"
+        day.mkdir()
         share = {"number": 534, "converged": converged, "wrong in silence": 0.002, "crashed": None,
                  "over the limit": 0.01}
-        (tmp_path / date / "stability.json").write_text(json.dumps({"shares": [share]}))
+        (day / "stability.json").write_text(json.dumps({"shares": [share]}))
         if cpu is not None:
             solver = {"version": "0.2.0", "commit": "0123456789", "machine": "x86_64, 2 CPU cores"}
-            (tmp_path / date / "solver.json").write_text(json.dumps({**solver, "total": [{"cpu": cpu}]}))
+            (day / "solver.json").write_text(json.dumps({**solver, "total": [{"cpu": cpu}]}))
     found = weekly.weeks(tmp_path)
     assert found == [
         ["2026-11-27", "0.2.0 0123456", "x86_64, 2 CPU cores", "534", "86.9 %", "1.2 %", "12.3 s"],
