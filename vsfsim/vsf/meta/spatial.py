@@ -29,7 +29,8 @@ _BOUNDS = np.log([(1e-2, 1e1), (1e-2, 1e1), (3e-2, 0.3), (1e-2, 1e1), (1e-3, 1e1
 """Of the search, the noise in units of the readings' root mean square, the reach in metres. Less than the contact of
 a ball of 30 mm fits the curves of single touches and says less of the next touch (docs/methods.md)."""
 _STARTS = ((0.7, 0.5, 0.04, 0.1, 0.1), (0.7, 0.5, 0.08, 0.3, 0.1))
-_STEPS = 60
+_FIRST, _STEPS = 10, 40
+"""Steps from each start, and from the better of what they reach."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,11 @@ class Spatial:
             found = [part.misfit(logs, unit) for part in parts]
             return (float(np.mean([value for value, _ in found])), np.mean([slope for _, slope in found], axis=0))
 
-        best = min((optimize.minimize(loss, np.log(start), jac=True, method="L-BFGS-B", bounds=_BOUNDS,
-                                      options={"maxiter": _STEPS}) for start in _STARTS), key=lambda one: one.fun)
+        def searched(start: np.ndarray, steps: int) -> optimize.OptimizeResult:
+            return optimize.minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_BOUNDS,
+                                     options={"maxiter": steps})
+
+        best = searched(min((searched(np.log(start), _FIRST) for start in _STARTS), key=lambda one: one.fun).x, _STEPS)
         common, near, reach, touch, noise = (float(x) for x in np.exp(best.x))
         return cls(common, near, reach, touch, noise * unit)
 
@@ -150,11 +154,12 @@ class Smoothed:
 
     def reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         """Of readings to come, rows (q, n), without their own noise (q,) [unit]."""
-        own = sparse.csr_matrix(rows)
-        before = np.array([self._spatial.covariance(self._prior, self._places, own[k:k + 1], own[k:k + 1])[0, 0]
-                           for k in range(own.shape[0])])
-        before += (self._spatial.touch * (own @ np.maximum(self._prior.mean, 0.0))) ** 2
-        return self._left(before, lambda: self._spatial.covariance(self._prior, self._places, own, self._rows))
+        s, h, own = self._spatial, np.maximum(self._prior.mean, 0.0), sparse.csr_matrix(rows)
+        used, pull = self._places.pull(own, h)
+        at = self._places.centres[used]
+        near = np.einsum("ij,ij->i", pull @ _alike(at, at, s.reach)[0], pull)
+        before = (s.common**2 + s.touch**2) * (own @ h) ** 2 + s.near**2 * near
+        return self._left(before, lambda: s.covariance(self._prior, self._places, own, self._rows))
 
     def spring_std(self) -> np.ndarray:
         """Of each spring (n,) [N/m]."""
