@@ -1,11 +1,13 @@
 """Rankings, estimates of errors and peers: what is computed from what was measured."""
 
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks import indent
+from benchmarks.trade import ranking
 from benchmarks.trade.effectivity import dual_weighted
 from benchmarks.trade.ranking import agreement, kendall
 from vsfsim.core.scene import parse_scene
@@ -63,3 +65,22 @@ def test_the_front_is_drawn(tmp_path):
               for k in (1, 2, 3)]
     draw(points, "a block", tmp_path / "front.png")
     assert (tmp_path / "front.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_what_is_trained_cheaply_is_also_tested_on_the_finest_data(tmp_path, monkeypatch):
+    asked = []
+
+    def evaluate(method, task, dataset, *, training, check):
+        learned = training.extra[0].dataset.sha256 if training.extra else dataset.sha256
+        asked.append((method, learned, dataset.sha256))
+        return f"{method} {learned}"
+
+    monkeypatch.setattr(ranking, "evaluate", evaluate)
+    monkeypatch.setattr(ranking, "by_object", lambda result, *_: {"b": 1.0 + len(result), "a": 2.0})
+    entries = tuple(SimpleNamespace(object_index=k, name=str(k)) for k in range(4))
+    monkeypatch.setattr(ranking, "made", lambda one, *_, **__: SimpleNamespace(sha256=one.name, entries=entries))
+    given = {"fidelities": ["linear"], "methods": ("gaussian", "sbml"), "out": tmp_path}
+    (cheap, fine) = ranking.measure(**given).record()["ranking"]
+    assert ("sbml", "linear", "linear") in asked and ("sbml", "linear", "fem") in asked and len(asked) == 6
+    assert cheap["fidelity"] == "linear" and cheap["own_tau"] == fine["own_tau"] == 1.0
+    assert ranking.measure(**given).record()["ranking"] and len(asked) == 6, "what is scored is not scored again"
