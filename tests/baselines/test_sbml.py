@@ -132,6 +132,7 @@ def test_several_networks_find_the_level_that_no_picture_shows(train, task, tmp_
         Sbml(prior=str(tmp_path)).meta_fit([])
 
 
+@pytest.mark.slow
 def test_neighbours_share_what_touches_tell(train, task, tmp_path):
     near = Sbml(**{**FAST, "rate": 1e-2, "epochs": 6}, networks=3, spatial=True, growth=0.5)
     near.meta_fit(train[:4])
