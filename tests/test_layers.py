@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "bench": {"core", "data"},
     "active": {"core", "data", "bench"},
     "papers": {"core", "data", "bench"},
-    "baselines": {"core", "data", "bench", "vsf"},
+    "baselines": {"core", "data", "bench", "physics", "vsf"},
     "scenes": {"core"},
     "tasks": {"core"},
     "leaderboard": set(),

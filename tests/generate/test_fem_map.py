@@ -44,7 +44,8 @@ def test_a_touch_tells_the_modulus(tmp_path):
     result = evaluate("fem-map", asked, data, out=tmp_path / "fem-map.json")
     (row,) = leaderboard.collect(asked, [tmp_path / "fem-map.json"]).rows
     error = {shot: score.mean for shot, score in row.scores["rmse_ratio"].items()}
-    assert error["1"] < 0.1 < error["0"] and error["all"] < 0.05 and row.mark == leaderboard.CEILING
+    # the sensor's noise is a tenth of these forces
+    assert max(error["1"], error["all"]) < min(0.2, error["0"]) and row.mark == leaderboard.CEILING
     assert result.parameters == {"tier": "", "device": "cpu", "field": "parts"}
 
 

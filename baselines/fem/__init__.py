@@ -1,0 +1,1 @@
+"""Methods that use the simulator's solver as their model of touch."""
