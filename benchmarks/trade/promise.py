@@ -140,7 +140,7 @@ def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:
 
 
 def _row(trial: Trial, asked: float, chosen: tuple[Setting, Point] | None, best: Point | None) -> dict[str, Any]:
-    if best is None:
+    if best is None or (chosen is None and any(trial.runs(s, trial.pilot) is None for s in trial.settings)):
         return {"said": "the time was over in the pilot"}
     if chosen is None:
         return {"said": f"refused: {too_much(best)}"}
