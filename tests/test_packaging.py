@@ -22,7 +22,7 @@ from vsfsim.core.extras import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml"),
-           "baselines": ("*.toml", "*.py"),
+           "baselines": ("*.toml", "**/*.py"),
            "leaderboard": ("**/*.json", "**/*.md", "*.py")}
 METHODS = {"gaussian", "gaussian-zero", "point-vsf"}
 
@@ -141,14 +141,16 @@ def test_every_package_folder_is_declared():
     """An undeclared sub-package works in an editable install and is missing from the wheel."""
     declared = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     found = {".".join(p.parent.relative_to(ROOT).parts) for p in (ROOT / "vsfsim").rglob("__init__.py")}
-    assert declared == found | {f"vsfsim.{folder}" for folder in FOLDERS}
+    mapped = {".".join(("vsfsim", *p.parent.relative_to(ROOT).parts))
+              for folder in FOLDERS for p in (ROOT / folder).rglob("__init__.py")}
+    assert declared == found | mapped
 
 
 # ------------------------------------------------------------------------------------------------- weight
 
 
 BASE = {"numpy", "scipy", "h5py", "typer", "rich"}
-IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn"}
+IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn", "rerun-sdk": "rerun"}
 """Distributions whose package has another name."""
 
 TASK = """

@@ -258,10 +258,14 @@ class LeavesSession(Hostile):
         if self.report:
             code = ("import os, time\nos.setsid()\nif os.fork(): os._exit(0)\n"
                     f"open({self.report!r}, 'a').write(str(os.getpid()) + '\\n')\ntime.sleep(600)")
+            before = self._reports()
             subprocess.run([sys.executable, "-c", code])
             until = time.monotonic() + 10.0
-            while not os.path.exists(self.report) and time.monotonic() < until:
+            while self._reports() == before and time.monotonic() < until:
                 time.sleep(0.01)
+
+    def _reports(self):
+        return open(self.report).read().count("\n") if os.path.exists(self.report) else 0
 
 
 class TalksOnSocket(Hostile):

@@ -82,3 +82,11 @@ def test_what_goes_wrong_in_a_cell_is_a_verdict(what, outcome, words, monkeypatc
     monkeypatch.setattr(compare, "_press", what)
     found = compare.judge((5, 0), limit=1.0)
     assert found.outcome == outcome and words in found.words and found.kinds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [95, 101])
+def test_a_small_contact_of_a_flat_punch_is_told(number):
+    """17 and 21 % too stiff on the default mesh at `fem-coarse`."""
+    found = compare.judge((11, number), limit=120.0)
+    assert found.outcome in ("sound", "marked"), found

@@ -87,6 +87,13 @@ def test_the_error_of_several_bodies_counts_what_they_bear():
     assert mesh_error(np.array([[0.0]]), np.zeros((1, 1, 3))) == 0.0, "no contact, no error"
 
 
+def test_a_body_with_edges_needs_a_wider_contact_than_a_ball():
+    force, radius = np.array([[[0.0, 0.0, 1.0]]]), np.array([[0.677]])
+    assert mesh_error(radius, force) < LIMIT
+    assert mesh_error(radius, force, edges=np.array([True])) == pytest.approx(0.168, rel=0.01)  # measured: 0.168
+    assert mesh_error(np.array([[1.2]]), force, edges=np.array([True])) < LIMIT
+
+
 def test_det_f_at_corners_is_that_of_the_displacements(block):
     model = block((0.02, 0.02, 0.02), 0.01)
     points, tets = model.mesh.points, model.mesh.tets

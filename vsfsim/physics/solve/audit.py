@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.laws.neo_hooke import CRUSHED
@@ -111,4 +112,5 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
     u = balance.u.to(torch.float64).cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
     share = balance.contact.local_share(balance.every).cpu().numpy()
-    return mesh_error(radius, force, share), np.array(corner)
+    edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
+    return mesh_error(radius, force, share, edges), np.array(corner)
