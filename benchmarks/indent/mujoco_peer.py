@@ -3,7 +3,7 @@
     python mujoco_peer.py CASE.npz OUT.json
 
 Runs in a venv of its own with mujoco; nothing of vsfsim is imported. A flex is dynamic: the sphere goes to each depth
-at `SPEED` and stands for `REST`, with damping at which a step of half the length changes the force of S1 by under 1 %.
+at `SPEED` and stands for `REST`, with damping.
 The flex has one Young's modulus, so that a body with a part inside cannot be made.
 """
 

@@ -3,8 +3,7 @@
     python skfem_peer.py CASE.npz OUT.json
 
 Runs in a venv of its own with scikit-fem; nothing of vsfsim is imported. Newton's method with SuperLU and a line search
-on the energy. The penalty is `STIFF` times the modulus over an edge, of which a quarter less changes the force of S1 by
-under 0.1 %.
+on the energy. The penalty is `STIFF` times the modulus over an edge.
 """
 
 import json
