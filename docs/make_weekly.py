@@ -30,7 +30,8 @@ def main() -> None:
     today = asked.folder / f"{datetime.date.today().isoformat()}-{code}"
     today.mkdir(parents=True, exist_ok=True)
     kinds = [word for kind in asked.kind for word in ("--kind", kind)]
-    said = {"stability": run(today, "stability", "--out", str(today / "cells"), "--budget", asked.budget, *kinds),
+    said = {"stability": run(today, "stability", "stability", "--out", str(today / "cells"), "--budget", asked.budget,
+                             *kinds),
             "solver": run(today, "solver", "measure", "solver", "--cell", "small")}
     (asked.folder / "index.md").write_text(page(said, weeks(asked.folder)), encoding="utf-8")
     print(f"written to {asked.folder / 'index.md'}")
@@ -38,7 +39,6 @@ def main() -> None:
 
 def run(folder: Path, name: str, *words: str) -> str:
     """What a command prints; its numbers go to FOLDER/NAME.json. `stability` ends with 3 where a cell is wrong."""
-    words = words if name == "solver" else (name, *words)
     out = subprocess.run([sys.executable, "-m", "vsfsim", *words, "--json", str(folder / f"{name}.json")],
                          stdout=subprocess.PIPE, text=True)
     if out.returncode not in (0, 3):

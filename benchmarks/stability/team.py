@@ -6,7 +6,7 @@ import json
 import multiprocessing as mp
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -46,7 +46,7 @@ def processor_time(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def kept(file: Path, circumstances: dict[str, Any], command: str) -> list[dict[str, Any]]:
+def kept(file: Path, circumstances: Mapping[str, Any], command: str) -> list[dict[str, Any]]:
     """The lines that a file already holds; a new file gets its first line.
 
     Args:
@@ -59,7 +59,7 @@ def kept(file: Path, circumstances: dict[str, Any], command: str) -> list[dict[s
         VsfsimError: the file cannot be read, or was made under other circumstances.
     """
     if not file.exists():
-        file.write_text(json.dumps(circumstances) + "\n")
+        file.write_text(json.dumps(dict(circumstances)) + "\n")
         return []
     lines = file.read_text().split("\n")
     try:

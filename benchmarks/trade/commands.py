@@ -13,11 +13,6 @@ from vsfsim.cli.options import JsonFile, check_choice, seconds_of, share_of
 app = typer.Typer(rich_markup_mode=None)
 
 
-@app.callback()
-def _group() -> None:
-    """Speed against accuracy."""
-
-
 @app.command()
 def promise(scene: Annotated[list[str] | None,
                              typer.Argument(metavar="[SCENE]...", help="Names or paths of scenes; default: a block, a "

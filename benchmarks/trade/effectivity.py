@@ -25,6 +25,7 @@ import numpy as np
 
 import references
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from benchmarks.trust.indentation import BLOCKS
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
@@ -33,7 +34,6 @@ from vsfsim.physics.elements.tet10_shape import GAUSS_FAR, GAUSS_NEAR, shape_gra
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.touches import Solver
 
-CASES = {"S1": ("indent-homogeneous", "s1"), "S2": ("indent", "s2")}
 EDGES = (0.020, 0.0155, 0.0125, 0.010)
 """Of the elements [m]."""
 DEPTHS = np.array([0.001, 0.0025, 0.005])
@@ -85,10 +85,9 @@ def _rough(model: Model, field: np.ndarray) -> np.ndarray:
 
 def rows_of(case: str, edge: float) -> list[dict[str, object]]:
     """One a depth: error and estimates."""
-    name, reference = CASES[case]
-    scene = load_scene(find_scene(name)).sample(0)
+    scene, curve = load_scene(find_scene(BLOCKS[case])).sample(0), references.load(case.lower())
     scene = dataclasses.replace(scene, object=dataclasses.replace(scene.required_object, resolution=edge))
-    model, curve = tiers.build(scene, "fem"), references.load(reference)
+    model = tiers.build(scene, "fem")
     depths = np.sort(np.concatenate([STEP * DEPTHS, DEPTHS]))
     assert isinstance(scene.probe, Sphere)
     poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
@@ -118,12 +117,12 @@ def rows_of(case: str, edge: float) -> list[dict[str, object]]:
 def measure(*, edges: tuple[float, ...] = EDGES, progress: Progress = lambda said: None) -> Measurement:
     """The table of S1 and S2."""
     rows: list[dict[str, object]] = []
-    for case in CASES:
+    for case in BLOCKS:
         for edge in edges:
             progress(f"{case}, elements of {1e3 * edge:g} mm ...")
             rows += rows_of(case, edge)
     notes = []
-    for case in CASES:
+    for case in BLOCKS:
         for key, name in (("effectivity", "contact estimate"), ("weighted_effectivity", "dual-weighted residual")):
             own = np.array([row[key] for row in rows if row["case"] == case and row[key] is not None], float)
             right = int(((own >= AIM[0]) & (own <= AIM[1])).sum())

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measurement import Progress
+from benchmarks.stability.team import kept
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.generate.trade.made import Run, Touched
@@ -77,20 +78,15 @@ class Pieces:
         progress: called with what is done.
 
     Raises:
-        VsfsimError: the file has other circumstances.
+        VsfsimError: see `kept`.
     """
 
     def __init__(self, file: Path, circumstances: Mapping[str, Any], *, workers: int, until: float,
                  progress: Progress):
         self.file, self.workers, self.until, self.progress = file, workers, until, progress
-        self.rows: dict[str, dict[str, Any]] = {}
         file.parent.mkdir(parents=True, exist_ok=True)
-        lines = file.read_text().split("\n")[:-1] if file.exists() else []  # a line that was cut off is made again
-        if lines and json.loads(lines[0]) != dict(circumstances):
-            raise VsfsimError(f"{file} was made with {lines[0]}, and this run has {json.dumps(dict(circumstances))}. "
-                              f"Give another --out, or delete the file.")
-        self.rows = {row["key"]: row["run"] for row in map(json.loads, lines[1:])}
-        file.write_text("".join(line + "\n" for line in lines) or json.dumps(dict(circumstances)) + "\n")
+        rows = kept(file, circumstances, "vsfsim measure promise")
+        self.rows: dict[str, dict[str, Any]] = {row["key"]: row["run"] for row in rows}
 
     def __enter__(self) -> Pieces:
         self._stack = contextlib.ExitStack()

@@ -22,7 +22,7 @@ from benchmarks.trade.pieces import Piece, Pieces
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.data.checks.kept import ENOUGH
+from vsfsim.data.checks.kept import ENOUGH, error_against
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.buy import MARKED, OBJECTS, TOUCHES, candidates, choose, too_much
@@ -100,15 +100,12 @@ class Trial:
 
 
 def audit_error(curve: Curve, finer: Curve) -> float:
-    """As `vsfsim.data.checks.kept.audit_error` [-], on the way in."""
+    """See `vsfsim.data.checks.kept.error_against` [-], on the way in; not a number if nothing was met."""
     force, exact = curve.readings["direction"], finer.readings["direction"]
-    if len(force) != len(exact) or (curve.converged & ~finer.converged).any():
+    if len(force) != len(exact):
         return float("inf")
-    on, size = curve.converged, np.linalg.norm(exact, axis=1)
-    on = on & ((size > 0.0) | (np.linalg.norm(force, axis=1) > 0.0))
-    if not on.any():
-        return float("nan")
-    return float(np.sqrt(np.mean(np.sum((force - exact)[on] ** 2, axis=1))) / max(size[on].max(), 1e-300))
+    found = error_against(force, curve.converged, exact, finer.converged)
+    return float("nan") if found is None else found
 
 
 def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:

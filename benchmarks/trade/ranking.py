@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from benchmarks.stability.team import kept
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.task import Task, parse_task
@@ -152,9 +153,7 @@ def measure(*, fidelities: Sequence[str] = (), methods: Sequence[str] = METHODS,
 def _scored(task: Task, data: Mapping[str, Dataset], methods: Sequence[str], file: Path, workers: int,
             progress: Progress) -> dict[tuple[str, str], np.ndarray]:
     """Errors (m, n) of the methods on the test objects, by what they learn from and what they are tested on."""
-    kept: dict[str, dict[str, float]] = {}
-    if file.exists():
-        kept = {row["key"]: row["values"] for row in map(json.loads, file.read_text().split("\n")[:-1])}
+    done = {row["key"]: row["values"] for row in kept(file, {}, "vsfsim measure ranking")}
     pairs = list(dict.fromkeys(pair for name in data for pair in ((name, name), (name, FINEST.name))))
 
     def key(learned: str, tested: str, method: str) -> str:
@@ -169,12 +168,12 @@ def _scored(task: Task, data: Mapping[str, Dataset], methods: Sequence[str], fil
         result = evaluate(method, task, data[tested], training=training, check=False)
         return key(*asked), by_object(result, task.primary, task.ranking_shot)
 
-    asked = [(a, b, m) for a, b in pairs for m in methods if key(a, b, m) not in kept]
+    asked = [(a, b, m) for a, b in pairs for m in methods if key(a, b, m) not in done]
     with ThreadPoolExecutor(workers) as pool, open(file, "a") as lines:
         for number, (name, values) in enumerate(pool.map(score, asked), start=1):
-            kept[name] = values
+            done[name] = values
             lines.write(json.dumps({"key": name, "values": values}) + "\n")
             lines.flush()
             progress(f"{number} of {len(asked)} scores ...")
-    return {(a, b): np.array([[kept[key(a, b, m)][n] for n in sorted(kept[key(a, b, m)])] for m in methods])
+    return {(a, b): np.array([[done[key(a, b, m)][n] for n in sorted(done[key(a, b, m)])] for m in methods])
             for a, b in pairs}

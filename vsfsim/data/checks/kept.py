@@ -14,21 +14,27 @@ ENOUGH = 0.95
 
 
 def audit_error(touch: Touch) -> float | None:
-    """Error of a touch by its audit [-], None if it was not audited or met nothing.
-
-    Root mean square over the frames in contact of the difference from the force on the finer mesh, over that mesh's
-    largest force; infinite if frames have no equilibrium on the finer mesh alone.
-    """
+    """Error of a touch by its audit [-], None if it was not audited or met nothing; see `error_against`."""
     if "finer_force" not in touch.audit:
         return None
-    finer, found = np.asarray(touch.audit["finer_force"]), np.asarray(touch.audit["finer_converged"], bool)
-    if (touch.converged & ~found).any():
+    return error_against(touch.force, touch.converged, np.asarray(touch.audit["finer_force"]),
+                         np.asarray(touch.audit["finer_converged"], bool))
+
+
+def error_against(force: np.ndarray, converged: np.ndarray, finer: np.ndarray, found: np.ndarray) -> float | None:
+    """Root mean square over the frames in contact of the difference from the force on the finer mesh, over that mesh's
+    largest force [-]; infinite if frames have no equilibrium on the finer mesh alone, None if nothing was met.
+
+    Args:
+        force, finer: of a touch and of its audit (T, 3) [N]. converged, found: frames with an equilibrium (T,).
+    """
+    if (converged & ~found).any():
         return float("inf")
     size = np.linalg.norm(finer, axis=1)
-    on = touch.converged & ((size > 0.0) | (np.linalg.norm(np.nan_to_num(touch.force), axis=1) > 0.0))
+    on = converged & ((size > 0.0) | (np.linalg.norm(np.nan_to_num(force), axis=1) > 0.0))
     if not on.any():
         return None
-    return float(np.sqrt(np.mean(np.sum((touch.force - finer)[on] ** 2, axis=1))) / max(size[on].max(), 1e-300))
+    return float(np.sqrt(np.mean(np.sum((force - finer)[on] ** 2, axis=1))) / max(size[on].max(), 1e-300))
 
 
 def audit_errors(view: ObjectView) -> tuple[float, ...]:
