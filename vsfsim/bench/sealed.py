@@ -26,7 +26,7 @@ from vsfsim.bench.task import Task
 from vsfsim.bench.trials.folds import test_names
 from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.plain_text import plain
-from vsfsim.core.shape import ProbeShape, parse_probe_shape, probe_table
+from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import View
@@ -118,8 +118,7 @@ def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
     view = dataset.blind().load(name)
     recording, draw = record(view, task), divide(view, task.protocol)
     head = {"name": view.name, "object_index": view.object_index, "view_index": view.view_index,
-            "probe": [probe_table(shape) for shape in (view.probe, *view.others)], "query": list(draw.query),
-            "pool": list(draw.pool)}
+            "probe": probe_tables(view.probes), "query": list(draw.query), "pool": list(draw.pool)}
     arrays: dict[str, np.ndarray] = {key: np.asarray(getattr(view.view, key)) for key in _VIEW}
     arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
     for index in draw.pool:
@@ -150,7 +149,7 @@ def _questions_of(path: Path, sha256: str, task: Task) -> list[Question]:
             arrays = dict(file)
         head = json.loads(arrays.pop("head").tobytes())
         view = frozen_view(View(**{key: arrays[key] for key in _VIEW}))
-        probes = [parse_probe_shape(table, str(path)) for table in head["probe"]]
+        probes = parse_probe_shapes(head["probe"], str(path))
         draw = Draw(tuple(head["query"]), tuple(head["pool"]))
         readings = {k: Reading(_action(arrays, k, probes, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
                                _surface(arrays, k)) for k in draw.pool}

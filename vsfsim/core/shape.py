@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -203,6 +203,18 @@ def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
         raise SceneError(f"{where}: up is {up!r}; it is the axis of the mesh file that points up, one of "
                          f"{', '.join(UP)}.")
     return MeshFile(table["mesh"], None if scale is None else _positive(where, "scale", scale), up)
+
+
+def parse_probe_shapes(tables: Any, where: str) -> tuple[ProbeShape, ...]:
+    """The probes that `probe_tables` wrote; raises as `parse_probe_shape`."""
+    given = tables if isinstance(tables, list) and tables else [tables]
+    return tuple(parse_probe_shape(table, where) for table in given)
+
+
+def probe_tables(shapes: Sequence[ProbeShape]) -> Any:
+    """The table of one probe, or a list of those of several."""
+    tables = [probe_table(shape) for shape in shapes]
+    return tables if len(tables) > 1 else tables[0]
 
 
 def probe_table(shape: ProbeShape) -> dict[str, Any]:

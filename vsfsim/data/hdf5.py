@@ -14,7 +14,7 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.plain_text import plain
-from vsfsim.core.shape import ProbeShape, parse_probe_shape, probe_table
+from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import ObjectView, Touch, Truth, View
 from vsfsim.data.safety import check_name, check_tree, whole_number
@@ -56,7 +56,7 @@ def encode_view(object_view: ObjectView) -> bytes:
     with h5py.File("object-view", "w", driver="core", backing_store=False, libver="v108", track_order=True) as file:
         values = {"format": FORMAT, "schema_version": SCHEMA_VERSION, "name": object_view.name,
                   "object_index": int(object_view.object_index), "view_index": int(object_view.view_index),
-                  "split": object_view.split, "probe": json.dumps(_shapes(object_view))}
+                  "split": object_view.split, "probe": json.dumps(probe_tables(object_view.probes))}
         for key in ATTRIBUTES:
             file.attrs[key] = values[key]
         recorded = not len(object_view.truth.points)
@@ -71,12 +71,6 @@ def encode_view(object_view: ObjectView) -> bytes:
         _write_group(file, "truth", "truth", object_view.truth, object_view.name, None)
         file.flush()
         return file.id.get_file_image()
-
-
-def _shapes(view: ObjectView) -> Any:
-    """The table of the shape that touched, or a list of them."""
-    tables = [probe_table(shape) for shape in (view.probe, *view.others)]
-    return tables if view.others else tables[0]
 
 
 def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch | Truth, where: str,
@@ -242,9 +236,7 @@ def check_attributes(file: h5py.File, path: Path) -> None:
 
 def _probes(text: str, path: Path) -> tuple[ProbeShape, ...]:
     try:
-        given = json.loads(text)
-        tables = given if isinstance(given, list) and given else [given]
-        return tuple(parse_probe_shape(table, str(path)) for table in tables)
+        return parse_probe_shapes(json.loads(text), str(path))
     except (ValueError, TypeError, RecursionError, SceneError) as error:
         raise DatasetError(f"{path}: attribute 'probe' is {plain(text, longest=200)}, not a probe's shape: "
                            f"{plain(error)}") from error

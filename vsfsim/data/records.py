@@ -241,9 +241,14 @@ class ObjectView:
     others: tuple[ProbeShape, ...] = ()
     """What made the presses of other kinds, the first that of `Touch.press` 1."""
 
+    @property
+    def probes(self) -> tuple[ProbeShape, ...]:
+        """What touched it, by `Touch.press`."""
+        return self.probe, *self.others
+
     def probe_of(self, touch: Touch) -> ProbeShape:
         """What made a touch of it."""
-        return self.others[touch.press - 1] if touch.press else self.probe
+        return self.probes[touch.press or 0]
 
     def __repr__(self) -> str:
         return (f"ObjectView({self.name!r}, {self.split}, {len(self.touches)} touches"

@@ -118,32 +118,35 @@ class Question:
     share: float | None
     """The paper's improvement over the worse side's value [-]; None without figures."""
 
+    @property
+    def has_size(self) -> bool:
+        """Whether the paper's figures say by how much."""
+        return not self.equal and self.share is not None
+
     def tests(self) -> list[tuple[float, bool]]:
-        """Probability by chance, and whether the data are on the claim's side: of the direction, then of the size."""
+        """Probability by chance, and whether the data are on the claim's side: of the direction, and of a size if there
+        is one; [] where a result is missing."""
         d = self.difference
         if d is None:
-            return [(1.0, False), (1.0, False)]
+            return []
         if self.equal:
             margin = EQUAL_WITHIN * abs(d.level)
-            return [(d.probability(abs(d.mean), margin), abs(d.mean) < margin), (1.0, False)]
+            return [(d.probability(abs(d.mean), margin), abs(d.mean) < margin)]
         gain = d.mean if self.higher else -d.mean
-        if self.share is None:
-            return [(d.probability(gain, 0.0), gain > 0.0), (1.0, False)]
-        half = 0.5 * self.share * abs(d.level)
-        return [(d.probability(gain, 0.0), gain > 0.0), (d.probability(gain, half), gain > half)]
+        least = [0.0] if self.share is None else [0.0, 0.5 * self.share * abs(d.level)]
+        return [(d.probability(gain, one), gain > one) for one in least]
 
 
 def answers(asked: Sequence[Question]) -> list[Answers]:
     """The answers to all questions, which are one family."""
-    tests = [test for one in asked for test in one.tests()]
-    counts = [k for k, one in enumerate(asked) if one.difference is not None]
-    real = [2 * k for k in counts] + [2 * k + 1 for k in counts if _has_size(asked[k])]
-    chance = [1.0] * len(tests)
-    for k, p in zip(real, holm([tests[k][0] for k in real]), strict=True):
-        chance[k] = p
-    said = [UNTOLD if p > LEVEL else HOLDS if own else FAILS for p, (_, own) in zip(chance, tests, strict=True)]
-    return [Answers(said[2 * k], said[2 * k + 1] if _has_size(one) else NONE, (chance[2 * k], chance[2 * k + 1]))
-            for k, one in enumerate(asked)]
+    tests = [one.tests() for one in asked]
+    chance = iter(holm([p for row in tests for p, _ in row]))
+    out = []
+    for one, row in zip(asked, tests, strict=True):
+        told = [(UNTOLD if p > LEVEL else HOLDS if own else FAILS, p) for (_, own), p in zip(row, chance)]
+        (direction, p), (size, q) = [*told, *[(UNTOLD, 1.0)] * (2 - len(told))]
+        out.append(Answers(direction, size if one.has_size else NONE, (p, q)))
+    return out
 
 
 def holm(chance: Sequence[float]) -> list[float]:
@@ -153,7 +156,3 @@ def holm(chance: Sequence[float]) -> list[float]:
         least = max(least, min(1.0, (len(chance) - rank) * chance[k]))
         out[k] = least
     return out
-
-
-def _has_size(one: Question) -> bool:
-    return not one.equal and one.share is not None

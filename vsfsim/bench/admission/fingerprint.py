@@ -240,7 +240,7 @@ def _vectors_of_view(view: ObjectView) -> Iterator[tuple[str, np.ndarray]]:
     yield "intrinsics", image.intrinsics
     yield "camera's rotation", image.camera_pose[:3, :3]
     yield "camera's position", image.camera_pose[:3, 3]
-    yield "probe", np.array([number for shape in (view.probe, *view.others) for number in _numbers(probe_table(shape))])
+    yield "probe", np.array([number for shape in view.probes for number in _numbers(probe_table(shape))])
     if view.truth is not None:
         yield "probed points", view.truth.probe_points
         yield "probed stiffness", view.truth.probe_stiffness
