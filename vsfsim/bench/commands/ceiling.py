@@ -89,8 +89,8 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
                 asked[one, known] = queries, [recording.readings[index] for index in known]
     began = time.perf_counter()
     contents = contents_of(name, given)
-    part, identity = None if out is None else out.with_suffix(".part"), repr((task.sha256, dataset.sha256, given,
-                                                                              contents))
+    part = None if out is None else out.with_suffix(".part")
+    identity = repr((task.sha256, dataset.sha256, given, contents))
     work = partial(_kept, part, identity, entry, dataset.recipe, given)
     said: dict[tuple[str, tuple[int, ...]], tuple[list[np.ndarray], int]] = {}
     for which, answer in zip(asked, _each(work, list(asked), list(asked.values()), processes), strict=True):
@@ -102,7 +102,7 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
                for trial in trials]
     notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
-    result = result_of(answers, task, dataset, method=name, entry=ceilings()[name].value, parameters=given,
+    result = result_of(answers, task, dataset, method=name, entry=entry.value, parameters=given,
                        notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents,
                        timing={"predict_s": time.perf_counter() - began,
                                "predicts": sum(len(queries) for queries, _ in asked.values())})
