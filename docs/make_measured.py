@@ -155,7 +155,7 @@ def measurement(name: str, tables: int, first: int = 0, dataset: str = "", modul
     words = f"{name} datasets/{dataset}" if dataset else name
     words += f" --tier {settings['tier']}" if "tier" in settings else ""
     text = written(found, words, f"{found.machine}, {found.date}.", found.tables[first:first + tables])
-    return text + "".join(f"\n- {note[0].upper()}{note[1:]}." for note in found.notes if module) + "\n" * bool(module)
+    return text + "\n" * bool(found.notes) + "".join(f"- {note[0].upper()}{note[1:]}.\n" for note in found.notes)
 
 
 def written(found: Any, words: str, about: str, tables: list) -> str:
