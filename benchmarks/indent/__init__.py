@@ -31,7 +31,7 @@ from vsfsim.physics.solve.touches import Solver
 CASES = {"S1": ("indent-homogeneous", "s1"), "S2": ("indent", "s2")}
 PEERS = {"scikit-fem": ("skfem_peer.py", "scikit-fem"), "mujoco": ("mujoco_peer.py", "mujoco")}
 """Script of this folder and requirement by peer."""
-LIMIT = 900.0
+LIMIT = 3600.0
 """A peer that takes longer for one case is stopped [s]."""
 
 
