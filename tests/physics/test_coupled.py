@@ -94,8 +94,8 @@ def test_the_tangent_of_contact_is_the_derivative_of_its_forces(bubble, block, d
 
 
 def test_a_frame_that_needs_more_iterations_than_it_may_take_is_marked(bubble, block, device):
-    """Halved steps, softer contact and the second try included, however far from balance it stops; frames within the
-    limit are what they are without one."""
+    """Halved steps and the second try included, however far from balance it stops; frames within the limit are
+    what they are without one."""
     depths = [0.0005, 0.005]
     _, free = press(block(1e5), bubble, depths, 2.0, device)
     few, many = (int(n) for n in sorted(free.iterations[:, 0]))

@@ -109,11 +109,10 @@ def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
 
 
 def test_a_nearly_incompressible_body_is_not_led_astray(device):
-    """Straight steps change the volume at second order. Where they were halved for it, and contact softened first,
-    these frames took 917 conjugate gradients; they take 563. A GPU has no factors of the deformed tangent, and takes
-    1,087 (an H200)."""
+    """Straight steps change the volume at second order. On two kinds of processor these frames take 283 and 290
+    conjugate gradients; a GPU has no factors of the deformed tangent."""
     frames = press(body(inclusion(1e8), nu=0.4999), [0.1, 0.2, 0.3], device)
-    assert frames.converged.all() and frames.cg_iterations.sum() < (740 if device == "cpu" else 1500)
+    assert frames.converged.all() and frames.cg_iterations.sum() < (370 if device == "cpu" else 1500)
 
 
 def test_a_nearly_incompressible_body_takes_few_times_the_iterations(device):
@@ -210,8 +209,8 @@ def density(axial, side, mu, lam):
 
 
 def test_a_slender_column_buckles_in_few_iterations(block, line, device):
-    """Under a plane that is tilted by a fiftieth: on the way to the bent state the tangent has negative curvature. With
-    the projected tangent the second frame took 690 conjugate gradients, with a shifted one 296."""
+    """Under a plane that is tilted by a fiftieth: on the way to the bent state the tangent has negative curvature. The
+    second frame takes 201 conjugate gradients, 184 on another kind of processor."""
     model = block((0.02, 0.02, 0.09), 0.0101, poisson_ratio=0.3)
     frames = Solver(model, Plane(), device=device, options=SolverOptions(tolerance=1e-4)).run(
         line([[0.0, 0.0, 0.09 * (1.0 - d)] for d in (0.03, 0.06)], Plane(), axis=(0.02, 0.0, -1.0)))
@@ -353,8 +352,8 @@ def test_heavy_sagging(device, young_modulus):
 
 
 def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
-    """There the surface may slide around the ball, and softer contact let it through. Over five places of the ball
-    within 0.5 mm and two kinds of processor the last push is 11.08 to 11.15 N, after 14 to 26 Newton steps."""
+    """There the surface may slide around the ball. Over five places of the ball within 0.5 mm and two kinds of
+    processor the last push is 11.11 to 11.15 N, after 11 to 33 Newton steps."""
     model = block((0.04, 0.04, 0.12), 0.0101, poisson_ratio=0.45)
     ball = Sphere(0.008)
     at = line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball)

@@ -97,5 +97,5 @@ def test_a_looser_correction_on_large_patches_leads_to_the_same_equilibrium(bloc
         return np.linalg.norm(frames.force.reshape(3, -1), axis=1)
 
     small = forces()
-    monkeypatch.setattr(step, "LARGE", 0)
+    monkeypatch.setattr(step, "_LARGE", 0)
     assert forces() == pytest.approx(small, rel=1e-3)

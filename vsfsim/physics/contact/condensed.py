@@ -50,7 +50,7 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
     patience = iterations if staged else _PATIENCE
-    if not (contact.has_friction and contact.shifts):
+    if not (contact.has_friction and contact.solid):
         return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
     best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
     again = (error > tolerance).nonzero()[:, 0]

@@ -44,8 +44,8 @@ class Contact(Protocol):
     those of the last `update_friction`."""
     symmetric: bool
     """Whether the contact stiffness is symmetric."""
-    shifts: bool
-    """Whether negative curvature is met by a shift of the tangent before the projected one is taken."""
+    solid: bool
+    """Whether rigid bodies touch a solid: not a membrane, and not a soft sensor."""
     flat: bool
     """Whether no body is curved, so that contact has no geometric term."""
     potential_trusted_above: float

@@ -77,14 +77,14 @@ class RigidContact(PointStiffness):
         self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
         self.springs = None if mount is None else Springs(mount, device)
         self._set = bodies.upload(self.kernels.sdf, device)
-        self._solid = (corners := model.mesh.faces.shape[1]) == 6
-        cuts, self._factor, self._onset = (1, 1.0, 0.0) if self._solid else sheet_contact(bodies, model.element_size)
+        self.solid = (corners := model.mesh.faces.shape[1]) == 6
+        cuts, self._factor, self._onset = (1, 1.0, 0.0) if self.solid else sheet_contact(bodies, model.element_size)
         self._parts = cuts**2  # of a linear face; those of a quadratic one differ
-        self._table, self._rows_of = shape_tables(corners, CUTS if self._solid else (cuts,))
+        self._table, self._rows_of = shape_tables(corners, CUTS if self.solid else (cuts,))
         # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
-        self._fine = torch.as_tensor(np.zeros((0, 6)) if self._solid else shape_grid(3 * cuts), device=device)
+        self._fine = torch.as_tensor(np.zeros((0, 6)) if self.solid else shape_grid(3 * cuts), device=device)
         sinks = SATURATED_BY_PLACE * self._by_place
-        check = functools.partial(Intrusion, coupled=model.coupled, sinks=sinks) if self._solid else SheetIntrusion
+        check = functools.partial(Intrusion, coupled=model.coupled, sinks=sinks) if self.solid else SheetIntrusion
         self._passage = check(model.mesh, bodies, model.element_size, device=device)
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
@@ -93,8 +93,8 @@ class RigidContact(PointStiffness):
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
-        self.follows_below = (0.2 if device == "cpu" else 0.0) if self._solid else np.inf
-        self.friction_updated_below, self.shifts, self.flat = 0.03 if self._solid else 0.3, self._solid, bodies.flat
+        self.follows_below = (0.2 if device == "cpu" else 0.0) if self.solid else np.inf
+        self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
         self.softening, self.coulomb, self.relief = (
             torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0, 1.0))
         self._upload()
@@ -117,7 +117,7 @@ class RigidContact(PointStiffness):
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
         self._sums: FaceSums | None = None
-        if self._solid:
+        if self.solid:
             # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
             at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
             self._values = tensor(padded.table)[tensor(part.astype(np.int64))]  # (B, f, 6 points, 6 nodes)

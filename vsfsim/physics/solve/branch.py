@@ -60,7 +60,7 @@ class Branch:
             before, pose: poses of the equilibria, and at the end of the step (B, K, 4, 4).
         """
         balance, contact = self._balance, self._balance.contact
-        if not contact.shifts:
+        if not contact.solid:
             return
         contact.move(before, columns)
         state = balance.evaluate(columns)

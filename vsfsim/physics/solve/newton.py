@@ -199,7 +199,7 @@ class Equilibrium:
             # far from the solution the projected tangent is safe; near it the true one converges quadratically, and
             # that of the step before is as good. Under planes contact has no geometric term, which spoils the true one.
             far = (before > 0.3) | safe[open_]
-            convex = safe[open_] if self.contact.shifts and not has_friction and self.contact.flat else far
+            convex = safe[open_] if self.contact.solid and not has_friction and self.contact.flat else far
             fresh = renew[open_] | (before > 0.05) | self.factors.renew(active, self.u, deadline)
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
@@ -209,9 +209,9 @@ class Equilibrium:
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
             plain = direction
-            if self.contact.shifts or not bool(follows.all()):
-                plain = correct(self, active, direction, stiffness, state["residual"][:, open_])
-            plain = plain if self.contact.shifts else torch.where(follows, direction, plain)
+            if self.contact.solid or not bool(follows.all()):
+                plain = correct(self.contact, active, self.u, direction, stiffness, state["residual"][:, open_])
+            plain = plain if self.contact.solid else torch.where(follows, direction, plain)
             moved = self._step(active, open_, (plain, direction), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):

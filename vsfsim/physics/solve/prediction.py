@@ -87,7 +87,7 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
         best.offer(moved, force[columns] + change, every)
         # of a body that responds otherwise than at rest, near a bifurcation, say, the correction may lead anywhere
         wild = error > _WILD
-        if not (contact.shifts and bool(wild.any())):
+        if not (contact.solid and bool(wild.any())):
             continue
         if number:
             best.offer(base[:, columns].to(balance.real), force[columns], wild)  # it may be of single precision yet
@@ -96,7 +96,7 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
     best.offer(now[:, columns], last[columns], every, present=True)
     balance.u.copy_(now)
     balance.u[:, columns], pushed = best.u, best.force
-    if not (contact.has_friction and contact.shifts):
+    if not (contact.has_friction and contact.solid):
         return
     _renew(balance, columns)
     for _ in range(_RENEWALS):

@@ -1,8 +1,6 @@
-"""What becomes of Newton's direction: corrected for the contact at its end, and longer where the equilibrium is far."""
+"""What becomes of Newton's direction: corrected for the contact at its end."""
 
 from __future__ import annotations
-
-from typing import Protocol
 
 import torch
 
@@ -11,28 +9,11 @@ from vsfsim.physics.contact.interface import Contact
 
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
-LARGE = 1500
-"""Unknowns of a patch from which on a condensed problem costs more than the linear system whose step it corrects."""
+# unknowns of a patch from which on a condensed problem costs more than the linear system whose step it corrects
+_LARGE = 1500
 
 
-class Balance(Protocol):
-    """What is asked of the touches whose steps these are, see `newton.Equilibrium`."""
-
-    u: torch.Tensor
-    """Displacements (3 n, B) [m]."""
-    least: torch.Tensor
-    """Potential under which a state lies on another branch (B,) [J]."""
-    contact: Contact
-    """The contact."""
-
-    def evaluate(self, columns: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Forces, potential and residual of ``columns`` (k,) at the present displacements."""
-
-    def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
-        """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
-
-
-def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
+def correct(contact: Contact, columns: torch.Tensor, u: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
             residual: torch.Tensor) -> torch.Tensor:
     """Correct Newton's step for the contact at its end: it was found for the points that touch at its beginning.
 
@@ -41,19 +22,18 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
     body that has become stiffer is corrected too far: where that takes away most of the descent along the
     direction, the direction stays as it is. After the deadline of the frame nothing is corrected.
     """
-    contact = balance.contact
     if clock.now() > contact.deadline:
         return direction
     at = contact.dof[columns].clamp(min=0).T
     mask = contact.mask[columns]
     change = direction.gather(0, at).T.to(torch.float64) * mask
-    base = balance.u[:, columns].gather(0, at).T.to(torch.float64) * mask + change
+    base = u[:, columns].gather(0, at).T.to(torch.float64) * mask + change
     pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
-    slides = contact.has_friction and contact.shifts  # Newton's own step may throw points past their anchors
+    slides = contact.has_friction and contact.solid  # Newton's own step may throw points past their anchors
     fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
     # 2 to 4 directions serve large patches as well as one another, 10 cost half of a frame (cells 8f428925ce77 and
     # 68c57cd61969 of the stability map)
-    large = contact.shifts and base.shape[1] > LARGE
+    large = contact.solid and base.shape[1] > _LARGE
     with clock.measure("contact"):
         force, error = contact.condensed(columns, base, pushed, iterations=4 if large else 30,
                                          tolerance=fine if slides else 1e-3 if large else 1e-5)

@@ -65,7 +65,7 @@ class TangentFactors:
         self._near_usual, self._near = ((_VOLUME_USUAL, _VOLUME_NEAR) if model.keeps_volume else (_NEAR_USUAL, _NEAR))
         self._no_local = np.zeros(contact.batch, bool)  # who cannot have one
         self._begin = np.zeros((contact.batch, len(model.free)))  # displacements that each factor was made at [m]
-        self._serves = (contact.device == "cpu" and contact.shifts and contact.batch <= _FEW
+        self._serves = (contact.device == "cpu" and contact.solid and contact.batch <= _FEW
                         and not any(block.collective for block in model.blocks))
         self._seconds = 0.0
 
@@ -88,8 +88,7 @@ class TangentFactors:
         """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,), and
         which of them met negative curvature (k,) bool.
 
-        A local factor of a tangent with negative curvature serves badly: until the next frame such a touch has none (a
-        slender column that buckles took 706 conjugate gradients with one and 296 without).
+        Until the next frame a touch that met it has no local factor.
         """
         if not self._serves:
             return

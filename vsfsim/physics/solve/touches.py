@@ -272,7 +272,7 @@ class Solver:
         """
         balance, contact = self._balance, self.contact
         # where a half step begins the bodies overlap the object by all of it, and Newton's method goes far astray
-        predicts = halvings < self.options.halvings and contact.shifts and not contact.has_friction
+        predicts = halvings < self.options.halvings and contact.solid and not contact.has_friction
         if predicts:
             self._contact_force = contact.remember(balance.every)  # at ``before``, where `Branch.bar` was last
             here = Known(before, begin, self._contact_force, contact.dof)
@@ -293,7 +293,7 @@ class Solver:
         host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
-        if contact.shifts and not contact.has_friction:  # points that the failed step met have forces where it began
+        if contact.solid and not contact.has_friction:  # points that the failed step met have forces where it began
             contact.begin_step(before, begin)
             contact.move(before, failed)
             contact.evaluate(failed, contact.gather(balance.u)[failed])
@@ -337,7 +337,7 @@ class Solver:
             if grown:
                 self._contact_force = contact.no_force()
                 # the new points feel a body that lies a little inside; not one that the object has closed around
-                closed = columns[contact.intruded(columns, LOST if contact.shifts else 1.0)]
+                closed = columns[contact.intruded(columns, LOST if contact.solid else 1.0)]
                 balance.u[:, closed] = begin[:, closed]
                 state = balance.evaluate(columns)
             balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE

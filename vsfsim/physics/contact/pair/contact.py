@@ -61,7 +61,7 @@ class PairContact:
     friction_updated_below = 0.3
     # over flat facets a step may cycle, and half of such steps end elsewhere
     deadline = float("inf")
-    patience, shifts, flat = 8, False, False
+    patience, solid, flat = 8, False, False
 
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
         self.model, self.sensor, self.device = model, sensor, device
