@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-CENTRES = 60
-"""Places whose values decide those of all others."""
+_CENTRES = 60  # places whose values decide those of all others
 
 
-def smooth_basis(places: np.ndarray, *, reach: float, std: float, most: int = CENTRES) -> np.ndarray:
+def smooth_basis(places: np.ndarray, *, reach: float, std: float) -> np.ndarray:
     """Functions (n, c) whose sums with standard normal coefficients are a Gaussian process with the covariance
-    std^2 exp(-r^2 / 2 reach^2), as the values at ``most`` places far from one another tell it (Nystroem's method,
+    std^2 exp(-r^2 / 2 reach^2), as the values at a few places far from one another tell it (Nystroem's method,
     Williams and Seeger 2001).
 
     Args:
@@ -20,7 +19,7 @@ def smooth_basis(places: np.ndarray, *, reach: float, std: float, most: int = CE
     """
     centres = [int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmin())]
     away = np.linalg.norm(places - places[centres[0]], axis=1)
-    while len(centres) < min(most, len(places)) and away.max() > 0.5 * reach:
+    while len(centres) < min(_CENTRES, len(places)) and away.max() > 0.5 * reach:
         centres.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(places - places[centres[-1]], axis=1))
     chosen = places[centres]
