@@ -70,7 +70,7 @@ def kept(file: Path, circumstances: Mapping[str, Any], command: str) -> list[dic
     for name, value in circumstances.items():
         if found.get(name) != value:
             raise VsfsimError(f"{file} was made with {name} {found.get(name)!r}, and this run has {value!r}; their "
-                              f"cells cannot be put together. Give another --out, or delete the file.")
+                              f"rows cannot be put together. Give another --out, or delete the file.")
     if lines[-1]:
         file.write_text("\n".join(lines[:-1]) + "\n")
     return rows

@@ -9,6 +9,7 @@ the accuracy on 95 % of the held-out touches, with no more of its frames marked.
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,12 +27,11 @@ from vsfsim.data.checks.kept import ENOUGH, error_against
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.buy import MARKED, OBJECTS, TOUCHES, candidates, choose, too_much
-from vsfsim.generate.trade.curve import Curve, limits
+from vsfsim.generate.trade.curve import Curve
 from vsfsim.generate.trade.front import Point
-from vsfsim.generate.trade.made import Run, together
+from vsfsim.generate.trade.made import Run, limits, together
 from vsfsim.generate.trade.runs import touched
 from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Ground, Setting
-from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
 
 COLUMN = Path(__file__).parent / "column.toml"
@@ -120,8 +120,7 @@ def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:
         runs = [next(found) for _ in ladder]
         whole = [run for run in runs if isinstance(run, Run)]
         if len(whole) == len(runs):
-            bound, share = limits([r.edge[0] for r in whole], [r.curves[0] for r in whole],
-                                  tiers.TIERS[LIMIT_TIER].tolerance)
+            bound, share = limits(whole)
             bounds.append(bound)
             shares.append(share)
     if len(bounds) < len(ladders):
@@ -178,7 +177,7 @@ def measure(scenes: Sequence[str] = (), *, accuracies: Sequence[float] = ACCURAC
     Raises:
         VsfsimError: there is no such scene, or the folder holds other runs.
     """
-    until = time.perf_counter() + (1e9 if budget is None else budget)
+    until = time.perf_counter() + (math.inf if budget is None else budget)
     found = []
     for name in scenes or SCENES:
         loaded = load_scene(COLUMN if name == "column" else find_scene(name))

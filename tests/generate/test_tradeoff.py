@@ -149,6 +149,13 @@ def test_a_sweep_goes_on_where_its_budget_ended(tmp_path, monkeypatch):
     with pytest.raises(VsfsimError, match="the front of the scene 'shoes-mini', not of 'indent'"):
         command.tradeoff(load_scene(find_scene("indent")), tmp_path / "other", check=file)
 
+    def refuse(setting):
+        raise VsfsimError("no room")
+
+    imagined.run = refuse
+    with pytest.raises(VsfsimError, match="no setting of the sweep can be made. linear, 13 mm: no room"):
+        command.tradeoff(scene, tmp_path / "refused")
+
 
 NOTHING = """
 [object]

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from vsfsim.core.scene import Scene
+from vsfsim.core.scene import CameraSpec, Scene
 from vsfsim.core.shape import ProbeShape
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.data.records import ObjectView, Touch, Truth, View
@@ -127,11 +127,15 @@ def prepare(job: Job, *, device: str) -> Subject:
     scene, r = job.scene(), job.recipe
     model = tiers.build(scene, r.tier, seed=job.stream(Stream.BODY), cache=job.cache)
     camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
+    view = see(surface_of(model.solid, scene), model, camera, device=device, renderer=r.renderer)
+    return Subject(job, scene, model, view, seen_by(view, scene.camera, job.stream(Stream.DEPTH)))
+
+
+def see(surface: Surface, model: Model, camera: CameraSpec, *, device: str, renderer: str) -> View:
+    """The picture of a camera that looks at the middle of a body, whose ``surface`` is of `surface_of`."""
     low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
     intrinsics, pose = look_at(camera, 0.5 * (low + high))
-    view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device,
-                  renderer=r.renderer)
-    return Subject(job, scene, model, view, seen_by(view, scene.camera, job.stream(Stream.DEPTH)))
+    return render(surface, intrinsics, pose, camera.width, camera.height, device=device, renderer=renderer)
 
 
 def batches(count: int, most: int) -> list[slice]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import DatasetError
+from vsfsim.core.extras import require
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
@@ -37,6 +38,9 @@ def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0
         SceneError, MeshError: the scene's object cannot be built.
     """
     about: dict[str, Any] = {}
+    if rerun is not None:
+        require("rerun", "rerun")
+        _new(rerun, "--rerun")
     if Path(what).suffix == ".json":
         path = _new(out or Path(f"{Path(what).stem}.html"))
         title, words, shown, about = of_result(Path(what), objects, progress)
@@ -65,7 +69,7 @@ def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0
             {"page": str(path), "title": title, "objects": [one["name"] for one in shown], "bytes": len(content)})
 
 
-def _new(path: Path) -> Path:
+def _new(path: Path, option: str = "--html") -> Path:
     if path.exists():
-        raise DatasetError(f"{path} exists already. Choose another name with --html, or remove it first.")
+        raise DatasetError(f"{path} exists already. Choose another name with {option}, or remove it first.")
     return path

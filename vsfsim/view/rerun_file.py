@@ -12,11 +12,8 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.extras import require
 from vsfsim.view.encode import values_of
 
-VIRIDIS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], float)
-"""Colours of the map at even steps, as those of the page."""
 ARROW = 0.01
 """Length of an arrow for one newton [m]."""
 BARE = (150, 150, 155)
@@ -29,14 +26,10 @@ def write_rerun(path: Path, title: str, objects: Sequence[dict[str, Any]], about
     timeline "frame", touch after touch, ``probe``, ``force`` and the scalars of its touches.
 
     Raises:
-        MissingPackage: rerun-sdk is not installed.
-        DatasetError: the file exists or cannot be written.
+        DatasetError: the file cannot be written.
     """
-    require("rerun", "rerun")
     import rerun as rr
 
-    if path.exists():
-        raise DatasetError(f"{path} exists already. Choose another name with --rerun, or remove it first.")
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     recording = rr.RecordingStream("vsfsim", recording_id=title)
     try:
@@ -88,5 +81,6 @@ def _log(recording: Any, one: dict[str, Any], about: dict[str, Any], low: float,
 
 
 def _colours(log: np.ndarray, low: float, high: float) -> np.ndarray:
-    at = np.clip((log - low) / max(high - low, 1e-6), 0.0, 1.0) * (len(VIRIDIS) - 1)
-    return np.stack([np.interp(at, np.arange(len(VIRIDIS)), band) for band in VIRIDIS.T], axis=1).astype(np.uint8)
+    from matplotlib import colormaps
+
+    return colormaps["viridis"]((log - low) / max(high - low, 1e-6), bytes=True)[:, :3]

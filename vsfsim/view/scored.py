@@ -15,7 +15,7 @@ from vsfsim.bench.trials.curves import Curves
 from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.records import ObjectView, Touch
+from vsfsim.data.records import ObjectView
 from vsfsim.view.encode import quantised, rounded
 from vsfsim.view.subject import of_body, of_view
 
@@ -35,8 +35,8 @@ def of_result(path: Path, objects: int,
     result = Result.load(path)
     curves, dataset = Curves.beside(result, path), _dataset(result)
     maps = _maps(result)
-    names = sorted({*result.queries.get("object", ()), *maps})
-    if not names or (dataset is None and not maps):
+    names = sorted({*(result.queries.get("object", ()) if dataset else ()), *maps})
+    if not names:
         raise TaskError(f"{path}: there is nothing to show. It holds no estimate of the stiffness, and the dataset of "
                         f"{result.task} is not on this machine. Set $VSFSIM_DATASETS to the folder that has it.")
     shown = []
@@ -97,7 +97,7 @@ def _object(name: str, dataset: Dataset | None, curves: Curves | None, found: np
 def _curve(view: ObjectView, curves: Curves, k: int) -> dict[str, Any]:
     """Readings of a query touch in its recorded frames: true, and predicted by shot, means over runs. Of a reading of
     several numbers its norm."""
-    touch: Touch = view.touches[int(curves.touches[k])]
+    touch = view.touches[int(curves.touches[k])]
     frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
     plan = np.arange(len(touch.time)) if touch.planned_frame is None else touch.planned_frame
 

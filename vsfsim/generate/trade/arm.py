@@ -64,28 +64,26 @@ class ArmTouches:
 
     def run(self, setting: Setting) -> Run:
         """All touches."""
-        meter = Meter()
-        models = [(parted(s.plant, setting.parts or 1), s) for s in self._alone]
-        ready = [dataclasses.replace(s, plant=plant, model=beams(plant, s.scene), scene=_in_mode(s.scene, setting.arm))
-                 for plant, s in models]
-        once, _, _ = meter.read()
-        meter.restart()
-        touches = [self._touch(s, setting.device) for s in ready]
-        cpu, wall, memory = meter.read()
-        edge = tuple(float(np.mean(s.plant.lengths())) for s in ready)
-        return Run(tuple(_curve(t, s) for t, s in zip(touches, ready, strict=True)), once / len(ready) * self._plants,
-                   cpu, wall, memory, sum(len(t.time) for t in touches), edge)
+        return _run(self._alone, self._plants, setting)
 
     def near(self, number: int, setting: Setting, level: int) -> Run:
         """Touch ``number`` alone; all beams of a ladder are shorter, wherever the touch is."""
-        one = object.__new__(ArmTouches)
-        one.__dict__ |= {**self.__dict__, "_alone": self._alone[number:number + 1], "_plants": 1}
-        return one.run(setting)
+        return _run(self._alone[number:number + 1], 1, setting)
 
-    def _touch(self, subject: Subject, device: str) -> Touch:
-        (frames,) = solve([subject], device=device)
-        (touch,) = finish_touches(subject, frames)
-        return touch
+
+def _run(alone: list[Subject], plants: int, setting: Setting) -> Run:
+    """The touches of some subjects with one each, of so many plants."""
+    meter = Meter()
+    models = [(parted(s.plant, setting.parts or 1), s) for s in alone]
+    ready = [dataclasses.replace(s, plant=plant, model=beams(plant, s.scene), scene=_in_mode(s.scene, setting.arm))
+             for plant, s in models]
+    once, _, _ = meter.read()
+    meter.restart()
+    touches = [touch for s in ready for touch in finish_touches(s, *solve([s], device=setting.device))]
+    cpu, wall, memory = meter.read()
+    edge = tuple(float(np.mean(s.plant.lengths())) for s in ready)
+    return Run(tuple(_curve(t, s) for t, s in zip(touches, ready, strict=True)), once / len(ready) * plants,
+               cpu, wall, memory, sum(len(t.time) for t in touches), edge)
 
 
 def parted(plant: Plant, parts: int) -> Plant:

@@ -15,13 +15,10 @@ from vsfsim.data.manifest import MANIFEST, PART_MANIFEST
 from vsfsim.data.store import open_store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.trade import front
-from vsfsim.generate.trade.curve import limits
 from vsfsim.generate.trade.front import Point
-from vsfsim.generate.trade.made import Touched
+from vsfsim.generate.trade.made import limits
 from vsfsim.generate.trade.runs import DatasetTouches
 from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
-from vsfsim.physics import tiers
-from vsfsim.physics.convergence import Limit
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
@@ -64,7 +61,9 @@ def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int,
     subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=seed, device=device,
                              cache=cache)
     said(f"--accuracy {100 * accuracy:g} %: a pilot on {subject.what} chooses tier and element size")
-    bounds, shares = known_limits(subject)
+    ladder = list(enumerate(subject.ground.ladder()))
+    bounds, shares = zip(*(limits([subject.near(k, setting, level) for level, setting in ladder])
+                           for k in range(subject.count)), strict=True)
     known = sum(own["force"].known for own in bounds)
     if not known:
         raise SceneError(f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but of no touch of the pilot is the "
@@ -82,18 +81,6 @@ def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int,
     return str(setting.tier), {
         "accuracy": {"asked": accuracy, "expected": _short(p.error), "limit": _short(p.bar), "touches": known},
         "resolution": setting.resolution}
-
-
-def known_limits(subject: Touched) -> tuple[list[dict[str, Limit]], list[np.ndarray]]:
-    """The limits of all touches, and of each the depths of its frames over the deepest."""
-    bounds, shares = [], []
-    for k in range(subject.count):
-        runs = [subject.near(k, setting, level) for level, setting in enumerate(subject.ground.ladder())]
-        bound, share = limits([r.edge[0] for r in runs], [r.curves[0] for r in runs],
-                              tiers.TIERS[LIMIT_TIER].tolerance)
-        bounds.append(bound)
-        shares.append(share)
-    return bounds, shares
 
 
 def choose(points: Iterable[tuple[Setting, Point]], accuracy: float) -> tuple[tuple[Setting, Point] | None,

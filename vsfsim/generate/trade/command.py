@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,13 +20,12 @@ from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade import front, pictures
-from vsfsim.generate.trade.curve import limits
 from vsfsim.generate.trade.front import Point
-from vsfsim.generate.trade.made import Run, Touched
+from vsfsim.generate.trade.made import Run, Touched, limits
 from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.pictures import Picture
 from vsfsim.generate.trade.runs import touched
-from vsfsim.generate.trade.setting import AXES, LIMIT_TIER, Setting
+from vsfsim.generate.trade.setting import AXES, Setting
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
 from vsfsim.physics.runtime import devices
@@ -33,8 +33,6 @@ from vsfsim.physics.runtime import devices
 LINES = "points.jsonl"
 _SAME = ("format", "scene", "scene_sha256", "seed", "touches", "objects", "device", "version", "commit")
 """What lines must share to be put together."""
-_LIMIT_SECONDS = 1e9
-"""Of a budget that was not given [s]."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         VsfsimError: neither [touches] nor [press], an axis that the scene does not have, a budget that ends before the
             first point, a folder or a stored front of another run, or no touch whose limit is known.
     """
-    until = time.perf_counter() + (_LIMIT_SECONDS if budget is None else budget)
+    until = time.perf_counter() + (math.inf if budget is None else budget)
     stored = _stored(check, loaded)
     circumstances = {"format": "vsfsim-tradeoff", "scene": loaded.name, "scene_sha256": text_sha256(loaded.text),
                      "seed": seed, "touches": touches, "objects": objects, "device": device,
@@ -179,9 +177,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
             break
         row = lines.rows.get(key) or lines.add({"key": key, "ladder": [
             subject.near(k, setting, level).table() for level, setting in enumerate(subject.ground.ladder())]})
-        runs = [Run.read(mesh) for mesh in row["ladder"]]
-        bound, share = limits([r.edge[0] for r in runs], [r.curves[0] for r in runs],
-                              tiers.TIERS[LIMIT_TIER].tolerance)
+        bound, share = limits([Run.read(mesh) for mesh in row["ladder"]])
         bounds.append(bound)
         shares.append(share)
         if progress is not None:
@@ -203,6 +199,9 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                                       shows=row["shows"]))
         if progress is not None:
             progress(subject.count + number + 1, total, setting.key)
+    if len(refused) == len(sweep):
+        raise VsfsimError(f"{loaded.path}: no setting of the sweep can be made. "
+                          + " ".join(f"{key}: {why}" for key, why in refused.items()))
     if not points:
         raise VsfsimError(f"the budget of {budget:g} s was over before the first point: the limit of "
                           f"{len(bounds)} of {subject.count} touches is found. It is kept in {lines.file}; run the "

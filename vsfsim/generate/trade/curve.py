@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +12,10 @@ from vsfsim.data.records import Touch
 from vsfsim.data.verify import unresolved_frames
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.press_result import PressResult
-from vsfsim.physics.convergence import Limit, curve_limit
+from vsfsim.physics.convergence import Limit
 
 SHALLOW = 0.05
 """Share of a reading's largest value from which a frame counts as in contact [-]."""
-WHOLE = 0.75
-"""Share of the frames of a touch that must have an equilibrium on all meshes of its limit [-]."""
 _DIGITS = 7
 """Of a number in a file."""
 
@@ -78,26 +76,6 @@ def of_press(result: PressResult) -> Curve:
         readings |= {"pressure": result.more["pressure_change"][on], "torque": result.more["wrench"][on, 3:]}
     held = result.converged if result.resolved is None else result.resolved
     return Curve(depth[on] / depth[-1], readings, result.converged[on], ~held[on])
-
-
-def limits(edge: Sequence[float], curves: Sequence[Curve], tolerance: float) -> tuple[dict[str, Limit], np.ndarray]:
-    """The limit of every reading of a touch, and its depths over the deepest (T,) [-].
-
-    Frames that have no equilibrium on one of the meshes are left out if there are few; else no limit is known.
-
-    Args:
-        edge: of the meshes, coarsest first [m].
-        curves: of the touch on each, with frames at the same depths.
-        tolerance: of the solver [-].
-    """
-    found = {name: np.stack([c.readings[name] for c in curves]) for name in curves[0].readings}
-    on = np.all([c.converged for c in curves], axis=0)
-    few = on.mean() >= WHOLE and on[-1]
-    for name, values in found.items():
-        if name != "stiffness":
-            found[name] = values[:, on] if few else np.where(on.reshape(-1, *[1] * (values.ndim - 2)), values, np.nan)
-    return ({name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()},
-            curves[-1].share[on] if few else curves[-1].share)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from vsfsim.core.system.process_memory import held_memory, peak_memory
 from vsfsim.generate.trade.curve import Curve
-from vsfsim.generate.trade.setting import Ground, Setting
+from vsfsim.generate.trade.setting import LIMIT_TIER, Ground, Setting
+from vsfsim.physics import tiers
+from vsfsim.physics.convergence import Limit, curve_limit
+
+WHOLE = 0.75
+"""Share of the frames of a touch that must have an equilibrium on all meshes of its limit [-]."""
 
 
 @dataclass(frozen=True)
@@ -85,3 +92,23 @@ def together(parts: Sequence[Run]) -> Run:
     return Run(tuple(c for p in parts for c in p.curves), sum(p.once for p in parts), sum(p.cpu for p in parts),
                sum(p.wall for p in parts), max(p.memory for p in parts), sum(p.frames for p in parts),
                tuple(h for p in parts for h in p.edge))
+
+
+def limits(ladder: Sequence[Run]) -> tuple[dict[str, Limit], np.ndarray]:
+    """The limit of every reading of a touch, and its depths over the deepest (T,) [-].
+
+    Frames that have no equilibrium on one of the meshes are left out if there are few; else no limit is known.
+
+    Args:
+        ladder: the touch alone on each mesh, coarsest first, with frames at the same depths.
+    """
+    curves = [run.curves[0] for run in ladder]
+    found = {name: np.stack([c.readings[name] for c in curves]) for name in curves[0].readings}
+    on = np.all([c.converged for c in curves], axis=0)
+    few = on.mean() >= WHOLE and on[-1]
+    for name, values in found.items():
+        if name != "stiffness":
+            found[name] = values[:, on] if few else np.where(on.reshape(-1, *[1] * (values.ndim - 2)), values, np.nan)
+    edge, tolerance = [run.edge[0] for run in ladder], tiers.TIERS[LIMIT_TIER].tolerance
+    return ({name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()},
+            curves[-1].share[on] if few else curves[-1].share)

@@ -55,9 +55,22 @@ def page(title: str, about: Sequence[str], points: Sequence[Point], sentences: S
             f"</body></html>\n")
 
 
+def by_tier(points: Sequence[Point]) -> dict[str, tuple[str, list[Point]]]:
+    """Colour and points of each tier, by their time; those that have a place on logarithmic axes."""
+    shown = [p for p in points if math.isfinite(p.error) and p.error > 0.0 and p.cpu > 0.0]
+    return {tier: (COLOURS.get(tier, "#8c6bb1"), sorted((p for p in shown if p.tier == tier), key=lambda p: p.cpu))
+            for tier in dict.fromkeys(p.tier for p in shown)}
+
+
+def by_size(own: Sequence[Point]) -> list[Point]:
+    """Those of a tier's points that differ in the size of their elements alone."""
+    return [p for p in own if p.key.count(",") <= 1]
+
+
 def chart(points: Sequence[Point]) -> str:
     """Error of the force against CPU time of a touch as SVG, a line through the points of each tier."""
-    shown = [p for p in points if math.isfinite(p.error) and p.error > 0.0 and p.cpu > 0.0]
+    tiers = by_tier(points)
+    shown = [p for _, own in tiers.values() for p in own]
     if not shown:
         return "<p>No setting found all equilibria.</p>"
     x = _Axis([p.cpu for p in shown], LEFT, WIDTH - RIGHT)
@@ -83,10 +96,8 @@ def chart(points: Sequence[Point]) -> str:
         out.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y.at(bar):.1f}" y2="{y.at(bar):.1f}" '
                    f'stroke="var(--faint)" stroke-dasharray="6 4"/><text class="faint" x="{WIDTH - RIGHT - 6}" '
                    f'y="{y.at(bar) - 5:.1f}" text-anchor="end">error of the limit</text>')
-    for number, tier in enumerate(dict.fromkeys(p.tier for p in shown)):
-        colour = COLOURS.get(tier, "#8c6bb1")
-        own = sorted((p for p in shown if p.tier == tier), key=lambda p: p.cpu)
-        line = [p for p in own if p.key.count(",") <= 1]  # by element size alone
+    for number, (tier, (colour, own)) in enumerate(tiers.items()):
+        line = by_size(own)
         if len(line) > 1:
             places = " ".join(f"{x.at(p.cpu):.1f},{y.at(p.error):.1f}" for p in line)
             out.append(f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-width="1.5"/>')

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,13 @@ from scipy.spatial import cKDTree
 from vsfsim.core.scene import CameraSpec, SceneFile
 from vsfsim.core.text_table import text_table
 from vsfsim.data.records import View
+from vsfsim.data.streams import Stream
+from vsfsim.generate import solid
 from vsfsim.generate.cloud import cloud_normals
 from vsfsim.generate.job import jobs_of
-from vsfsim.generate.plants.prepare import outline, see
+from vsfsim.generate.plants import prepare
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.solid import surface_of
 from vsfsim.physics import tiers
-from vsfsim.sensing.camera import look_at, render
 
 FACTORS = (0.25, 0.5, 1.0, 2.0)
 """On the scene's own width and height [-]."""
@@ -59,21 +60,11 @@ def pictures(loaded: SceneFile, *, seed: int, device: str) -> list[Picture]:
     (job,) = jobs_of(recipe, loaded.path, Path("."), None)
     scene = job.scene()
     if scene.effector == "arm":
-        plant = outline(job).plant
-
-        def taken(camera: CameraSpec) -> View:
-            return see(plant, camera, device=device, renderer=recipe.renderer)
+        taken: Callable[..., View] = partial(prepare.see, prepare.outline(job).plant)
     else:
-        model = tiers.build(scene, recipe.tier, cache=job.cache)
-        surface, points = surface_of(model.solid, scene), model.mesh.points
-        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-
-        def taken(camera: CameraSpec) -> View:
-            intrinsics, pose = look_at(camera, centre)
-            return render(surface, intrinsics, pose, camera.width, camera.height, device=device,
-                          renderer=recipe.renderer)
-
-    return compared(taken, scene.camera)
+        model = tiers.build(scene, recipe.tier, seed=job.stream(Stream.BODY), cache=job.cache)
+        taken = partial(solid.see, solid.surface_of(model.solid, scene), model)
+    return compared(partial(taken, device=device, renderer=recipe.renderer), scene.camera)
 
 
 def compared(taken: Callable[[CameraSpec], View], camera: CameraSpec) -> list[Picture]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vsfsim.core.interactive.figure import new_figure
 from vsfsim.generate.trade.front import Point
-from vsfsim.generate.trade.page import COLOURS
+from vsfsim.generate.trade.page import by_size, by_tier
 
 DOTS = 200  # per inch
 
@@ -25,17 +24,16 @@ def draw(points: Sequence[Point], title: str, file: Path) -> None:
     """
     figure = new_figure(figsize=(7.0, 4.0), dpi=DOTS, layout="tight")
     axes = figure.subplots()
-    shown = [p for p in points if math.isfinite(p.error) and p.error > 0.0 and p.cpu > 0.0]
-    for tier in dict.fromkeys(p.tier for p in shown):
-        colour = COLOURS.get(tier, "#8c6bb1")
-        own = sorted((p for p in shown if p.tier == tier), key=lambda p: p.cpu)
-        line = [p for p in own if p.key.count(",") <= 1]  # by element size alone
+    tiers = by_tier(points)
+    shown = [p for _, own in tiers.values() for p in own]
+    for tier, (colour, own) in tiers.items():
+        line = by_size(own)
         axes.plot([p.cpu for p in line], [100.0 * p.error for p in line], color=colour, linewidth=1.2)
         for ranked, fill in ((True, colour), (False, "white")):
             some = [p for p in own if p.ranked == ranked]
             axes.scatter([p.cpu for p in some], [100.0 * p.error for p in some], s=28, facecolor=fill, edgecolor=colour,
                          zorder=3, label=tier if ranked == any(p.ranked for p in own) else None)
-    best = sorted((p for p in shown if p.front), key=lambda p: p.cpu)
+    best = [p for p in shown if p.front]
     axes.scatter([p.cpu for p in best], [100.0 * p.error for p in best], s=110, facecolor="none", edgecolor="black",
                  zorder=4, label="on the front")
     bar = 100.0 * max((p.bar for p in shown), default=0.0)

@@ -102,8 +102,7 @@ class Ground:
                 for k in range(meshes)]
 
     def axes(self) -> dict[str, list[Setting]]:
-        """The points along each of `AXES` that the scene has, and the cheapest of all together.
-        """
+        """The points along each of `AXES` that the scene has, and the cheapest of all together."""
         base: dict[str, Any] = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
         if self.arm is not None:
             other = "dynamic" if self.arm == "kinematic" else "kinematic"
@@ -142,7 +141,7 @@ class Ground:
         """
         found = self.axes()
         if devices:
-            found["device"] = [Setting(self.tier, self.resolution, parts=None, device=name) for name in devices]
+            found["device"] = [Setting(self.tier, self.resolution, device=name) for name in devices]
         for name in axes:
             if name not in found and name != "camera":
                 raise VsfsimError(f"--axis is '{name}', but {AXES[name]}. There are: {', '.join(found)}.")
