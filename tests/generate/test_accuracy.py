@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from small_scenes import BLOCK
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
@@ -19,17 +20,7 @@ from vsfsim.generate.trade.curve import Curve
 from vsfsim.generate.trade.made import Run
 from vsfsim.generate.trade.setting import Ground
 
-SCENE = """
-name = "small"
-gravity = [0.0, 0.0, 0.0]
-needs = ["bulging"]
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.02
-young_modulus = 5e4
-poisson_ratio = 0.3
-[probe]
-shape = { sphere = 0.02 }
+SCENE = 'name = "small"' + BLOCK + """
 [touches]
 count = 2
 depth = 0.004

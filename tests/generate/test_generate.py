@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import load_scene
@@ -48,15 +49,7 @@ from = [0.01, -0.02, 0.045]
 to = [0.01, -0.02, 0.037]
 frames = 4
 retract = 2
-[camera]
-width = 64
-height = 48
-distance = 0.25
-[dataset]
-objects = 2
-views = 1
-splits = { train = 1, test = 1 }
-"""
+""" + CAMERA + TWO_OBJECTS
 
 
 def command(*words):

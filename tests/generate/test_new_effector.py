@@ -16,6 +16,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from small_scenes import CAMERA, TWO_OBJECTS
 from test_layers import ROOT, files, imports, module_name
 
 import vsfsim
@@ -151,15 +152,7 @@ frames = 3
 count = 6
 depth = 0.004
 frames = { free = 1, in = 3, hold = 0, out = 0 }
-[camera]
-width = 64
-height = 48
-distance = 0.25
-[dataset]
-objects = 2
-views = 1
-splits = { train = 1, test = 1 }
-"""
+""" + CAMERA + TWO_OBJECTS
 
 TASK = """
 name = "weighed-v1"

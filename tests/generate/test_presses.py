@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from small_scenes import CAMERA, SPRUNG
 
 from vsfsim.baselines.near_springs import NearSprings
 from vsfsim.bench import predictions, sealed
@@ -27,12 +28,7 @@ name = "kinds"
 needs = ["normal-force"]
 [object]
 shape = { cylinder = [0.03, 0.06] }
-resolution = 0.03
-tier = "linear"
-young_modulus = { loguniform = [2e4, 2e5] }
-[probe]
-shape = { sphere = 0.01 }
-mount_stiffness = 500.0
+""" + SPRUNG + """
 [touches]
 count = 8
 depth_range = [0.003, 0.005]
@@ -45,10 +41,7 @@ tilt = 0.0
 [[touches.other]]
 level = true
 tilt = 0.0
-[camera]
-width = 64
-height = 48
-distance = 0.25
+""" + CAMERA + """
 [dataset]
 objects = 2
 splits = { test = 2 }

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from small_scenes import CAMERA, SPRUNG
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.named import is_ceiling
@@ -28,20 +29,12 @@ name = "sprung"
 needs = ["normal-force"]
 [object]
 shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.03
-tier = "linear"
-young_modulus = { loguniform = [2e4, 2e5] }
-[probe]
-shape = { sphere = 0.01 }
-mount_stiffness = 500.0
+""" + SPRUNG + """
 [touches]
 count = 5
 depth = 0.004
 frames = { free = 1, in = 3, hold = 0, out = 0 }
-[camera]
-width = 64
-height = 48
-distance = 0.25
+""" + CAMERA + """
 [dataset]
 objects = 3
 splits = { test = 3 }

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from small_scenes import BLOCK
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
@@ -153,7 +154,7 @@ def test_a_sweep_goes_on_where_its_budget_ended(tmp_path, monkeypatch):
         raise VsfsimError("no room")
 
     imagined.run = refuse
-    with pytest.raises(VsfsimError, match="no setting of the sweep can be made. linear, 13 mm: no room"):
+    with pytest.raises(VsfsimError, match=r"no setting of the sweep can be made\. linear, 13 mm: no room"):
         command.tradeoff(scene, tmp_path / "refused")
 
 
@@ -177,25 +178,11 @@ def test_what_cannot_be_measured_is_refused(tmp_path):
     assert isinstance(run.exception, VsfsimError) and "90s, 10m or 2h" in str(run.exception)
 
 
-TINY = """
-name = "tiny"
-gravity = [0.0, 0.0, 0.0]
-needs = ["bulging"]
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.02
-young_modulus = 5e4
-poisson_ratio = 0.3
-[probe]
-shape = { sphere = 0.02 }
-"""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("more", ["[touches]\ndepth = 0.004\nframes = { free = 1, in = 2, hold = 0, out = 0 }",
                                   "[press]\nfrom = [0, 0, 0.05]\nto = [0, 0, 0.046]\nframes = 2"])
 def test_a_small_block(tmp_path, more):
-    scene = parse_scene(TINY + more, tmp_path / "tiny.toml")
+    scene = parse_scene('name = "tiny"' + BLOCK + more, tmp_path / "tiny.toml")
     found, _ = command.tradeoff(scene, tmp_path / "out", touches=1, tiers_only=("vsf", "fem-coarse"))
     error = {p.key: p.error for p in found.points}
     assert error["vsf, 20 mm"] > 3.0 * error["fem-coarse, 15.4 mm"], "layers that cannot move sideways"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench.board.charts import colour_of
 from vsfsim.core.errors import DatasetError
 from vsfsim.view.encode import values_of
 
@@ -81,6 +82,5 @@ def _log(recording: Any, one: dict[str, Any], about: dict[str, Any], low: float,
 
 
 def _colours(log: np.ndarray, low: float, high: float) -> np.ndarray:
-    from matplotlib import colormaps
-
-    return colormaps["viridis"]((log - low) / max(high - low, 1e-6), bytes=True)[:, :3]
+    share = (log - low) / max(high - low, 1e-6)
+    return np.array([list(bytes.fromhex(colour_of(at)[1:])) for at in share.tolist()], np.uint8)

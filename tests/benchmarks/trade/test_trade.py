@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_scenes import BLOCK
 
 from benchmarks import indent
 from benchmarks.trade import ranking
@@ -14,18 +15,6 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.plot import draw
 from vsfsim.physics import tiers
-
-SCENE = """
-gravity = [0.0, 0.0, 0.0]
-needs = ["bulging"]
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.02
-young_modulus = 5e4
-poisson_ratio = 0.3
-[probe]
-shape = { sphere = 0.02 }
-"""
 
 
 def test_rankings_agree_as_far_as_their_objects_do():
@@ -38,7 +27,7 @@ def test_rankings_agree_as_far_as_their_objects_do():
 
 
 def test_a_field_that_the_elements_hold_has_no_residual():
-    model = tiers.build(parse_scene(SCENE, "small.toml").sample(0), "fem")
+    model = tiers.build(parse_scene(BLOCK, "small.toml").sample(0), "fem")
     x = model.mesh.points
     straight = x @ [[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.0, 0.3, 0.05]]
     assert abs(dual_weighted(model, straight, straight, 0.3)) < 1e-20
