@@ -41,8 +41,7 @@ class _Object:
     basis: np.ndarray
     """Level, slope and smooth field (m, 2 + c), the field with deviation 1."""
 
-    def model(self, log_modulus: np.ndarray) -> Model:
-        modulus = np.repeat(np.exp(log_modulus)[:, None], 4, axis=1)
+    def model(self, modulus: np.ndarray) -> Model:
         return build_model(self.solid, modulus, poisson_ratio=_POISSON_RATIO, fixed="bottom", bottom_tolerance=_FOOT,
                            where="fem-map-seen")
 
@@ -101,7 +100,7 @@ class FemMapSeen:
         single_number("fem-map-seen", touches)
         if not touches:
             return []
-        model = self._object.model(self._prior.basis @ self._theta)
+        model = self._object.model(self._prior.modulus(self._theta))
         presses = [_press(action, np.full(len(action.poses), np.nan)) for action in touches]
         forces, _, _ = press(model, presses, tiers.options(_TIER))
         return [_filled(force)[:, None] for force in forces]

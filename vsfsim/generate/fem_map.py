@@ -9,6 +9,7 @@ Gaussian process over the object that knows no parts.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -24,7 +25,6 @@ from vsfsim.generate.solid import Subject, prepare
 from vsfsim.physics import tiers
 from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus
 from vsfsim.physics.inverse.smooth_field import smooth_basis
-from vsfsim.physics.model import Model
 
 FIELDS = ("parts", "smooth")
 """Where log E may vary: from part to part, or smoothly."""
@@ -81,7 +81,7 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
         raise SceneError(f"field is '{field}'. {did_you_mean(field, FIELDS)}")
     job = job_of(recipe, name, tier)
     subject = prepare(job, device=device)
-    scene, model = subject.scene, subject.model
+    scene = subject.scene
     if scene.effector != "probe":
         raise SceneError(f"fem-map differentiates touches by rigid probes, and scene '{recipe.scene}' has none.")
     if scene.required_object.friction:
@@ -92,13 +92,11 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
                          f"'{job.recipe.tier}'.")
     prior = _prior(job, subject, field)
 
-    def model_of(log_modulus: np.ndarray) -> Model:
-        return tiers.model_of(scene, job.recipe.tier, model.solid, np.repeat(np.exp(log_modulus)[:, None], 4, axis=1))
-
+    model_of = functools.partial(tiers.model_of, scene, job.recipe.tier, subject.model.solid)
     presses = [Press(one.action.poses, one.action.axis, np.where(one.valid, one.value[:, 0], np.nan), one.action.probe,
                      one.action.mount_stiffness) for one in support]
     theta, _ = fit_modulus(model_of, prior, presses, subject.limits(), NOISE)
-    return retouch(dataclasses.replace(subject, model=model_of(prior.basis @ theta)), plans, device=device)
+    return retouch(dataclasses.replace(subject, model=model_of(prior.modulus(theta))), plans, device=device)
 
 
 def _prior(job: Job, subject: Subject, field: str) -> Prior:

@@ -69,6 +69,10 @@ class Prior:
     covariance: np.ndarray
     """C (c, c)."""
 
+    def modulus(self, theta: np.ndarray) -> np.ndarray:
+        """Young's modulus at the Gauss points of every element (m, 4) [Pa] under the coefficients (c,)."""
+        return np.repeat(np.exp(self.basis @ theta)[:, None], 4, axis=1)
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -117,7 +121,7 @@ def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: 
     """The coefficients (c,) that explain the presses best, and their covariance (c, c) in the linearised problem.
 
     Args:
-        model_of: the object with log E (m,) of its elements.
+        model_of: the object with the Young's moduli (m, 4) [Pa].
         prior: of the coefficients. presses: the touches. options: of the solver. noise: of the readings.
         steps: at most.
     """
@@ -132,7 +136,7 @@ def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: 
     def look(at: np.ndarray, near: Sequence[Sensitivity]) -> tuple[float, np.ndarray, np.ndarray, list[Sensitivity]]:
         nonlocal base
         log_modulus = prior.basis @ at
-        model = model_of(log_modulus)
+        model = model_of(prior.modulus(at))
         if base is None or np.abs(log_modulus - base[0]).max() > _NEAR:
             base = log_modulus, model
         shared = dataclasses.replace(model, factor=base[1].factor, soft_factor=base[1].soft_factor)
