@@ -354,8 +354,8 @@ def leaderboard(results: Annotated[list[Path] | None,
 
 
 @app.command()
-def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper or tuned.")
-                             ] = "tuned",
+def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper, exact or "
+                                                    "tuned.")] = "tuned",
            size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size; "
                                                   "default: of each claim the larger one that has results.")] = "",
            json: JsonFile = None) -> None:

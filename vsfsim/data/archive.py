@@ -60,7 +60,10 @@ def taken(folder: Path, name: str, *, progress: Callable[[int, int, str], None] 
     if manifest is None:
         return None
     part = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}")
-    part.mkdir(parents=True)
+    try:
+        part.mkdir(parents=True)
+    except OSError as error:
+        raise DatasetError(f"folder {part} cannot be made: {error.strerror}. Choose another --out.") from error
     try:
         write_atomic(part / MANIFEST, manifest)
         dataset = Dataset.open(part)
