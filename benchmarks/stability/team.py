@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.system.threads import one_thread
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,8 @@ def _start(work: Callable[[Any], Any]) -> _Worker:
     context = mp.get_context("spawn")
     mine, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-    process.start()
+    with one_thread():  # and the processor time of a job is not that of threads which wait for one another
+        process.start()
     theirs.close()
     return _Worker(process, mine)
 

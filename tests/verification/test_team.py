@@ -15,11 +15,15 @@ def double(job):
         os._exit(7)
     if job == "waits":
         time.sleep(60.0)
+    if job == "threads":
+        return os.environ["OMP_NUM_THREADS"]
     return 2 * job
 
 
-def test_a_job_that_dies_and_one_that_does_not_end_leave_the_others():
-    found = dict(answers([1, "dies", 2, "waits", 3], double, workers=2, most=4.0))
+def test_a_job_that_dies_and_one_that_does_not_end_leave_the_others(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    found = dict(answers([1, "dies", 2, "waits", 3, "threads"], double, workers=2, most=4.0))
+    assert found["threads"] == "1" and os.environ["OMP_NUM_THREADS"] == "7"
     assert [found[k] for k in (1, 2, 3)] == [2, 4, 6]
     assert isinstance(found["dies"], Ended) and not found["dies"].late and "code 7" in found["dies"].words
     assert found["waits"].late

@@ -16,6 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from vsfsim.core.errors import DatasetError
+from vsfsim.core.system.threads import one_thread
 from vsfsim.data.lines import MOST_FAILURES, Failure, check_kind, failure, finished_names, put_failure, put_view
 from vsfsim.data.manifest import Entry
 from vsfsim.data.provenance import machine_kind
@@ -26,7 +27,6 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial.transform", "torch",
             "trimesh", "warp")
 """What every worker imports, in 2.6 s of a core. No module of vsfsim: some start Warp, which opens a GPU's driver, and
@@ -51,28 +51,21 @@ def process_pool(jobs: int, workers: int | None, *, device: str = "cpu", begin: 
                  given: Sequence[Any] = ()) -> Iterator[ProcessPoolExecutor]:
     """New processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``.
 
-    One thread, because a sum that is split over threads depends on how many there are. Each process calls ``begin``
-    with the operands ``given`` first. ``device`` is the one that they will use.
+    Each process calls ``begin`` with the operands ``given`` first. ``device`` is the one that they will use.
     """
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
-                               mp_context=_processes(device), initializer=_set_up,
-                               initargs=(dict(os.environ), begin, tuple(given)))
-    before_us = set(multiprocessing.active_children())
-    try:
-        yield pool
-    except KeyboardInterrupt:
-        for process in set(multiprocessing.active_children()) - before_us:
-            process.terminate()  # a view can take minutes, and what is not finished is made again
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    with one_thread():
+        pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
+                                   mp_context=_processes(device), initializer=_set_up,
+                                   initargs=(dict(os.environ), begin, tuple(given)))
+        before_us = set(multiprocessing.active_children())
+        try:
+            yield pool
+        except KeyboardInterrupt:
+            for process in set(multiprocessing.active_children()) - before_us:
+                process.terminate()  # a view can take minutes, and what is not finished is made again
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def submit(pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any) -> Future[Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.extras import missing_package
+from vsfsim.core.system.threads import ONE_THREAD
 
 WAIT = 5.0  # a cluster may take so long to answer [s]
 
@@ -34,10 +35,9 @@ def run(function: Callable[[Any], None], items: Sequence[Any], *, address: str =
         head = _connect(ray, address)
         if gpus and (there := ray.cluster_resources().get("GPU", 0.0)) < gpus:
             raise VsfsimError(f"--gpus-per-task is {gpus:g}, but the Ray cluster has {there:g} GPUs.")
-        one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         # Ray takes a function, and no `functools.partial`
-        task: Any = ray.remote(lambda item: function(item)).options(name="vsfsim", num_cpus=1, num_gpus=gpus,
-                                                               max_retries=retries, runtime_env={"env_vars": one})
+        task: Any = ray.remote(lambda item: function(item)).options(
+            name="vsfsim", num_cpus=1, num_gpus=gpus, max_retries=retries, runtime_env={"env_vars": ONE_THREAD})
         going: dict[Any, int] = {}
         todo = list(range(len(items)))
         while todo or going:
