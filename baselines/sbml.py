@@ -99,7 +99,8 @@ class Sbml(PosteriorAnswers):
         if spatial and (networks < 2 or structure != "HE"):
             raise MethodError(f"sbml: spatial needs several networks of structure HE, whose deviations it is found on; "
                               f"networks is {networks} and structure '{structure}'. Give --set networks=3.")
-        self.spatial, self.second, self.networks, self.common_std = spatial, second, networks, common_std
+        self.spatial, self.second, self.networks, self.common_std = (
+            spatial, second, networks, common_std)
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, "cpu",

@@ -14,7 +14,7 @@ springs. This is ours; the papers' springs are independent (eq. 12).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,7 +172,7 @@ class Smoothed:
 
         return self._left(h**2 * (s.common**2 + s.near**2), between)
 
-    def _left(self, before: np.ndarray, between: Callable[[], np.ndarray]) -> np.ndarray:
+    def _left(self, before: np.ndarray, between) -> np.ndarray:
         """Deviations where the prior has the variances ``before`` (q,) and ``between`` gives the covariances with the
         readings made (q, m)."""
         if self._factor is None:
