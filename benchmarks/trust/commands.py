@@ -35,7 +35,7 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the fi
 
 @app.command()
 def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Number of a random body; may be given "
-                                                                           "again. Default: those of pages.")] = None,
+                                                                           "again. Default: 1 to 6.")] = None,
                 out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a "
                                                               "later run goes on with it.")] = None,
                 workers: Workers = None,

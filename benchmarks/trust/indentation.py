@@ -46,11 +46,11 @@ to = {stop}
 frames = 5
 """
 BODIES = (1, 2, 3, 4, 5, 6)
-"""Numbers of the bodies that pages tell of, two of each kind."""
+"""Numbers of random bodies, two of each kind."""
 FINER = 0.6
 """Element size of the reference over that of tier fem at most [-]."""
 BLOCKS = {"S1": "indent-homogeneous", "S2": "indent"}
-"""Scenes of the blocks that pages report, by their name: C was fitted to the first; see `references/`."""
+"""Scenes of the blocks by the name of their reference, see `references/`; the compliance was fitted to the first."""
 COMMAND = "vsfsim measure indentation"
 TIERS = ("linear", "fem-coarse", "fem")
 REFERENCE = ("the fine mesh", True)
