@@ -6,6 +6,8 @@ ends as it should, leaves no half-written file behind, and the same command run 
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import os
 import random
 import resource
@@ -230,11 +232,9 @@ def descendants(process: int) -> list[int]:
     while todo:
         here = todo.pop(0)
         found: list[int] = []
-        for path in Path(f"/proc/{here}/task").glob("*/children"):
-            try:
-                found += [int(word) for word in path.read_text().split()]
-            except OSError:
-                continue
+        for path in glob.glob(f"/proc/{here}/task/*/children"):  # empty if the process has ended, where Path's raises
+            with contextlib.suppress(OSError):
+                found += [int(word) for word in Path(path).read_text().split()]
         out += found
         todo += found
     return out
