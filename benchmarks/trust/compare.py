@@ -27,11 +27,11 @@ FRAMES = 3
 """Frames of each part of the path that the reference has at least."""
 WRONG = 0.10
 """Error from which a frame that is not marked is wrong in silence [-]."""
-MOST = 9_000
-"""Three elements' cubes in the bounding box of a reference: it has 15,000 tetrahedra at most, but where a probe has
-edges."""
 LEAST = 0.75
-"""Largest element of a reference, over the press's own; a cell whose reference would be coarser has none [-]."""
+"""Largest element of a reference, over the press's own [-]."""
+CUBES = (3_000, 6_500)
+"""Cubes of an element's size in the bounding box of a reference: no more than the first, 15,000 tetrahedra, but where
+`LEAST` needs them, or where a probe has edges; a cell that needs more than the second has no reference."""
 SURE = 0.04
 """Largest estimated error of a reference by its mesh [-]; past it the cell has none."""
 SMALL = 0.1
@@ -102,9 +102,9 @@ def judge(cell: tuple[int, int], *, limit: float) -> Verdict:
 def _judge(number: int, cell: Press, folder: Path, limit: float) -> Verdict:
     sample = cell.scene(folder).sample(0)
     size = tiers.element_size(sample.object, cell.tier, sample.probe)
-    finest = max(FINER * min(size, tiers.element_size(sample.object, "fem", sample.probe)),
-                 float(3.0 * np.prod(extent(sample)) / MOST) ** (1.0 / 3.0))
-    if finest > LEAST * cell.coarse * size:
+    least, (usual, most) = LEAST * cell.coarse * size, (np.prod(extent(sample)) / np.array(CUBES)) ** (1.0 / 3.0)
+    finest = min(max(FINER * min(size, tiers.element_size(sample.object, "fem", sample.probe)), float(usual)), least)
+    if finest < most:
         raise _NoReference("it would be too large")
     own = cell.scene(folder, resolution=None if cell.coarse == 1.0 else cell.coarse * size)
     pressed = _press(own, cell.tier, folder, limit)
@@ -136,12 +136,14 @@ def _figures(*results: PressResult) -> list[str]:
     return [note for result in results for note in result.notes if "off by" in note or " too " in note]
 
 
-def _times(cell: Press) -> int:
-    return -(-FRAMES // min(cell.frames))
+def _times(cell: Press) -> tuple[int, ...]:
+    """So many frames has the reference for one of each part of the path."""
+    return tuple(-(-FRAMES // n) for n in cell.frames)
 
 
 def _compare(number: int, cell: Press, own: PressResult, exact: PressResult) -> Verdict:
-    at = _times(cell) * np.arange(1, len(own.force) + 1) - 1
+    times = _times(cell)
+    at = np.cumsum(np.repeat((*times, times[0]), (*cell.frames, cell.retract))) - 1
     known = exact.converged[at]
     if own.resolved is None or not known.any():
         return Verdict(number, "no reference", cell.kinds, words="it did not converge")

@@ -6,7 +6,7 @@ give the same scene.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,12 +44,13 @@ class Press:
     retract: int
     """Frames on the way back."""
 
-    def scene(self, folder: Path, *, times: int = 1, resolution: float | None = None) -> SceneFile:
-        """The scene with so many ``times`` the frames, on elements of this ``resolution`` [m], or of the tier's."""
-        own = "" if resolution is None else f"resolution = {resolution!r}"
+    def scene(self, folder: Path, *, times: Sequence[int] = (), resolution: float | None = None) -> SceneFile:
+        """The scene with so many ``times`` the frames of each part of the path (and of the way back, as of the first),
+        on elements of this ``resolution`` [m], or of the tier's."""
+        own, times = "" if resolution is None else f"resolution = {resolution!r}", times or [1] * len(self.frames)
+        frames = [k * n for k, n in zip(times, self.frames, strict=True)]
         return parse_scene(self.text.replace("{resolution}", own).replace(
-            "{frames}", f"frames = {[times * n for n in self.frames]}\nretract = {times * self.retract}"),
-            folder / "scene.toml")
+            "{frames}", f"frames = {frames}\nretract = {times[0] * self.retract}"), folder / "scene.toml")
 
 
 def press(seed: int, number: int, folder: Path) -> Press:

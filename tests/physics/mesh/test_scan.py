@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 import trimesh
 
 from vsfsim.core.errors import MeshError
+from vsfsim.core.extras import MissingPackage
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
 from vsfsim.physics import disk_cache
@@ -171,6 +173,21 @@ def test_a_filler_that_dies_is_an_error_with_its_last_words(tmp_path: Path, monk
     with pytest.raises(MeshError, match="out of luck"):
         filled(hollow(0.002), tmp_path)
     assert not list((tmp_path / "cache").glob("*.npz"))
+
+
+def test_only_thin_walls_need_the_filler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = importlib.metadata.version
+
+    def gone(name: str) -> str:
+        if name == "pytetwild":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return real(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", gone)
+    monkeypatch.setitem(sys.modules, "pytetwild", None)
+    check_filled(filled(ball(), tmp_path), VOLUME, within=0.02)
+    with pytest.raises(MissingPackage, match="pytetwild"):
+        filled(hollow(0.002), tmp_path)
 
 
 def test_everything_wrong_at_once(tmp_path: Path) -> None:

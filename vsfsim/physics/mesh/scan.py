@@ -9,7 +9,6 @@ wait.
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +60,7 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
     """
     path = Path(shape.path)
     key = hashlib.sha256(content(path) + repr((path.suffix.lower(), shape.scale, shape.up, resolution, _RECIPE,
-                                               importlib.metadata.version("pytetwild"))).encode()).hexdigest()
+                                               tetwild.version())).encode()).hexdigest()
     folder = disk_cache.folder() if cache is None else Path(cache)
     stored = folder / f"tets-{key[:32]}.npz"
     with disk_cache.locked(stored):

@@ -6,6 +6,7 @@ it made is kept.
 
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
 import tempfile
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vsfsim.core.errors import MeshError
+from vsfsim.core.extras import require
 
 if TYPE_CHECKING:
     from vsfsim.physics.mesh.repair import Surface
@@ -40,6 +42,14 @@ TIME_LIMIT = 60.0
 _TOLD = 5.0  # time between two words of progress [s]
 
 
+def version() -> str:
+    """Of pytetwild; "none" without it, as most scans do without."""
+    try:
+        return importlib.metadata.version("pytetwild")
+    except importlib.metadata.PackageNotFoundError:
+        return "none"
+
+
 def run(surface: Surface, resolution: float, envelope: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) [m] and tetrahedra (m, 4), of either orientation, inside a surface.
 
@@ -50,8 +60,10 @@ def run(surface: Surface, resolution: float, envelope: float, path: Path) -> tup
         path: of the mesh file, for messages.
 
     Raises:
+        MissingPackage: pytetwild is not installed.
         MeshError: the filler failed, or took more than `TIME_LIMIT`.
     """
+    require("sim", "pytetwild")
     with tempfile.TemporaryDirectory(prefix="vsfsim-fill-") as folder:
         given, made, said = (Path(folder, name) for name in ("given.npz", "made.npz", "said.txt"))
         np.savez(given, vertices=np.asarray(surface.vertices, np.float64), faces=np.asarray(surface.faces, np.int32),
