@@ -96,7 +96,7 @@ def measure(*, device: str = "cpu", scene: str = "plants-mini", touches: int = 6
     recipe = make_recipe(loaded, objects=1, views=1, touches=touches, device=device)
     job = jobs_of(recipe, loaded.path, Path("."), None)[0]
     progress("compiling kernels, or finding them")
-    compile_kernels(kernels_of(loaded.sample(0), "float64"), device)
+    compile_kernels(kernels_of(loaded.sample(0)), device)
     subject = prepare_job(job, device=device)
     progress("touching")
     (frames,) = solve([subject], device=device)

@@ -241,7 +241,7 @@ def measure(*, device: str = "cpu", touches: int | None = None, frames: int = FR
     s = prepare(count, frames=frames, tier=tier, resolution=resolution, nodes=nodes)
     progress(f"{len(s.body.mesh.tets)} tetrahedra, {len(s.sensor.mesh.points)} nodes of the bubble, built in "
              f"{s.seconds:.1f} s; compiling kernels")
-    compile_kernels(coupled_kernels("float64", elements_of([*s.body.blocks, *s.sensor.blocks])), device)
+    compile_kernels(coupled_kernels(elements_of([*s.body.blocks, *s.sensor.blocks])), device)
     one = poke(s, tier, device, progress)
     progress(f"one touch: {one.seconds:.3f} s a frame, {one.newton:.1f} Newton, {one.cg:.1f} CG")
     many = batch(s, count, tier, device, progress, compare=compare)

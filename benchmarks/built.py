@@ -68,7 +68,7 @@ def built(name: str) -> dict[str, Any]:
     arrays = [a for model in models for a in arrays_of(model)]
     camera = scene.touches is not None and "inside_rgb" in effector.channels(scene)
     pictures = [word for word, on in (("RGB-D", scene.touches is not None), ("inside", camera)) if on]
-    kernels = {k.key for k in effector.kernels(scene, "float64")}
+    kernels = {k.key for k in effector.kernels(scene)}
     return {"scene": name, "effector": scene.effector, "needs": ", ".join(scene.needs) or "-", "tier": tier or "-",
             "elements": ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) or "-",
             "bodies": {"probe": len(scene.bodies), "sensor": len(scene.obstacles)}.get(effector.table, 0),

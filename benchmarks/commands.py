@@ -39,8 +39,8 @@ def solver(device: Device = "cpu",
                            typer.Option(help="Press this cell of the gate alone, small for eight quick ones, or all "
                                              "for 40; may be given again.")] = None,
            out: JsonFile = None) -> None:
-    """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a
-    batch; or what every mechanism of the solver buys on 40 fixed presses."""
+    """Force error, iterations, back-solve and assembly times of every tier, and touches a second of a batch;
+    or what every mechanism of the solver buys on 40 fixed presses."""
     if without or cell or against is not None:
         from benchmarks.gate.compare import measure as measure_gate
 

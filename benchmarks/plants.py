@@ -61,7 +61,7 @@ def measure(*, device: str = "cpu", scene: str = "plants", objects: int | None =
     jobs = jobs_of(recipe, loaded.path, Path("."), None)
     began = time.perf_counter()
     progress("compiling kernels, or finding them")
-    compile_kernels(kernels_of(loaded.sample(0), "float64"), device)
+    compile_kernels(kernels_of(loaded.sample(0)), device)
     compiling = time.perf_counter() - began
     progress(f"kernels ready after {compiling:.1f} s")
     count = workers or (1 if device == "cpu" else os.cpu_count() or 1)

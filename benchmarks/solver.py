@@ -1,6 +1,6 @@
 """Time and error of the solver: `vsfsim measure solver`.
 
-Two measurements. *One touch*: the reference presses S1 and S2 at every tier and precision. The second touch of the
+Two measurements. *One touch*: the reference presses S1 and S2 at every tier. The second touch of the
 object is measured, when mesh, factor and columns of the inverse exist: its force against the reference and the CPU time
 of a load step with its parts. *A batch*: touches of one object that advance together, 40 frames each, touches a second.
 """
@@ -46,8 +46,6 @@ class OneTouch:
     """Reference case, "S1" or "S2"."""
     tier: str
     """Fidelity."""
-    precision: str
-    """Of the elements: "float64" or "float32"."""
     device: str
     """Warp device."""
     tets: int
@@ -122,23 +120,23 @@ def _model(scene: Scene, tier: str) -> Model:
     return tiers.build(scene, tier, focus=tip(scene, np.array(scene.press.stop), direction(scene.press))[None])
 
 
-def _solver(scene: Scene, model: Model, tier: str, device: str, precision: str) -> Solver:
-    return Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(tier),
+def _solver(scene: Scene, model: Model, tier: str, device: str) -> Solver:
+    return Solver(model, scene.probe, device=device, options=tiers.options(tier),
                   linear=not tiers.TIERS[tier].nonlinear)
 
 
-def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "float64") -> OneTouch:
+def one_touch(name: str, tier: str, *, device: str = "cpu") -> OneTouch:
     """Press scene ``name`` twice at ``tier`` and report on the second time."""
     scene = _scene(name)
     case = CASES[name]
     reference = references.load(case.lower())["force_N"][-1]
     model = _model(scene, tier)
     poses = press_path(scene.press, scene.probe)
-    compile_kernels(solver_kernels(precision, elements_of(model.blocks)), device)
-    _solver(scene, model, tier, device, precision).run(poses[:, None])
+    compile_kernels(solver_kernels(elements_of(model.blocks)), device)
+    _solver(scene, model, tier, device).run(poses[:, None])
     clock.start()
     began = time.process_time()
-    frames = _solver(scene, model, tier, device, precision).run(poses[:, None])
+    frames = _solver(scene, model, tier, device).run(poses[:, None])
     spent = time.process_time() - began
     parts = clock.stop()
     steps = len(poses)
@@ -149,7 +147,7 @@ def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "fl
         return calls / steps, 1e3 * seconds / max(calls, 1)
 
     solves, tangents, products = each("back-solves"), each("tangents"), each("products")
-    return OneTouch(case, tier, precision, device, len(model.mesh.tets), 3 * len(model.mesh.points), force,
+    return OneTouch(case, tier, device, len(model.mesh.tets), 3 * len(model.mesh.points), force,
                     force / reference - 1.0, spent / steps,
                     float(frames.iterations.mean()), float(frames.cg_iterations.mean()), *solves, *tangents, *products,
                     float(frames.residual.max()), float(frames.force_balance.max()), model.factor.seconds)
@@ -176,10 +174,10 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
     scene = _scene(name)
     model = _model(scene, tier)
     poses = batch_poses(scene, touches)
-    compile_kernels(solver_kernels("float64", elements_of(model.blocks)), device)
+    compile_kernels(solver_kernels(elements_of(model.blocks)), device)
 
     def run() -> tuple[Frames, float]:
-        solver = _solver(scene, model, tier, device, "float64")
+        solver = _solver(scene, model, tier, device)
         began = time.perf_counter()
         frames = solver.run(poses)
         return frames, time.perf_counter() - began
@@ -214,9 +212,8 @@ def measure(*, device: str = "cpu", tier: tuple[str, ...] | None = None, touches
     singles, batches = [], []
     for name in CASES:
         for one in chosen:
-            for precision in ("float64", "float32") if tiers.TIERS[one].nonlinear else ("float64",):
-                progress(f"{name} at {one}, {precision}")
-                singles.append(asdict(one_touch(name, one, device=device, precision=precision)))
+            progress(f"{name} at {one}")
+            singles.append(asdict(one_touch(name, one, device=device)))
     for one in [t for t in chosen if t in ("linear", "fem-coarse", "fem")]:
         count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[one].nonlinear else 4096)
         progress(f"a batch of {count} touches at {one}")
@@ -224,8 +221,8 @@ def measure(*, device: str = "cpu", tier: tuple[str, ...] | None = None, touches
     parts = [{"tier": b["tier"], "part": part, "seconds": spent} for b in batches for part, spent in b["parts"].items()]
     return Measurement.of("solver", {"device": device, "tier": chosen, "touches": touches, "compare": compare}, [
         Table("second touch of an object, a load step of a tenth of 5 mm, CPU time of one process", (
-            Column("case", "case"), Column("tier", "tier"), Column("precision", "precision"),
-            Column("tets", "tets", "1"), Column("unknowns", "unknowns", "1"), Column("force", "force", "N", form=".3f"),
+            Column("case", "case"), Column("tier", "tier"), Column("tets", "tets", "1"),
+            Column("unknowns", "unknowns", "1"), Column("force", "force", "N", form=".3f"),
             Column("error", "error", "1", "%", "+.1f"), Column("step_seconds", "step", "s", form=".3f"),
             Column("newton", "Newton", "1", form=".1f"), Column("cg", "CG", "1", form=".1f"),
             Column("back_solves", "solves", "1", form=".1f"), Column("back_solve_ms", "each", "ms", form=".1f"),

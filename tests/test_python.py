@@ -251,7 +251,6 @@ def test_a_press_gives_what_the_command_prints(tmp_path, vsfsim_command):
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"device": "cuda:99"}, "device is 'cuda:99', but this machine has"),
-    ({"precision": "float16"}, "precision is 'float16'"),
     ({"tier": "fen"}, "Did you mean 'fem'"),
     ({"scene": "indnt"}, "Did you mean 'indent'"),
 ])

@@ -88,6 +88,8 @@ INPUT = (Factor("defect", "", "none", ("none", "flipped triangle", "all flipped"
                                        "doubled triangle", "degenerate triangle", "two bodies", "sheet",
                                        "self-crossing", "millimetres", "not a number", "empty file")),)
 """What is wrong with the mesh file of the block."""
+INSTEAD: Mapping[Level, Level] = {"float32": "float64", "spring": "fem-coarse"}
+"""What a cell has in place of a level that the simulator does not have: it is drawn, so that a seed keeps its cells."""
 STIFFEST = 1e13
 """Largest modulus of a scene [Pa]: a cell whose inclusion would be stiffer is left out."""
 KINDS: Mapping[str, Sequence[Factor]] = {"solid": SOLID, "bubble": BUBBLE, "rod": ROD, "input": INPUT}
@@ -161,5 +163,7 @@ def design(seed: int = 0, random_solids: int = 230, random_others: int = 40) -> 
         while len(cells) < wanted:
             add(kind, "random", **{f.name: f.levels[int(rng.integers(len(f.levels)))] for f in KINDS[kind]
                                    if rng.random() < 0.5})
-    out = list(cells.values())
-    return [out[k] for k in rng.permutation(len(out))]
+    drawn = list(cells.values())
+    made = [Cell(c.kind, c.group, {name: INSTEAD.get(level, level) for name, level in c.factors.items()})
+            for c in (drawn[k] for k in rng.permutation(len(drawn)))]
+    return list({cell.key: cell for cell in made}.values())

@@ -104,8 +104,7 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
 def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float, device: str) -> Evidence:
     from vsfsim.generate.presses.boundary import deformed_surface
 
-    request = PressRequest(tier=tier, device=device, precision=str(cell.factors.get("precision", "float64")),
-                           keep=True, seconds=limit, cache=folder)
+    request = PressRequest(tier=tier, device=device, keep=True, seconds=limit, cache=folder)
     scene = loaded.sample(0)
     result = effector_of(scene).press(loaded, request)
     arrays = {name: value for name, (value, _) in result.arrays.items()}

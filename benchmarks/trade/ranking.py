@@ -73,12 +73,10 @@ class Fidelity:
     tier: str
     options: Mapping[str, Any] = field(default_factory=dict)
     """Of the recipe, see `vsfsim.generate.job.Job.scene`."""
-    precision: str = "float64"
 
 
 FINEST = Fidelity("fem", "fem")
 FIDELITIES = (Fidelity("vsf", "vsf"), Fidelity("linear", "linear"), Fidelity("fem-coarse", "fem-coarse"),
-              Fidelity("fem-coarse, float32", "fem-coarse", precision="float32"),
               Fidelity("fem, half the frames", "fem", {"frames": 2}), FINEST)
 
 
@@ -105,7 +103,7 @@ def agreement(one: np.ndarray, other: np.ndarray, *, seed: int = 0) -> tuple[flo
 def made(fidelity: Fidelity, folder: Path, *, objects: int, touches: int, workers: int) -> Dataset:
     """The data of a fidelity; what is there is not made again."""
     return run.generate(load_scene(SCENE), folder / fidelity.name.replace(", ", "-").replace(" ", "-"),
-                        objects=objects, touches=touches, tier=fidelity.tier, precision=fidelity.precision,
+                        objects=objects, touches=touches, tier=fidelity.tier,
                         workers=workers, bought=fidelity.options)
 
 

@@ -90,7 +90,7 @@ def _compile() -> None:
     from vsfsim.physics.runtime import compile_kernels
     from vsfsim.physics.solve.kernels import solver_kernels
 
-    compile_kernels(solver_kernels("float64", [("tet10", law) for law in ("neo-hooke", "hyperfoam")]), "cpu")
+    compile_kernels(solver_kernels([("tet10", law) for law in ("neo-hooke", "hyperfoam")]), "cpu")
 
 
 def report(rows: list[dict[str, Any]], settings: dict[str, Any]) -> Measurement:

@@ -84,9 +84,9 @@ class LoadCell(Probe):
         table = Table(scene.effector_table, f"{scene.source} [sensor]", ("kind", "range", "step"))
         return table.number("range", 50.0, 0.1, 1e4, "N"), table.number("step", 0.01, 1e-6, 10.0, "N")
 
-    def check(self, scene, tier, precision):
+    def check(self, scene, tier):
         self.settings(scene)
-        return super().check(scene, tier, precision)
+        return super().check(scene, tier)
 
     def channels(self, scene):
         return (*super().channels(scene), "cell_force")

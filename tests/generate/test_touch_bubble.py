@@ -263,13 +263,12 @@ def test_the_way_out_is_over_readings_of_the_way_in():
 
 def recipe(text, **more):
     given = {"seed": 0, "objects": None, "views": None, "touches": None, "tier": None, "device": "cpu",
-             "precision": "float64", "renderer": "warp", **more}
+             "renderer": "warp", **more}
     return make_recipe(parse_scene(text, "felt.toml"), **given)
 
 
 @pytest.mark.parametrize(("old", "new", "more", "message"), [
     ("nodes = 100", "nodes = 3001", {}, r"\[sensor\]: nodes is 3001; against an object up to 3000"),
-    ("nodes = 100", "nodes = 100", {"precision": "float32"}, "--precision is 'float32'"),
     ("nodes = 100", "nodes = 100", {"tier": "linear"}, "which tier 'linear' cannot show"),
     ('["bulging"]', '["contact"]', {"tier": "vsf"}, r"tier 'vsf' cannot be touched by a \[sensor\]"),
     ("depth = 0.003", "depth = 0.04", {}, r"\[touches\]: depth is 0.04 m, but the free dome"),

@@ -198,12 +198,11 @@ def test_every_axis_is_there_or_refused_with_the_reason(tmp_path):
                                              "rod, 4 beams a segment"]
     bubble = Ground("fem-coarse", 0.02, 4, 390, ("fem-coarse",))
     assert [s.nodes for s in bubble.sweep(["nodes"])] == [195, 780]
-    probe = Ground("fem-coarse", 0.02, 4, None, ("linear", "fem-coarse"), single=True)
-    assert [s.precision for s in probe.sweep(["precision"])] == ["float32"]
+    probe = Ground("fem-coarse", 0.02, 4, None, ("linear", "fem-coarse"))
     assert [s.device for s in probe.sweep(["device"], ["cuda:0"])] == ["cuda:0"]
     for ground, axis, why in ((arm, "frames", "is an arm's"), (probe, "nodes", r"no \[sensor\]"),
-                              (probe, "arm", r"no \[arm\]"), (bubble, "precision", "in float64 only"),
-                              (probe, "device", "no other device"), (arm, "tolerance", "the solver's own")):
+                              (probe, "arm", r"no \[arm\]"), (probe, "device", "no other device"),
+                              (arm, "tolerance", "the solver's own")):
         with pytest.raises(VsfsimError, match=f"--axis is '{axis}', but .*{why}"):
             ground.sweep([axis])
     with pytest.raises(VsfsimError, match=r"--axis is 'camera', but the scene has no \[camera\]"):

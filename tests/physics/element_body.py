@@ -33,16 +33,16 @@ FOAM = Foam((0.7 * E, 0.1 * E), (3.0, -1.5), (0.4, 0.1), "test")
 class Body:
     """A model without supports, and its elements for a batch of displacement fields."""
 
-    def __init__(self, model, device, real=wp.float64):
+    def __init__(self, model, device):
         self.model = dataclasses.replace(model, free=np.ones_like(model.free))
-        self.elements, self.device, self.real = Elasticity(self.model, device=device, real=real), device, real
+        self.elements, self.device = Elasticity(self.model, device=device), device
         self.points = model.mesh.points
 
     def index(self, columns):
         return wp.array(np.asarray(columns), dtype=wp.int32, device=self.device)
 
     def put(self, u):
-        return wp.array(u, dtype=self.real, device=self.device)
+        return wp.array(u, dtype=wp.float64, device=self.device)
 
     def __call__(self, u):
         """Forces (3 n, B) [N], energy (B,) [J], least det F (B,) at u (3 n, B) [m]."""

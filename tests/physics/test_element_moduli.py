@@ -9,7 +9,6 @@ from vsfsim.physics.coefficients import confined_modulus, lame
 from vsfsim.physics.foundation import foundation
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import tetrahedra
-from vsfsim.physics.network import OBSERVED_POISSON_RATIO, POISSON_SPREAD, spring_network
 
 
 def pulled(body, size, axis, *, strain=1e-6):
@@ -42,32 +41,6 @@ def test_observed_modulus_and_poisson_ratio_of_tetrahedra(block, device, nu, poi
     # the strain itself, times (lambda + mu) / E ~ 17 at nu 0.49 and 1667 at 0.4999
     assert modulus == pytest.approx(E, rel=3e-6 * max(1.0, 0.17 / (0.5 - nu)))
     assert across == pytest.approx([nu, nu], abs=1e-6)
-
-
-@pytest.mark.parametrize(("resolution", "modulus_within", "ratio_within"),
-                         [(0.01, 0.025, POISSON_SPREAD), (0.014, 0.05, 0.05)])
-def test_observed_modulus_and_poisson_ratio_of_a_network_of_springs(block, device, resolution, modulus_within,
-                                                                    ratio_within):
-    """The figures of network.py, on 720 and 360 tetrahedra."""
-    size = (0.06, 0.05, 0.04)
-    body = Body(block(size, resolution, young_modulus=E, poisson_ratio=0.25, elements=spring_network), device)
-    ratios = []
-    for axis in range(3):
-        modulus, across = pulled(body, size, axis)
-        assert modulus == pytest.approx(E, rel=modulus_within)
-        assert across == pytest.approx([OBSERVED_POISSON_RATIO] * 2, abs=ratio_within)
-        ratios += across
-    assert np.mean(ratios) == pytest.approx(OBSERVED_POISSON_RATIO, abs=0.01)
-
-
-def test_a_network_takes_no_notice_of_the_poisson_ratio_and_is_as_stiff_as_its_parts(block):
-    layers = lambda x: np.where(x[..., 2] < 0.0125, E, 100.0 * E)  # noqa: E731
-    soft, other, two = (block(SIZE, 0.01, young_modulus=e, poisson_ratio=nu, elements=spring_network)
-                        for e, nu in ((E, 0.25), (E, 0.45), (layers, 0.25)))
-    assert np.array_equal(soft.blocks[0].parameters["stiffness"], other.blocks[0].parameters["stiffness"])
-    middle = soft.mesh.points[soft.blocks[0].nodes].mean(axis=1)[:, 2]
-    ratio = two.blocks[0].parameters["stiffness"] / soft.blocks[0].parameters["stiffness"]
-    assert np.abs(ratio[middle < 0.006] - 1.0).max() < 0.5 and np.abs(ratio[middle > 0.019] / 100.0 - 1.0).max() < 0.5
 
 
 def test_observed_stiffness_of_a_foundation(block, device):

@@ -189,8 +189,7 @@ def test_a_flat_punch_with_friction_arrives_in_few_steps(block, line, device):
 
 
 def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, line, monkeypatch):
-    """A flat punch with friction 1 in one step: the same force, whether the limits follow at the end or not, and in
-    single precision to its tolerance."""
+    """A flat punch with friction 1 in one step: the same force, whether the limits follow at the end or not."""
     make, renew, probe, followed = Solver._make_contact, Equilibrium.renew_friction, Cylinder(0.008, 0.02), []
     poses = line([[0.0, 0.0, SIZE[2] + 0.01], [0.0, 0.0, SIZE[2] + 0.009]], probe)
 
@@ -205,12 +204,10 @@ def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, li
 
     monkeypatch.setattr(Equilibrium, "renew_friction", watched)
     forces = []
-    for maker, follows, precision in ((make, True, "float64"), (with_tresca_alone, False, "float64"),
-                                      (make, True, "float32")):
+    for maker, follows in ((make, True), (with_tresca_alone, False)):
         followed.clear()
         monkeypatch.setattr(Solver, "_make_contact", maker)
-        frames = Solver(coarse, probe, friction=1.0, options=USUAL, precision=precision).run(poses)
+        frames = Solver(coarse, probe, friction=1.0, options=USUAL).run(poses)
         assert frames.converged.all() and any(followed) == follows and not followed[0]
         forces.append(frames.force[-1, 0])
     assert np.linalg.norm(forces[0] - forces[1]) < 1e-3 * np.linalg.norm(forces[1])
-    assert np.linalg.norm(forces[2] - forces[1]) < 3e-3 * np.linalg.norm(forces[1])

@@ -14,11 +14,11 @@ from vsfsim.physics.laws import principal
 from vsfsim.physics.laws.catalogue import LAWS
 from vsfsim.physics.laws.law import SolidLaw
 from vsfsim.physics.model import tetrahedra
+from vsfsim.physics.runtime import mat33, real, vec3
 
 
-def functions(real, module):
+def functions(module):
     """Hencky's law: Psi = mu sum (ln l)^2 + lambda/2 (ln J)^2."""
-    vec3, mat33 = wp.types.vector(length=3, dtype=real), wp.types.matrix(shape=(3, 3), dtype=real)
 
     @wp.func(module=module)
     def energy(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
@@ -44,7 +44,7 @@ def functions(real, module):
             out[a, a] = out[a, a] + real(2.0) * own[t, q, 0] / (lam[a] * lam[a]) - first[a] / lam[a]
         return out
 
-    return principal.functions_of(energy, slopes, curvatures, real, module)
+    return principal.functions_of(energy, slopes, curvatures, module)
 
 
 HENCKY = SolidLaw("hencky", principal.STORED, functions,

@@ -1,4 +1,4 @@
-"""What a user may rely on from the solver: retracing, batches, precision, marks, limits, audit."""
+"""What a user may rely on from the solver: retracing, batches, marks, limits, audit."""
 
 import dataclasses
 import itertools
@@ -19,7 +19,6 @@ from vsfsim.physics.linear.rest_factor import RestFactor, _Sparse
 from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import Equilibrium
-from vsfsim.physics.solve.precision import FLOAT32_ACCEPT
 from vsfsim.physics.solve.touches import Solver
 
 SIZE = (0.06, 0.06, 0.03)
@@ -80,13 +79,6 @@ def test_unloading_retraces_loading(press, model, line, device):
     free = down(line, [-0.05])[0]
     fresh = [Solver(model, PROBE, device=device).run(down(line, [d]), start=free).force[0, 0, 2] for d in between]
     assert back == pytest.approx(fresh, rel=1e-3), "both are equilibria to 1e-4"
-
-
-def test_single_precision_gives_the_same_forces(press, model, line, device):
-    single = Solver(model, PROBE, device=device, precision="float32").run(down(line, DEPTHS))
-    assert single.converged.all()
-    assert single.force[:, 0, 2] == pytest.approx(press.force[:4, 0, 2], rel=5e-3)
-    assert single.force_balance.max() <= FLOAT32_ACCEPT, "the residual bounds the imbalance"
 
 
 def test_a_batch_gives_what_its_touches_give_alone(model, line, device):

@@ -239,7 +239,7 @@ def sealed(sheet, mesh, start, ambient, gamma, device):
                     gamma=gamma, ambient=ambient)
     free = sheet.free
     model = Model(mesh, (*sheet.blocks, air), np.ones(1), free, np.zeros(n), np.ones(1), None, 1.0, None)
-    elements = Elasticity(model, device=device, real=wp.float64)
+    elements = Elasticity(model, device=device)
     elements.begin(n)
     moves = np.flatnonzero(free)
     index = wp.array(np.arange(n), dtype=wp.int32, device=device)
@@ -330,7 +330,7 @@ def test_wrinkles_bear_no_compression(law, device):
     model = Model(None, (block,), np.ones(1), np.ones(points.size), np.zeros(points.size), np.ones(1), None, 1.0, None)
     mesh = membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int), np.zeros(1))
     model = dataclasses.replace(model, mesh=mesh)
-    elements = Elasticity(model, device=device, real=wp.float64)
+    elements = Elasticity(model, device=device)
     elements.begin(2)
     stretch = 1.4
     # N/m of rest width

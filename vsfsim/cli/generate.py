@@ -16,7 +16,6 @@ from vsfsim.cli.options import (
     Device,
     JsonFile,
     Objects,
-    Precision,
     SceneName,
     Seed,
     Tier,
@@ -37,7 +36,7 @@ def generate(scene: SceneName,
                                                           "datasets/SCENE-v1 say, else datasets/SCENE "
                                                           "($VSFSIM_DATASETS in place of datasets).")] = None,
              objects: Objects = None, views: Views = None, touches: Touches = None, seed: Seed = 0, tier: Tier = None,
-             device: Device = "cpu", precision: Precision = "float64",
+             device: Device = "cpu",
              renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
              arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
                                                           "scene's.")] = None,
@@ -84,14 +83,14 @@ def generate(scene: SceneName,
         from vsfsim.generate.costs import estimate
         from vsfsim.generate.recipe import make_recipe
 
-        recipe = make_recipe(loaded, device=device, precision=precision, renderer=renderer, **counts)
+        recipe = make_recipe(loaded, device=device, renderer=renderer, **counts)
         cost, processes = estimate(recipe, recipe.objects * recipe.views), workers or os.cpu_count() or 1
         report(cost.text(processes, machines, price), cost.table(processes, machines, price), json)
         return
     if on in ("slurm", "k8s"):
         from vsfsim.generate.recipe import make_recipe
 
-        recipe = make_recipe(loaded, device=device, precision=precision, renderer=renderer, **counts)
+        recipe = make_recipe(loaded, device=device, renderer=renderer, **counts)
         logs = Path("slurm-logs") if "://" in str(folder) else Path(folder).with_name(f"{Path(folder).name}-slurm")
         if not by_shards(on, shards or min(100, recipe.objects * recipe.views), logs, printed, int(gpus_per_task),
                          ["--finish"]):
@@ -104,7 +103,7 @@ def generate(scene: SceneName,
     signal.signal(signal.SIGTERM, _terminated)
     try:
         with Progress("generate") as progress:
-            made = make(loaded, folder, device=device, precision=precision, renderer=renderer, workers=workers,
+            made = make(loaded, folder, device=device, renderer=renderer, workers=workers,
                         share=share, accuracy=bound, progress=progress, note=note, **counts)
     except KeyboardInterrupt as stop:
         raise Interrupted(_kept(folder)) from stop

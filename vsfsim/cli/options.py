@@ -34,11 +34,6 @@ def _checked_device(device: str) -> str:
     return device
 
 
-def _checked_precision(precision: str) -> str:
-    check_choice("--precision", precision, ("float32", "float64"))
-    return precision
-
-
 def _writable(param: typer.CallbackParam, path: Path | None) -> Path | None:
     """A file that can be written after the work, or "-"."""
     if path is None or str(path) == "-":
@@ -82,10 +77,9 @@ complete_task, complete_method = _names("tasks"), _names("methods")
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", autocompletion=_names("scenes"),
                                           help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
 Tier = Annotated[str | None, typer.Option("--tier",
-                                          help="Fidelity, from the cheapest: vsf, spring, linear, fem-coarse, "
+                                          help="Fidelity, from the cheapest: vsf, linear, fem-coarse, "
                                                          "fem, fem-fine; default: the scene's.")]
 Device = Annotated[str, typer.Option("--device", help="Warp device: cpu or cuda:0.", callback=_checked_device)]
-Precision = Annotated[str, typer.Option("--precision", help="float64 or float32.", callback=_checked_precision)]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random numbers.")]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=_writable,
                                                help="Write the numbers here as JSON; - for standard output, instead of "

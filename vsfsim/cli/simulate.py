@@ -14,7 +14,6 @@ from vsfsim.cli.options import (
     GifFile,
     JsonFile,
     PageFile,
-    Precision,
     SceneName,
     Seed,
     Tier,
@@ -41,7 +40,7 @@ def scenes(json: JsonFile = None) -> None:
 
 
 @app.command()
-def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision: Precision = "float64", seed: Seed = 0,
+def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", seed: Seed = 0,
           json: JsonFile = None,
           plot: Annotated[Path | None, picture_option("Write a plot of force against depth.")] = None,
           picture: Annotated[Path | None, picture_option("Write a picture of the deformed body at full depth.")] = None,
@@ -66,7 +65,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     from vsfsim.press.command import press as run  # takes seconds; a mistake in the scene is reported before
 
     with Progress("press") as progress:
-        made = run(loaded, seed=seed, tier=tier, device=device, precision=precision, refine=refine, limit=limit,
+        made = run(loaded, seed=seed, tier=tier, device=device, refine=refine, limit=limit,
                    keep=any(file is not None for file in (picture, gif, save)), progress=progress)
     words = [made.text()]
     if plot is not None:

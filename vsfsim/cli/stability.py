@@ -43,7 +43,7 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     """Press at the extremes of every quantity of a scene, and check every frame that is called converged.
 
     More than 500 presses: contrast to 1e8, moduli from 100 Pa to 100 GPa, nu from 0 to 0.4999, depth to 90 %, friction
-    to 10, sizes from 1 mm to 10 m, all probes, thin and thick, every tier and precision; bubbles, rods, damaged files.
+    to 10, sizes from 1 mm to 10 m, all probes, thin and thick, every tier; bubbles, rods, damaged files.
     Each is converged, marked with a reason, refused, over its limit, crashed, or wrong in silence by an independent
     check. Exit code 3 if a cell is one of the last three.
     """

@@ -16,14 +16,14 @@ from vsfsim.data.store import is_url
 from vsfsim.generate import run
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade.buy import bought, check_accuracy
-from vsfsim.physics.runtime import check_device, check_precision
+from vsfsim.physics.runtime import check_device
 
 RENDERERS = ("warp", "pyrender")
 
 
 def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, objects: int | None = None,
              views: int | None = None, touches: int | None = None, seed: int = 0, tier: str | None = None,
-             device: str = "cpu", precision: str = "float64", renderer: str = "warp", arm: str | None = None,
+             device: str = "cpu", renderer: str = "warp", arm: str | None = None,
              accuracy: float | None = None, workers: int | None = None, cache: Path | None = None,
              share: run.Share | None = None, progress: Callable[[int, int, str], None] | None = None,
              note: Callable[[str], None] | None = None) -> Dataset:
@@ -39,7 +39,6 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         seed: root of all random numbers.
         tier: fidelity, None for the scene's own.
         device: Warp device, "cpu" or "cuda:0".
-        precision: of the solver, "float64" or "float32".
         renderer: "warp" or "pyrender".
         arm: model of the arm, of a scene with ``[arm]``; None for the scene's own.
         accuracy: largest error of the force over its largest value in a touch [-], for which a pilot chooses tier and
@@ -54,7 +53,7 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
     """
     made = make(scene, out, objects=objects, views=views, touches=touches, seed=seed, tier=tier, device=device,
-                precision=precision, renderer=renderer, arm=arm, accuracy=accuracy, workers=workers, cache=cache,
+                renderer=renderer, arm=arm, accuracy=accuracy, workers=workers, cache=cache,
                 share=share, progress=progress, note=note)
     if made.dataset is None:
         raise DatasetError(f"{out}: a shard was made; the dataset is finished by `vsfsim generate --finish`.")
@@ -63,7 +62,7 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
 
 def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: int = 0, objects: int | None = None,
          views: int | None = None, touches: int | None = None, tier: str | None = None, device: str = "cpu",
-         precision: str = "float64", renderer: str = "warp", arm: str | None = None, accuracy: float | None = None,
+         renderer: str = "warp", arm: str | None = None, accuracy: float | None = None,
          workers: int | None = None, cache: Path | None = None, share: run.Share | None = None,
          progress: Callable[[int, int, str], None] | None = None,
          note: Callable[[str], None] | None = None) -> run.Made:
@@ -74,7 +73,6 @@ def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: 
     """
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
     check_device(device)
-    check_precision(precision)
     choices: list[tuple[str, Any, tuple[str, ...]]] = [("--renderer", renderer, RENDERERS), ("--arm", arm, ARM_MODELS)]
     for option, value, allowed in choices:
         if value is not None and value not in allowed:
@@ -86,13 +84,13 @@ def make(scene: str | Path | SceneFile, out: str | Path | None = None, *, seed: 
     if share is not None and share.ray:
         folder = folder if is_url(folder) else Path(folder).resolve()  # tasks have working folders of their own
     if (share is None or share == run.Share()) and isinstance(folder, Path) and accuracy is None and (
-            device, precision, renderer, arm) == ("cpu", "float64", "warp", None):
+            device, renderer, arm) == ("cpu", "warp", None):
         known = folder_of(loaded, None, seed=seed, objects=objects, views=views, touches=touches, tier=tier, arm=arm)
         found = taken(folder, Path(known).name, progress=progress, note=note)  # with other options the bits are others
         if found is not None:
             return run.Made((), 0, found, {})
     options: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier,
-                               "device": device, "precision": precision, "renderer": renderer, "arm": arm}
+                               "device": device, "renderer": renderer, "arm": arm}
     if accuracy is not None:
         count = make_recipe(loaded, **options).objects
         options["tier"], options["bought"] = bought(loaded, folder, accuracy, seed=seed, objects=count, device=device,

@@ -117,7 +117,7 @@ def _fit(touches: np.ndarray, values: np.ndarray, wanted: int) -> tuple[float, f
 
 def _key(recipe: Recipe) -> Sequence[str]:
     finer = [f"{recipe.options['resolution']:.3g} m"] if "resolution" in recipe.options else []  # of an --accuracy
-    return [recipe.scene_sha256, recipe.tier, recipe.device, recipe.precision, processor(),
+    return [recipe.scene_sha256, recipe.tier, recipe.device, processor(),
             *map(str, made_by().values()), *finer]
 
 

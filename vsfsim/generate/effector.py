@@ -61,13 +61,12 @@ class Effector(Protocol):
     options: tuple[str, ...]
     """Names of the options of `vsfsim generate` that only this effector takes, e.g. ("arm",)."""
 
-    def check(self, scene: Scene, tier: str | None, precision: str) -> str:
+    def check(self, scene: Scene, tier: str | None) -> str:
         """Refuse at once a dataset that could not be made.
 
         Args:
             scene: concrete, with ``[touches]``.
             tier: fidelity asked for, or None for the scene's own.
-            precision: of the solver, "float32" or "float64".
 
         Returns:
             The tier at which the object is simulated.
@@ -81,7 +80,7 @@ class Effector(Protocol):
         """Names of the optional rows of `vsfsim.data.schema` that every touch of this scene fills."""
         ...
 
-    def kernels(self, scene: Scene, precision: str) -> list[Any]:
+    def kernels(self, scene: Scene) -> list[Any]:
         """The Warp kernels that its touches launch, to be compiled before the workers start; the scene's object names
         the tier."""
         ...

@@ -29,8 +29,6 @@ class PressRequest:
     """Fidelity, or None for the scene's own."""
     device: str = "cpu"
     """Warp device."""
-    precision: str = "float64"
-    """Precision of the solver, "float32" or "float64"."""
     cache: Path | None = None
     """Folder of meshes that were made before, or None for the user's own cache."""
     seconds: float | None = None

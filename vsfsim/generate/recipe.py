@@ -28,7 +28,7 @@ def splits_for(scene: Scene, objects: int) -> dict[str, int]:
 
 
 def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = None, views: int | None = None,
-                touches: int | None = None, tier: str | None = None, device: str = "cpu", precision: str = "float64",
+                touches: int | None = None, tier: str | None = None, device: str = "cpu",
                 renderer: str = "warp", arm: str | None = None, bought: Mapping[str, Any] | None = None) -> Recipe:
     """What will be made; None takes the scene's own number, or its own arm. ``bought`` is what an accuracy has chosen,
     see `vsfsim.generate.trade.buy`.
@@ -46,7 +46,7 @@ def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = N
         if name not in effector.options:
             raise SceneError(f"{scene_file.path}: --{name} is '{value}', but the scene has no [{name}]; it is touched "
                              f"by a [{effector.table}].")
-    chosen = effector.check(scene, tier, precision)
+    chosen = effector.check(scene, tier)
     count = objects if objects is not None else (scene.dataset.objects if scene.dataset else 1)
     for name, number in (("--objects", count), ("--views", views), ("--touches", touches), ("--seed + 1", seed + 1)):
         if number is not None and number < 1:
@@ -55,7 +55,7 @@ def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = N
         scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
         views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
         touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
-        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer,
+        device=device.split(":")[0], tier=chosen, precision="float64", renderer=renderer,
         options={**options, **(bought or {})}, files=files_of(scene_file, scene.effector))
 
 

@@ -73,7 +73,7 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     if not tier:
         return job
     # what a tier that does not show the scene's needs errs is what is asked
-    chosen = effector.check(dataclasses.replace(job.scene(), needs=()), tier, recipe.precision)
+    chosen = effector.check(dataclasses.replace(job.scene(), needs=()), tier)
     return dataclasses.replace(job, recipe=dataclasses.replace(recipe, tier=chosen))
 
 

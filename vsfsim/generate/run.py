@@ -90,7 +90,7 @@ def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int |
         progress: called with (frames done, frames in all, what).
         note: called with sentences for the user.
         device: Warp device.
-        recipe: seed, objects, views, touches, tier, precision, renderer and arm of `make_recipe`.
+        recipe: seed, objects, views, touches, tier, renderer and arm of `make_recipe`.
 
     Raises:
         SceneError, MeshError, DatasetError: with what to do.
@@ -123,7 +123,7 @@ def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int |
 def _here(jobs: Sequence[Job], scene: Scene, device: str, workers: int | None,
           progress: Callable[[int, int, str], None] | None) -> Iterator[tuple[int, str]]:
     recipe = jobs[0].recipe
-    compile_kernels(kernels_of(scene, recipe.precision, recipe.tier), device, progress=progress)
+    compile_kernels(kernels_of(scene, recipe.tier), device, progress=progress)
     yield from effector_of(scene).make_all(jobs, device=device, workers=workers)
 
 
@@ -138,11 +138,11 @@ def _on_ray(jobs: Sequence[Job], device: str, share: Share) -> Iterator[tuple[in
         yield frames, jobs[number].name
 
 
-def kernels_of(scene: Scene, precision: str, tier: str = "auto") -> list[Any]:
+def kernels_of(scene: Scene, tier: str = "auto") -> list[Any]:
     """The Warp kernels that a dataset of a scene needs: its effector's, the camera's and those of the oracle VSF."""
     from vsfsim.sensing import render_warp
     from vsfsim.vsf import particles
 
     if tier in TIERS:
         scene = dataclasses.replace(scene, object=dataclasses.replace(scene.required_object, tier=tier))
-    return [*effector_of(scene).kernels(scene, precision), render_warp.cast_kernel, particles._behind]
+    return [*effector_of(scene).kernels(scene), render_warp.cast_kernel, particles._behind]

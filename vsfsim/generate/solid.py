@@ -45,17 +45,15 @@ class Subject:
         """The random stream that touch number ``touch`` is aimed with."""
         return np.random.default_rng(self.job.stream(Stream.AIM, touch))
 
-    def again(self, tier: str, options: Mapping[str, Any], *, edges: EdgePath | None = None,
-              precision: str | None = None) -> Subject:
+    def again(self, tier: str, options: Mapping[str, Any], *, edges: EdgePath | None = None) -> Subject:
         """The same object under the same picture, modelled at another tier and with other options of the recipe (see
-        `Job.scene`), with small elements along ``edges`` (see `edge_refine`), solved in another precision.
+        `Job.scene`), with small elements along ``edges`` (see `edge_refine`).
 
         Raises:
             SceneError, MeshError: it cannot be built.
         """
         old = self.job.recipe
-        recipe = dataclasses.replace(old, tier=tier, options={**old.options, **options},
-                                     precision=precision or old.precision)
+        recipe = dataclasses.replace(old, tier=tier, options={**old.options, **options})
         job = dataclasses.replace(self.job, recipe=recipe)
         scene = job.scene()
         model = tiers.build(scene, tier, seed=job.stream(Stream.BODY), cache=job.cache, edges=edges)

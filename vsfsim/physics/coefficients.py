@@ -28,12 +28,3 @@ def confined_modulus(young_modulus: np.ndarray | float, poisson_ratio: float) ->
     """
     mu, lam = lame(young_modulus, poisson_ratio)
     return lam + 2.0 * mu
-
-
-# A network of springs k, L with directions n in a volume V stores, at a uniform strain e, sum k L^2 (n.e.n)^2 / 2: its
-# elasticity is C = (1/V) sum k L^2 n n n n, symmetric in all four indices. An isotropic one has
-# C_iiii = lambda + 2 mu, C_iijj = lambda and C_ijij = mu, and the symmetry makes lambda = mu, i.e. nu = 1/4.
-# With E = mu (3 lambda + 2 mu) / (lambda + mu) = 5/2 mu:   C_nnnn = 3 mu = 6/5 E   and   sum k L^2 / V = 15 mu = 6 E;
-# shared equally by a tetrahedron's six edges that is Van Gelder 1998, k = E V / L^2.
-
-SPRING_ALONG = 6.0 / 5.0  # C_nnnn / E of an isotropic network of springs

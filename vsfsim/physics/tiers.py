@@ -28,7 +28,6 @@ from vsfsim.physics.mesh.foot import scan_foot
 from vsfsim.physics.mesh.inclusions import held_stiffness, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, regional_tetrahedra, tetrahedra
-from vsfsim.physics.network import OBSERVED_POISSON_RATIO, POISSON_SPREAD, spring_network
 from vsfsim.physics.solve.frames import SolverOptions
 
 
@@ -59,7 +58,6 @@ class Tier:
 
 TIERS: dict[str, Tier] = {
     "vsf": Tier(foundation, False, 1 / 8, 1 / 2, 0.017, 1e-6),
-    "spring": Tier(spring_network, True, 1 / 8, 1 / 2, 0.017, 1e-3),
     "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
     "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
     "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True, local_indentation=True,
@@ -71,7 +69,7 @@ THIN_CELLS = 1500
 """Most cells of a thin body: a sheet of 0.3 x 0.2 x 0.001 m would need two layers of 60,000 cubes, and has 47 cells
 along its length with this many, which its bending resolves."""
 # the cheapest tier that shows each need
-_SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear",
+_SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "linear", "normal-force": "linear",
           "bulging": "fem-coarse", "large-deformation": "fem"}
 _LAW = "fem-coarse"  # the cheapest tier with a material's law at large strain
 _DEFAULT = "linear"  # of a scene that names no need: the cheapest tier with a trustworthy force
@@ -98,7 +96,7 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     if tier == "auto":
         if own_law and order.index(enough) < order.index(_LAW):
             return _LAW
-        return "spring" if enough == "vsf" and incompressible else enough
+        return _DEFAULT if enough == "vsf" and incompressible else enough
     if tier not in TIERS:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
     if scene.needs and order.index(tier) < order.index(enough):
@@ -108,7 +106,7 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     if tier == "vsf" and incompressible:
         raise SceneError(f"{scene.source} [object]: poisson_ratio = {scene.object.poisson_ratio:g} is too high for "
                          f"tier 'vsf', whose layers cannot move sideways: its stiffness has no bound as nu goes to "
-                         f"1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'spring' or above.")
+                         f"1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'linear' or above.")
     return tier
 
 
@@ -116,8 +114,8 @@ def elements(scene: Scene, tier: str) -> list[tuple[str, str]]:
     """Kinds and laws of the elements that the objects of a scene may have at a tier, as `block.elements_of`: their
     kernels are compiled before there is a model. A family names its materials' laws in ``LAWS``."""
     own, spec = TIERS[tier], scene.object
-    if own.elements is not tetrahedra:
-        return [("anchor", "")] if own.elements is foundation else [("spring", ""), ("cell", "")]
+    if own.elements is foundation:
+        return [("anchor", "")]
     laws = [neo_hooke.LAW.name]
     if own.nonlinear and isinstance(spec.shape, Family):
         parts = getattr(family(spec.shape.name, f"{scene.source} [object] shape"), "LAWS", ())
@@ -284,11 +282,6 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":
         tolerance, note = scan_foot(solid)
         solid = dataclasses.replace(solid, notes=(*solid.notes, note))
-    if tier == "spring" and abs(spec.poisson_ratio - OBSERVED_POISSON_RATIO) > POISSON_SPREAD:
-        solid = dataclasses.replace(solid, notes=(*solid.notes, (
-            f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has about "
-            f"{OBSERVED_POISSON_RATIO:g}, whatever its constants. "
-            "Young's modulus is kept; use 'linear' or above where nu matters.")))
     elements, density = TIERS[tier].elements, spec.density
     if solid.laws is not None:
         region = np.asarray(solid.region)

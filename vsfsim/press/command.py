@@ -14,7 +14,7 @@ from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
-from vsfsim.physics.runtime import check_device, check_precision
+from vsfsim.physics.runtime import check_device
 from vsfsim.press import archive
 from vsfsim.press import refine as refinement
 from vsfsim.press.text import marks, text
@@ -131,7 +131,7 @@ class Press:
 
 
 def press(scene: str | Path | SceneFile, *, seed: int = 0, tier: str | None = None, device: str = "cpu",
-          precision: str = "float64", refine: int | None = None, limit: float | None = None, keep: bool = True,
+          refine: int | None = None, limit: float | None = None, keep: bool = True,
           cache: Path | None = None,
           progress: Callable[[int, int, str], None] | None = None) -> Press:
     """Press a probe into an object; `vsfsim.press` is this function.
@@ -141,7 +141,6 @@ def press(scene: str | Path | SceneFile, *, seed: int = 0, tier: str | None = No
         seed: of the scene's distributions and of all random streams.
         tier: fidelity, None for the scene's own.
         device: Warp device, "cpu" or "cuda:0".
-        precision: of the solver, "float64" or "float32".
         refine: press 3 to 6 finer and finer meshes, for the observed order of convergence; None for one mesh.
         limit: limit of a frame's processor time [s], None for the tier's own; a frame that takes longer is marked.
         keep: whether `Press.picture` and `Press.save` are wanted.
@@ -156,8 +155,7 @@ def press(scene: str | Path | SceneFile, *, seed: int = 0, tier: str | None = No
     """
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
     check_device(device)
-    check_precision(precision)
-    request = PressRequest(seed, tier, device, precision, cache, limit, keep, progress)
+    request = PressRequest(seed, tier, device, cache, limit, keep, progress)
     effector = effector_of(loaded.sample(seed))
     if refine is None:
         return Press(loaded.name, (effector.press(loaded, request),), device)

@@ -96,6 +96,6 @@ def test_a_smooth_basis_has_the_covariance_of_its_process():
 
 
 def test_a_model_of_other_elements_is_refused():
-    springs = tiers.build(SCENE, "spring")
+    layers = tiers.build(SCENE, "vsf")
     with pytest.raises(SceneError, match=r"tetrahedra alone.*fem-coarse"):
-        Sensitivity(springs, Sphere(0.015), np.array([[0.0, 0.0, -1.0]]), options=LIMITS)
+        Sensitivity(layers, Sphere(0.015), np.array([[0.0, 0.0, -1.0]]), options=LIMITS)

@@ -63,17 +63,6 @@ def test_after_one_equilibrium_a_multiple_of_it_is_tried(pressed, monkeypatch):
     assert any(torch.allclose(balance.u, times * present, rtol=1e-12, atol=0.0) for times in (1.5, 2.0, 3.0))
 
 
-def test_an_equilibrium_of_single_precision_is_extrapolated_in_double(pressed, monkeypatch):
-    """A step that single precision cannot balance goes on in double; the equilibria before it are single."""
-    balance, contact, known = pressed._balance, pressed.contact, pressed._equilibria
-    pose = next_pose(pressed)
-    led_astray(monkeypatch, contact)
-    single = [k._replace(u=k.u.to(torch.float32)) for k in known]
-    offered = guesses(single, (balance.u.clone(), known[-1].force), pose, contact)
-    predict(balance, balance.every, offered)
-    assert balance.u.dtype == torch.float64 and torch.equal(balance.u, offered[1][0].to(torch.float64))
-
-
 def test_equilibria_are_extrapolated_onto_a_patch_that_has_grown(pressed):
     """Their forces were dropped with the smaller patch, and the step began from the present state alone."""
     balance, contact, known = pressed._balance, pressed.contact, pressed._equilibria

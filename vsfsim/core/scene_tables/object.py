@@ -15,7 +15,7 @@ from vsfsim.core.scene_tables.foam import FOAMS, Foam
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
 from vsfsim.core.table import Table
 
-TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine", "rod")
+TIERS = ("auto", "vsf", "linear", "fem-coarse", "fem", "fem-fine", "rod")
 """Fidelities that a scene may name."""
 
 

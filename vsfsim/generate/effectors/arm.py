@@ -32,17 +32,15 @@ class ArmEffector:
     table = "arm"
     options = ("arm",)
 
-    def check(self, scene: Scene, tier: str | None, precision: str) -> str:
-        """Plants are made of beams: tier "rod", in double precision.
+    def check(self, scene: Scene, tier: str | None) -> str:
+        """Plants are made of beams: tier "rod".
 
         Raises:
-            SceneError: another tier or precision was asked for.
+            SceneError: another tier was asked for.
         """
         if (tier or "rod") not in ("rod", "auto"):
             raise SceneError(f"{scene.source}: --tier is '{tier}', but what an arm touches is made of beams, "
                              f"tier 'rod'.")
-        if precision != "float64":
-            raise SceneError(f"{scene.source}: --precision is '{precision}', but beams are solved in float64 only.")
         return "rod"
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
@@ -50,7 +48,7 @@ class ArmEffector:
         ended = ("ended",) if scene.required_arm.at_limit == "return" else ()
         return ("q", "torque", "link_force", "link_moment", "draws", *ended)
 
-    def kernels(self, scene: Scene, precision: str) -> list[Any]:
+    def kernels(self, scene: Scene) -> list[Any]:
         """Those of the beams' solver, and of the oracle VSF's stick and slip."""
         return [advance, enter, stick_slip_kernel(wp.float64)[0]]
 

@@ -62,19 +62,15 @@ class BubbleEffector:
     table = "sensor"
     options: tuple[str, ...] = ()
 
-    def check(self, scene: Scene, tier: str | None, precision: str) -> str:
+    def check(self, scene: Scene, tier: str | None) -> str:
         """The tier of the object: as `tiers.choose`, at least ``fem-coarse``.
 
         Raises:
-            SceneError: a tier that a bubble cannot press, single precision, too many nodes, a bubble that cannot be
-                inflated, or a depth of more than the dome's height.
+            SceneError: a tier that a bubble cannot press, too many nodes, a bubble that cannot be inflated, or
+                a depth of more than the dome's height.
         """
         sensor, depth = scene.required_sensor, scene.required_touches.depth
         chosen = tier_for(scene, tier)
-        if precision != "float64":
-            raise SceneError(f"{scene.source}: --precision is '{precision}', but a [sensor] is solved in float64 only: "
-                             f"at rest its skin balances some 50 N of gas pressure node by node, and single precision "
-                             f"leaves more of it unbalanced than a light touch pushes.")
         if sensor.nodes > SENSOR_NODES:
             raise SceneError(f"{scene.source} [sensor]: nodes is {sensor.nodes}; against an object up to "
                              f"{SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
@@ -92,13 +88,13 @@ class BubbleEffector:
         fine = ("fine_position", "fine_force", "fine_rest", "fine_triangles") if sensor.fine else ()
         return (*out, *fine, *(("inside_depth", "inside_rgb") if sensor.camera else ()))
 
-    def kernels(self, scene: Scene, precision: str) -> list[Any]:
+    def kernels(self, scene: Scene) -> list[Any]:
         """Those of the coupled solver and of the camera inside; its oracle VSF sticks to the dome without a kernel."""
         from vsfsim.sensing import render_bubble
 
         camera = [render_bubble.inside_kernel] if scene.required_sensor.camera else []
         own = tiers.elements(scene, tier_for(scene, None))
-        return [*coupled_kernels(precision, [*own, ("triangle", ""), ("hinge", ""), ("gas", "")]), *camera]
+        return [*coupled_kernels([*own, ("triangle", ""), ("hinge", ""), ("gas", "")]), *camera]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""
@@ -114,7 +110,7 @@ class BubbleEffector:
     def manner(self, scene: Scene) -> Manner:
         """With the short semi-axis of its rim, at the tiers that bend far."""
         sensor = scene.required_sensor
-        able = tuple(name for name, tier in tiers.TIERS.items() if tier.nonlinear and name != "spring")
+        able = tuple(name for name, tier in tiers.TIERS.items() if tier.nonlinear)
         return Manner(sensor.semi_axes[1], able if scene.object is not None else (), sensor.nodes)
 
     def aim(self, subject: Subject, *, device: str) -> list[Aim]:
@@ -188,7 +184,7 @@ def tier_for(scene: Scene, asked: str | None) -> str:
         SceneError: a tier was asked for that a bubble cannot press.
     """
     chosen = tiers.choose(scene, asked)
-    if tiers.TIERS[chosen].nonlinear and chosen != "spring":
+    if tiers.TIERS[chosen].nonlinear:
         return chosen
     if (asked or scene.required_object.tier) != "auto":
         raise SceneError(f"{scene.source}: tier '{chosen}' cannot be touched by a [sensor], which bends far; use "

@@ -45,18 +45,18 @@ class Probe:
     table = "probe"
     options: tuple[str, ...] = ()
 
-    def check(self, scene: Scene, tier: str | None, precision: str) -> str:
-        """The tier that the scene's needs ask for; every precision will do."""
+    def check(self, scene: Scene, tier: str | None) -> str:
+        """The tier that the scene's needs ask for."""
         return tiers.choose(scene, tier)
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
         """The force on the probe is all that is read; every touch has it."""
         return ("min_det_f",)
 
-    def kernels(self, scene: Scene, precision: str) -> list[Any]:
+    def kernels(self, scene: Scene) -> list[Any]:
         """Those of the solver, and of the oracle VSF's stick and slip."""
         own = tiers.elements(scene, tiers.choose(scene))
-        return [*solver_kernels(precision, own), stick_slip_kernel(wp.float64)[0]]
+        return [*solver_kernels(own), stick_slip_kernel(wp.float64)[0]]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals, press."""
@@ -84,7 +84,7 @@ class Probe:
 
         def make(press: Scene, mine: list[int]) -> list[Touch]:
             found = touch_all(press, subject.model, [aims[k] for k in mine], tier=recipe.tier,
-                              precision=recipe.precision, device=device, options=subject.limits(), progress=progress,
+                              device=device, options=subject.limits(), progress=progress,
                               paths=[paths[k] for k in mine] if len(paths) else ())
             return found if len(presses) == 1 else [dataclasses.replace(touch, press=aims[k].press)
                                                     for k, touch in zip(mine, found, strict=True)]
@@ -111,7 +111,7 @@ class Probe:
 EFFECTOR = Probe()
 
 
-def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precision: str, device: str,
+def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, device: str,
               options: SolverOptions | None = None, progress: Callable[[int], None] | None = None,
               paths: Sequence[np.ndarray] = ()) -> list[Touch]:
     """Simulate touches, `BATCH` at a time at most.
@@ -120,7 +120,6 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         scene: with ``[touches]``.
         model: the object, at ``tier``.
         aims: the touches.
-        precision: of the solver.
         device: Warp device.
         options: solver limits, None for the tier's own.
         progress: called with the number of frames newly done.
@@ -134,7 +133,7 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         part, poses = aims[some], np.stack(paths[some], axis=1)
         spring = scene.mount_stiffness
         mount = None if spring is None else Mount(spring, np.stack([a.axis for a in part]))
-        solver = Solver(model, scene.probe, friction=scene.required_object.friction, device=device, precision=precision,
+        solver = Solver(model, scene.probe, friction=scene.required_object.friction, device=device,
                         options=options or tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
         frames = solver.run(poses, start=starts(spec, part, poses[0]), mount=mount,

@@ -47,15 +47,13 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
     """Make the touch.
 
     Raises:
-        SceneError: the scene has no [touches], a tier or precision that beams do not have, or nothing that the arm can
-            reach.
+        SceneError: the scene has no [touches], a tier that beams do not have, or nothing that the arm can reach.
     """
     began = time.perf_counter()
     recipe = make_recipe(loaded, seed=request.seed, objects=1, views=1, touches=1, tier=request.tier,
-                         device=request.device, precision=request.precision)
+                         device=request.device)
     job = jobs_of(recipe, loaded.path, Path("."), None)[0]
-    compile_kernels(kernels_of(loaded.sample(request.seed), request.precision), request.device,
-                    progress=request.progress)
+    compile_kernels(kernels_of(loaded.sample(request.seed)), request.device, progress=request.progress)
     subject = prepare_job(job, device=request.device)
     built = time.perf_counter() - began
     began = time.perf_counter()
@@ -83,7 +81,7 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
         depth=depth, force=touch.force, axis=aim.axis, reaction=touch.reaction, **fields, deepest=full,
         more={"torque": touch.torque, "q": touch.q, "target": aim.target, "draws": aim.draws,
               "contacts": contacts, "reason": reason, "segments": segments, "deepest": full, "build_seconds": built,
-              "seconds": seconds, "tier": recipe.tier, "device": request.device, "precision": request.precision},
+              "seconds": seconds, "tier": recipe.tier, "device": request.device, "precision": "float64"},
         columns=(Column("tool mm past target", 1e3 * depth, ".2f"), Column("|force| N", size, ".4f"),
                  *(Column(f"joint {j + 1}{' N m' * (j == 6)}", touch.torque[:, j], ".4f") for j in range(7)),
                  Column("balance", audit["force_balance"], ".1e"),
@@ -93,7 +91,7 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
                f"Force on the arm and reaction of the pot agree to {np.nanmax(audit['force_balance']):.1e}; deepest "
                f"penetration {1e3 * np.nanmax(audit['penetration']):.2g} mm. Torques are those of the contact; the "
                f"weight of the arm is taken off.",
-               f"{segments} segments, tier {recipe.tier}, {request.precision} on {request.device}; plant, picture and "
+               f"{segments} segments, tier {recipe.tier} on {request.device}; plant, picture and "
                f"path in {built:.1f} s, solved in {seconds:.1f} s."),
         notes=tuple(_notes(subject, aim, touch, frames)),
         plot=(Curves("size of the force [N]", {"force on the arm": size}),

@@ -53,8 +53,8 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
     """Carry out the ``[press]`` of a scene with a ``[sensor]`` and an object, or obstacles.
 
     Raises:
-        SceneError: no path, both an object and obstacles, a tier or precision that a sensor cannot press, or something
-            that cannot be built.
+        SceneError: no path, both an object and obstacles, a tier that a sensor cannot press, or something that cannot
+            be built.
     """
     return result_of(solve(loaded.sample(request.seed), request), request)
 
@@ -73,7 +73,7 @@ def result_of(s: Solved, request: PressRequest) -> PressResult:
              "pressure": s.pressure, "pressure_change": change, "volume": volume,
              "cg_iterations": frames.cg_iterations[:, 0], "apex": apex, "dome_volume": dome, "edge": edge,
              "build_seconds": s.build_seconds, "triangles": triangles, "nodes": nodes, "device": request.device,
-             "precision": request.precision, "tolerance": s.tolerance, "inward": full + 1, "statement": said}
+             "precision": "float64", "tolerance": s.tolerance, "inward": full + 1, "statement": said}
     axis = direction(s.path)
     normal = -(force @ axis)
     at_full = wrench[full] + 0.0
@@ -81,8 +81,8 @@ def result_of(s: Solved, request: PressRequest) -> PressResult:
              f"({', '.join(f'{v:.4f}' for v in at_full[:3])}) N, ({', '.join(f'{v:.5f}' for v in at_full[3:])}) N m; "
              f"{100 * more['slipping'][full]:.0f} % of the points in contact slip.", said,
              f"Free dome: apex {1e3 * apex:.2f} mm, {1e6 * dome:.2f} mL, {model.pressure:.1f} Pa gauge. {triangles} "
-             f"triangles, {nodes} nodes, mean edge where it is touched {1e3 * edge:.2f} mm, {request.precision} on "
-             f"{request.device}; built in {s.build_seconds:.1f} s, solved in {frames.seconds.sum():.1f} s.")
+             f"triangles, {nodes} nodes, mean edge where it is touched {1e3 * edge:.2f} mm, on {request.device}; "
+             f"built in {s.build_seconds:.1f} s, solved in {frames.seconds.sum():.1f} s.")
     return PressResult(
         depth=depth, force=force, axis=axis, reaction=s.reaction, **fields, deepest=full, more=more,
         columns=(*force_columns(depth, force, axis), Column("pressure Pa", s.pressure, ".2f"),

@@ -99,11 +99,11 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
 
     Args:
         scene: concrete.
-        request: tier, of the object; seed; device; precision; cache; progress.
+        request: tier, of the object; seed; device; cache; progress.
 
     Raises:
-        SceneError: no path, both an object and obstacles, a tier or precision that a sensor cannot press, or something
-            that cannot be built.
+        SceneError: no path, both an object and obstacles, a tier that a sensor cannot press, or something that cannot
+            be built.
     """
     spec, sensor = scene.press, scene.required_sensor
     if spec is None:
@@ -115,10 +115,6 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
     if scene.object is None and request.tier is not None:
         raise SceneError(f"--tier {request.tier}: this scene has a [sensor] and no [object], and tiers are of objects; "
                          f"the sensor's mesh is set by nodes in [sensor]. Leave --tier out.")
-    if request.precision != "float64":
-        raise SceneError(f"--precision {request.precision}: a [sensor] needs float64. At rest its membrane balances "
-                         f"some 50 N of gas pressure node by node, and single precision leaves more of it unbalanced "
-                         f"than a light touch pushes.")
     began = time.perf_counter()
     where = f"{scene.source} [sensor]"
     model = build_bubble(sensor, where=where, cache=request.cache)
@@ -138,15 +134,14 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
 def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, poses: np.ndarray,
                   request: PressRequest, built: float, notes: tuple[str, ...]) -> Solved:
     _before_housing(scene, model, poses)
-    compile_kernels(solver_kernels(request.precision, elements_of(model.blocks)), request.device,
-                    progress=request.progress)
+    compile_kernels(solver_kernels(elements_of(model.blocks)), request.device, progress=request.progress)
     first = np.eye(4)
     first[:3, :3], first[:3, 3] = mount[0, :3, :3], path.start
     axis = direction(path)
     begin = in_mount(scene, first[None])
     gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis)
               for shape, pose in zip(scene.bodies, begin[0], strict=True))
-    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
+    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device,
                     options=request.limited(OPTIONS))
     pressure: list[float] = []
     volume: list[float] = []
@@ -198,19 +193,18 @@ def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndar
                built: float) -> Solved:
     friction = scene.required_sensor.friction
     chosen = tiers.choose(scene, request.tier)
-    if not tiers.TIERS[chosen].nonlinear or chosen == "spring":
+    if not tiers.TIERS[chosen].nonlinear:
         if request.tier is not None or scene.required_object.tier != "auto":
             raise SceneError(f"{scene.source}: tier {chosen!r} cannot be pressed by a [sensor], which bends far; tier "
                              f"= \"fem-coarse\" or finer would do.")
         chosen = "fem-coarse"
     body = tiers.build(scene, chosen, seed=request.seed, cache=request.cache)
-    compile_kernels(coupled_kernels(request.precision, elements_of([*body.blocks, *model.blocks])),
-                    request.device, progress=request.progress)
+    compile_kernels(coupled_kernels(elements_of([*body.blocks, *model.blocks])), request.device,
+                    progress=request.progress)
     first = mount[0].copy()
     first[:3, 3] = path.start
     options = request.limited(tiers.options(chosen))
-    solver = CoupledSolver(body, model, friction=friction, device=request.device, precision=request.precision,
-                           options=options)
+    solver = CoupledSolver(body, model, friction=friction, device=request.device, options=options)
     tell = request.progress
     frames = solver.run(mount[:, None], start=first[None], keep=True,
                         progress=None if tell is None else lambda t: tell(t, len(mount), "frames"))

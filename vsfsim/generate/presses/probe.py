@@ -189,14 +189,13 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     assert spec is not None
     poses = press_path(spec, scene.probe)
     first = pose_at(spec, scene.probe, 0)
-    compile_kernels(solver_kernels(request.precision, elements_of(model.blocks)), request.device,
-                    progress=request.progress)
+    compile_kernels(solver_kernels(elements_of(model.blocks)), request.device, progress=request.progress)
     axis = direction(spec)
     moving = 1 + len(scene.parts)
     gap = min(clearance(model, shape, pose, axis)
               for shape, pose in zip(scene.bodies[:moving], body_poses(scene, first[None])[0], strict=False))
     linear, options = not tiers.TIERS[tier].nonlinear, request.limited(tiers.options(tier))
-    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
+    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device,
                     options=options, linear=linear)
     placed, start = body_poses(scene, poses), body_poses(scene, first[None])
     begun = overlap(model, solver.bodies, start[0], str(scene.source))
@@ -214,20 +213,18 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
              *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
     fields, more = solved(frames)
     notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), begun),
-             *edge_notes(names, scene.bodies, body_force),
-             *(["Single precision could not balance a frame: it and those after it were solved in double."]
-               if solver.went_double else []))
+             *edge_notes(names, scene.bodies, body_force))
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
     more |= {"body_force": body_force, "bodies": names, "friction": scene.frictions, "pressure": None,
              "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
-             "precision": request.precision, "element_size": prepared.element_size, "edge": edge,
+             "precision": "float64", "element_size": prepared.element_size, "edge": edge,
              "edge_at_contact": edge_at(model, tip(scene, np.array(spec.stop), axis)),
              "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
              "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0]}
     mesh = (frames.mesh_error[:, 0], frames.corner_det_f[:, 0], frames.converged[:, 0])
     words = [FORCES, said, *filter(None, [in_words(*mesh)]),
              f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
-                   f"{1e3 * prepared.element_size:.1f} mm, {request.precision} on {request.device}; built in "
+                   f"{1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
                    f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
     if len(names) > 1 or max(scene.frictions) > 0.0:
         words.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(more["slipping"][full])))

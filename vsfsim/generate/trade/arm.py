@@ -47,7 +47,7 @@ class ArmTouches:
         recipe = make_recipe(loaded, seed=seed, objects=first + objects, views=1, touches=touches, device=device)
         scene = loaded.sample(0)
         self.ground = Ground("rod", None, None, None, ("rod",), device, arm=scene.required_arm.mode)
-        compile_kernels(kernels_of(scene, "float64"), device)
+        compile_kernels(kernels_of(scene), device)
         self._alone: list[Subject] = []  # with one touch each
         self._plants = objects
         for job in jobs_of(recipe, loaded.path, ".", cache)[first:]:

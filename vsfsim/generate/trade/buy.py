@@ -126,7 +126,7 @@ def candidates(loaded: SceneFile, resolution: float | None, device: str) -> list
                          (-2, ("linear", LIMIT_TIER))):
         for name in names:
             try:
-                effector_of(scene).check(scene, name, "float64")
+                effector_of(scene).check(scene, name)
             except VsfsimError:
                 continue
             out.append(Setting(name, resolution * RATIO**level, device=device))

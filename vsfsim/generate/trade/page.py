@@ -11,7 +11,7 @@ from vsfsim.generate.trade.front import Point
 
 WIDTH, HEIGHT = 900, 500  # of the chart [px]
 LEFT, RIGHT, TOP, BOTTOM = 70, 110, 16, 48  # around its axes [px]
-COLOURS = {"vsf": "#7f7f7f", "spring": "#cc79a7", "linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73",
+COLOURS = {"vsf": "#7f7f7f", "linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73",
             "fem-fine": "#d55e00", "bubble": "#56b4e9"}
 """Of the tiers (Okabe and Ito 2008, which people with colour blindness tell apart)."""
 _STYLE = """

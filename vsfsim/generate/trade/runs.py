@@ -58,7 +58,7 @@ class DatasetTouches:
         effector = effector_of(scene)
         assert isinstance(effector, Retouching)
         self._effector, self._warm = effector, set[str | None]()
-        compile_kernels(kernels_of(scene, recipe.precision), device)
+        compile_kernels(kernels_of(scene), device)
         self.subjects: list[Subject] = []
         self.aims: list[list[Aim]] = []
         for job in jobs_of(recipe, loaded.path, ".", cache)[first:]:
@@ -90,7 +90,7 @@ class DatasetTouches:
         meter = Meter()
         tier = setting.tier
         assert tier is not None
-        own = (subject.again(tier, setting.options(), precision=setting.precision) if level is None
+        own = (subject.again(tier, setting.options()) if level is None
                else near(subject, aims[0], self._effector.manner(subject.scene).reach, setting.options(), level))
         once, _, _ = meter.read()
         meter.restart()
@@ -143,8 +143,7 @@ class ScenePress:
         meter = Meter()
         varied = _varied(self._loaded, setting)
         request = PressRequest(seed=seed, tier=setting.tier, device=setting.device, cache=self._cache,
-                               tolerance=setting.tolerance,
-                               precision=setting.precision or "float64")
+                               tolerance=setting.tolerance)
         result = effector_of(varied.sample(seed)).press(varied, request)
         cpu, wall, memory = meter.read()
         solve = float(np.sum(result.more["seconds"]))
@@ -196,7 +195,7 @@ def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> 
         return Ground(None, None, frames, manner.nodes, (), device)
     start = max(tier, "fem-coarse", key=order.index)
     return Ground(start, tiers.element_size(scene.required_object, start, scene.probe), frames, manner.nodes,
-                  tuple(name for name in manner.tiers if name != "fem-fine"), device, single=manner.nodes is None)
+                  tuple(name for name in manner.tiers if name != "fem-fine"), device)
 
 
 def _brief(setting: Setting) -> Setting:

@@ -18,7 +18,7 @@ LIMIT_TIER = "fem"
 AXES = {"mesh": "the scene has no mesh", "tolerance": "an arm's touches have the solver's own tolerance",
         "frames": "the scene's path has corners, or is an arm's",
         "nodes": "the scene has no [sensor] kind = \"bubble\"",
-        "precision": "what the scene touches is solved in float64 only", "arm": "the scene has no [arm]",
+        "arm": "the scene has no [arm]",
         "camera": "the scene has no [camera] whose picture aims its touches",
         "device": "this machine has no other device than the one that is used",
         "together": "an arm's touches have no settings to put together"}
@@ -39,8 +39,6 @@ class Setting:
     """Readings on the way in."""
     nodes: int | None = None
     """Of a bubble."""
-    precision: str | None = None
-    """Of the solver."""
     arm: str | None = None
     """Mode of a robot arm."""
     parts: int | None = None
@@ -62,7 +60,7 @@ class Setting:
             words.append(f"{self.nodes} nodes")
         if self.parts is not None:
             words.append(f"{self.parts} beam{'s' * (self.parts > 1)} a segment")
-        words += [word for word in (self.precision, self.arm) if word is not None]
+        words += [] if self.arm is None else [self.arm]
         return ", ".join([*words, *([] if self.device == "cpu" else [self.device])])
 
     def options(self) -> dict[str, Any]:
@@ -88,8 +86,6 @@ class Ground:
     """Tiers that its effector can touch."""
     device: str = "cpu"
     """Warp device."""
-    single: bool = False
-    """Whether it can be solved in single precision."""
     arm: str | None = None
     """Mode of its robot arm, or None."""
 
@@ -121,8 +117,6 @@ class Ground:
             out["frames"] = [Setting(**base, frames=count) for count in counts]
         if self.nodes is not None:
             out["nodes"] = [Setting(**base, nodes=count) for count in (self.nodes // 2, 2 * self.nodes)]
-        if self.single:
-            out["precision"] = [Setting(**base, precision="float32")]
         coarse = {**base, "resolution": sizes(self.tier)[0]}
         out["together"] = [Setting(**coarse, tolerance=loose)]
         if self.frames is not None and counts[0] < self.frames:

@@ -54,7 +54,7 @@ class Sheet:
         self.points, self.blocks, self.closed, self.free = points, blocks, closed, free
         self._moves = np.flatnonzero(free)
         model = SimpleNamespace(blocks=blocks, mesh=SimpleNamespace(points=points), free=free)
-        self._elastic = Elasticity(model, device="cpu", real=wp.float64)  # type: ignore[arg-type]
+        self._elastic = Elasticity(model, device="cpu")  # type: ignore[arg-type]
         self._elastic.begin(1)
         self._index = wp.zeros(1, dtype=wp.int32, device="cpu")
         self._constant = [None if hasattr(block.element, "matrices") else block.element.rest_stiffness(block)

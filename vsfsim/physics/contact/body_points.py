@@ -29,7 +29,6 @@ import numpy as np
 import torch
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -38,6 +37,7 @@ from vsfsim.physics.contact.growth import NONE, Met
 from vsfsim.physics.contact.local_indentation import poisson_ratio
 from vsfsim.physics.contact.patch import PENALTY, Patch
 from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import real, vec3
 
 SPACING = 0.15
 """Distance of the points along an edge, over the element size [-]."""
@@ -127,7 +127,7 @@ class BodyPoints:
             known = np.isin(new.face, patches[b].faces)
             outside[b, new.face[~known & (new.gap < 0.0)]] = True
             new = new.pick(known)
-            moved = points + u[:, b].to(torch.float64).cpu().numpy().reshape(-1, 3)
+            moved = points + u[:, b].cpu().numpy().reshape(-1, 3)
             if outside[b].any() or self._differ(self.met[b], new, pose[b], moved):
                 self.met[b] = new
                 changed.append(b)
@@ -187,7 +187,7 @@ class BodyPoints:
     def _find(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, near: float) -> list[Met]:
         k, device, count = self._kernels, self.device, len(columns)
         host = columns.cpu().numpy()
-        moved = u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+        moved = u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         x = (self._rest + moved).contiguous()
         turn, origin = pose[host][:, :, :3, :3][:, self.body], pose[host][:, :, :3, 3][:, self.body]
         spot = origin + np.einsum("kmij,mj->kmi", turn, self.spot)
@@ -280,12 +280,10 @@ def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoi
 @functools.cache
 def kernels() -> Any:
     """The kernel that finds the places of points on a deformed boundary, and its types."""
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
     vec6 = wp.types.vector(length=6, dtype=real)
     module = "vsfsim_body_points"
-    closest = closest_point.functions(real, module)
+    closest = closest_point.functions(module)
     facing = wp.constant(real(_FACING))
 
     @wp.kernel(module=module, enable_backward=False)

@@ -6,11 +6,12 @@ from typing import Any
 
 import warp as wp
 
+from vsfsim.physics.runtime import real, vec3
 
-def functions(real: type, module: str) -> Any:
+
+def functions(module: str) -> Any:
     """``on_triangle`` (barycentric coordinates on a flat triangle), ``nearest`` (on a face of three or six nodes) and
-    ``half_angle`` (of a flat triangle) for one scalar type and module."""
-    vec3 = wp.types.vector(length=3, dtype=real)
+    ``half_angle`` (of a flat triangle), compiled into ``module``."""
     vec6 = wp.types.vector(length=6, dtype=real)
 
     @wp.func(module=module)

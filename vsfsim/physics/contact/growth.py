@@ -153,7 +153,7 @@ def restore(touches: Sequence[int], tensors: tuple[torch.Tensor, ...], state: tu
             for mine, theirs in zip(tensors, kept, strict=True):
                 mine[b] = theirs[b]
             continue
-        u = moved[:, b].to(torch.float64).cpu().numpy()
+        u = moved[:, b].cpu().numpy()
         memory = remembered((patches[b], met[b]), (present[0][b], present[1][b]),
                             tuple(t[b].cpu().numpy() for t in kept), table, body, mesh.faces,
                             (mesh.points, mesh.points + u.reshape(-1, 3)), turn[b])

@@ -15,12 +15,12 @@ import numpy as np
 import torch
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point, sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, has_edges, inner_radius
 from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.runtime import mat33, real, vec3
 
 DEEP = 0.05
 """Depth above which a body lies inside the object, over the element size [-]."""
@@ -98,7 +98,7 @@ class Intrusion:
         host = columns.cpu().numpy()
         origin = wp.array(pose[host][..., :3, 3], dtype=k.vec3, device=device)
         turn = wp.array(pose[host][..., :3, :3], dtype=k.mat33, device=device)
-        moved = u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+        moved = u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         at = wp.from_torch((self._rest + moved).contiguous(), dtype=k.vec3)
 
         surface = wp.from_torch(self._faces.expand(count, -1, -1))
@@ -157,13 +157,10 @@ class Intrusion:
 @functools.cache
 def kernels() -> Any:
     """The kernels of the check and their types."""
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_intrusion"
     probe = sdf.functions(real, module)
-    closest = closest_point.functions(real, module)
+    closest = closest_point.functions(module)
     inversions = wp.constant(_INVERSIONS)
 
     @wp.kernel(module=module, enable_backward=False)

@@ -213,7 +213,7 @@ class RigidContact(PointStiffness):
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        return u.gather(0, self._index.T).T.to(torch.float64) * self.mask
+        return u.gather(0, self._index.T).T * self.mask
 
     def _stand(self, u: torch.Tensor) -> None:
         self._x_before.copy_((self.rest + self.gather(u)).view_as(self._x_before))

@@ -24,8 +24,8 @@ from typing import Any
 import torch
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import friction, sdf
+from vsfsim.physics.runtime import mat33, real, vec3
 
 STICK = 0.1
 """Tangential stiffness of a stuck point over the normal one [-]: softer, since stick and slip meet in a kink of that
@@ -52,9 +52,6 @@ def kernels() -> Any:
     The owner of an anchor is a code: -1 is none, j >= 0 is body j, and -2 - j is body j with an anchor that this step
     made and may still move.
     """
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_contact"
     # loops over the points of a part end at a variable: unrolled, their six copies take Warp seconds to compile
     probe = sdf.functions(real, module)

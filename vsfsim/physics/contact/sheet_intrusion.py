@@ -13,11 +13,11 @@ import numpy as np
 import torch
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, inner_radius
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.runtime import mat33, real, vec3
 
 _SPACING = 0.5  # of the samples over the inner radius of their body: a body that went through has most of them inside
 _FAR = 2.0  # way of that point behind the rim, over the rim's width
@@ -59,7 +59,7 @@ class SheetIntrusion:
         depth = torch.zeros((count, max(1, self._count)), dtype=torch.float64, device=self.device)
         if self._count:
             host = columns.cpu().numpy()
-            at = self._rest + u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+            at = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
             at = torch.cat([at, self._tip.expand(count, 1, 3)], dim=1)
             box = (wp.from_torch(v.contiguous(), dtype=k.vec3) for v in (at.amin(dim=1), at.amax(dim=1)))
             wp.launch(k.behind, dim=(count, self._count), device=self.device, inputs=[
@@ -93,11 +93,8 @@ def rim_disk(faces: np.ndarray) -> np.ndarray:
 @functools.cache
 def kernels() -> Any:
     """The kernel of the check and its types."""
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_sheet_intrusion"
-    closest = closest_point.functions(real, module)
+    closest = closest_point.functions(module)
     whole = wp.constant(real(2.0 * np.pi))
 
     @wp.kernel(module=module, enable_backward=False)

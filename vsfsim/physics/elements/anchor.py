@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.runtime import real
 
 NODES = 1
 
@@ -47,9 +47,9 @@ def rest_stiffness(block: Block) -> np.ndarray:
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels of this element for one scalar type."""
-    module = f"vsfsim_anchor_{real.__name__}"
+def kernels() -> Any:
+    """The kernels of this element."""
+    module = "vsfsim_anchor"
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(

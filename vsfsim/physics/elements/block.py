@@ -5,10 +5,10 @@ A file ``elements/NAME.py`` is found by its name. It provides
     NODES                        nodes of one element, a
     block(...) -> Block          makes a block, and refuses what the element cannot be
     rest_stiffness(block)        (m, 3 a, 3 a) [N/m], rows node by node: the tangent at u = 0; (0, 3 a, 3 a) for none
-    kernels(real)                Warp kernels for one scalar type, see below; ``kernels(real, law)`` of a solid element
+    kernels()                    Warp kernels in double precision, see below; ``kernels(law)`` of a solid element
     state_size(block)            numbers that a tangent stores per element and touch, besides the displacements
 
-``kernels(real)`` is an object with ``parameters(block, device)``, the element's own device arrays, each with a row for
+``kernels()`` is an object with ``parameters(block, device)``, the element's own device arrays, each with a row for
 every element of the block. If elements share one, as a foam does its terms, its number is in ``shared``. They follow
 the nodes in
 
@@ -78,9 +78,9 @@ class Block:
         """The element's module."""
         return importlib.import_module(f"vsfsim.physics.elements.{self.kind}")
 
-    def kernels(self, real: type) -> Any:
-        """The element's kernels for one scalar type."""
-        return kernels_of(self.kind, self.law, real)
+    def kernels(self) -> Any:
+        """The element's kernels."""
+        return kernels_of(self.kind, self.law)
 
     @property
     def collective(self) -> bool:
@@ -100,11 +100,10 @@ def elements_of(blocks: Iterable[Block]) -> list[tuple[str, str]]:
     return list(dict.fromkeys((block.kind, block.law) for block in blocks))
 
 
-def kernels_of(kind: str, law: str, real: type) -> Any:
-    """The kernels of elements of a ``kind`` under a ``law`` (empty for elements that take none), for one scalar
-    type."""
+def kernels_of(kind: str, law: str) -> Any:
+    """The kernels of elements of a ``kind`` under a ``law`` (empty for elements that take none)."""
     make = importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels
-    return make(real, law) if law else make(real)
+    return make(law) if law else make()
 
 
 def matrices_at_rest(block: Block) -> np.ndarray:
@@ -112,7 +111,7 @@ def matrices_at_rest(block: Block) -> np.ndarray:
     CPU."""
     import warp as wp
 
-    element, own = block.element, block.kernels(wp.float64)
+    element, own = block.element, block.kernels()
     width = int(block.nodes.max()) + 1 if len(block) else 1
     state = wp.zeros((len(block), element.state_size(block), 1), dtype=wp.float64, device="cpu")
     wp.launch(own.tangent, dim=(len(block), 1), device="cpu", inputs=[

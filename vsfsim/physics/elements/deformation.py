@@ -6,18 +6,16 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.runtime import mat33, real, vec3
 
 
-def functions(real: type, module: str) -> Any:
-    """Device functions for one scalar type, compiled into ``module``.
+def functions(module: str) -> Any:
+    """Device functions, compiled into ``module``.
 
     ``gradient`` is F of a displacement gradient D, and ``cofactor`` cof F = J F^-T. ``cofactor_change`` is the
     derivative of cof F along a change of F. ``volume_change`` gives the two parts of J - 1 from D. ``squares`` gives
     the squared singular values of F, decreasing.
     """
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     third_turn = wp.constant(real(2.0 * np.pi / 3.0))
 
     @wp.func(module=module)

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.runtime import real, vec3
 
 NODES = 3
 COLLECTIVE = True
@@ -140,11 +140,10 @@ def rest_coupling(block: Block, points: int) -> tuple[np.ndarray, float]:
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels of this element for one scalar type of displacements; volume and pressure are double."""
+def kernels() -> Any:
+    """The kernels of this element."""
     double = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=double)
-    module = f"vsfsim_gas_{real.__name__}"
+    module = "vsfsim_gas"
     sixth = wp.constant(double(1.0 / 6.0))
     least = wp.constant(double(_SMALLEST_VOLUME))
     infinite = wp.constant(double(_INFINITE))

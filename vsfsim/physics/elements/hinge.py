@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.runtime import real, vec3
 
 NODES = 6
 _SMALLEST_SINGULAR_VALUE = 0.02
@@ -108,10 +108,9 @@ def rest_stiffness(block: Block) -> np.ndarray:
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels of this element for one scalar type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    module = f"vsfsim_hinge_{real.__name__}"
+def kernels() -> Any:
+    """The kernels of this element."""
+    module = "vsfsim_hinge"
 
     @wp.func(module=module)
     def pull(plane: wp.array3d(dtype=real), out: wp.array3d(dtype=real), n: vec3, t: int, a: int, c: int, x: vec3):

@@ -23,14 +23,14 @@ from typing import Any
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.runtime import real
 
 LAWS = ("neo-hookean", "saint-venant-kirchhoff")
 """Names of the laws; the kernels know a law by its index."""
 
 
-def functions(real: type, module: str) -> Any:
-    """Device functions for one scalar type, compiled into ``module``.
+def functions(module: str) -> Any:
+    """Device functions, compiled into ``module``.
 
     regime: whether the sheet is taut, wrinkled or slack. law_of: W and its derivatives by l1 and l2.
     """

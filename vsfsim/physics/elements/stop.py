@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.runtime import real
 
 NODES = 2
 HARD = 2e-4
@@ -49,9 +49,9 @@ def rest_stiffness(block: Block) -> np.ndarray:
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels of this element for one scalar type."""
-    module, hard = f"vsfsim_stop_{real.__name__}", wp.constant(real(HARD))
+def kernels() -> Any:
+    """The kernels of this element."""
+    module, hard = "vsfsim_stop", wp.constant(real(HARD))
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(

@@ -32,13 +32,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements import deformation, tet10_shape
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import shape_gradients
 from vsfsim.physics.laws import neo_hooke
 from vsfsim.physics.laws.catalogue import LAWS
 from vsfsim.physics.laws.law import Settings, SolidLaw
+from vsfsim.physics.runtime import mat33, real
 
 NODES = 10
 POINTWISE = 4.0
@@ -117,19 +117,18 @@ def rest_stiffness(block: Block) -> np.ndarray:
 
 
 @functools.cache
-def kernels(real: type, law: str) -> Any:
-    """The kernels of this element for one scalar type (`wp.float32` or `wp.float64`) and the law of this name."""
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
+def kernels(law: str) -> Any:
+    """The kernels of this element under the law of this name."""
     mat43 = wp.types.matrix(shape=(4, 3), dtype=real)
     mat103 = wp.types.matrix(shape=(10, 3), dtype=real)
-    module = f"vsfsim_tet10_{law}_{real.__name__}"
+    module = f"vsfsim_tet10_{law}"
 
-    shape = tet10_shape.functions(real, module)
+    shape = tet10_shape.functions(module)
     load, edge_sums, gradient, stresses, spread, finish = (
         shape.load, shape.edge_sums, shape.gradient, shape.stresses, shape.spread, shape.finish)
-    kinematics = deformation.functions(real, module)
+    kinematics = deformation.functions(module)
     deform, cofactor, volume_change = kinematics.gradient, kinematics.cofactor, kinematics.volume_change
-    point = LAWS[law].functions(real, module)
+    point = LAWS[law].functions(module)
     respond, linearise, product = point.respond, point.linearise, point.multiply
     mean_at = wp.constant(4 * LAWS[law].stored)  # first row of the gradient of Jbar
 

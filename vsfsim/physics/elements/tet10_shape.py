@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.runtime import mat33, real, vec3
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])
 """Corners of the edges on which nodes 4 to 9 lie (6, 2); nodes 0 to 3 are the corners."""
@@ -35,15 +35,13 @@ def shape_gradients(gradients: np.ndarray, q: int) -> np.ndarray:
     return np.einsum("ak,mkc->mac", shape, gradients)
 
 
-def functions(real: type, module: str) -> Any:
-    """Device functions for one scalar type, compiled into ``module``.
+def functions(module: str) -> Any:
+    """Device functions, compiled into ``module``.
 
     ``load`` reads the nodal values of an element (10, 3). ``edge_sums`` and ``gradient`` compute its displacement
     gradient at a Gauss point, in two steps. ``stresses``, ``spread`` and ``finish`` are the transpose: they turn a
     stress at each Gauss point into nodal forces.
     """
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat43 = wp.types.matrix(shape=(4, 3), dtype=real)
     mat103 = wp.types.matrix(shape=(10, 3), dtype=real)
     far4 = wp.constant(real(4.0 * GAUSS_FAR))

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements import plane_stress
 from vsfsim.physics.elements.block import Block, matrices_at_rest
 from vsfsim.physics.elements.plane_stress import LAWS
+from vsfsim.physics.runtime import mat33, real, vec3
 
 NODES = 3
 _STATE = 18
@@ -103,16 +103,14 @@ def matrices(block: Block, state: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels of this element for one scalar type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
+def kernels() -> Any:
+    """The kernels of this element."""
     vec2 = wp.types.vector(length=2, dtype=real)
     mat22 = wp.types.matrix(shape=(2, 2), dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
-    module = f"vsfsim_triangle_{real.__name__}"
+    module = "vsfsim_triangle"
     tiny = wp.constant(real(1e-30))
     zero, half, one, two, three = (wp.constant(real(v)) for v in (0.0, 0.5, 1.0, 2.0, 3.0))
-    laws = plane_stress.functions(real, module)
+    laws = plane_stress.functions(module)
     regime, law_of = laws.regime, laws.law_of
 
     @wp.func(module=module)

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene_tables.foam import Foam
 from vsfsim.physics.laws import principal
 from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.laws.neo_hooke import CRUSHED
+from vsfsim.physics.runtime import mat33, real, vec3
 
 TERMS = 2
 THIN = 0.02
@@ -53,10 +53,8 @@ def parameters(mu: np.ndarray, lam: np.ndarray, settings: Settings) -> tuple[np.
     return (mu / rows[0].sum())[:, :, None], terms
 
 
-def functions(real: type, module: str) -> Any:
+def functions(module: str) -> Any:
     """See `law.SolidLaw`."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     crushed, thin = wp.constant(real(CRUSHED)), wp.constant(real(THIN))
 
     @wp.func(module=module)
@@ -159,7 +157,7 @@ def functions(real: type, module: str) -> Any:
                         out[a, b] = out[a, b] + scale * s * lam[3 - a - b]
         return own[t, q, 0] * out
 
-    return principal.functions_of(energy, slopes, curvatures, real, module)
+    return principal.functions_of(energy, slopes, curvatures, module)
 
 
 LAW = SolidLaw("hyperfoam", principal.STORED, functions, parameters, settings=("mu", "alpha", "beta"))

@@ -3,9 +3,9 @@
 A law is one file: what it says on the host, and Warp functions at one point of a body. A package adds one as an entry
 point of the group ``vsfsim.laws``, a `SolidLaw`; a scene names it in ``[object] law``.
 
-``functions(real, module)`` is an object with three Warp functions for one scalar type, compiled into ``module``. The
-arrays ``own`` (m, 4, p) and ``terms`` (r, c) hold what `SolidLaw.parameters` gives; t is the element and q the point. D
-is a displacement gradient, F = 1 + D, J = det F, and ``push`` a pressure that the element adds to dPsi/dJ [Pa].
+``functions(module)`` is an object with three Warp functions in double precision, compiled into ``module``. The arrays
+``own`` (m, 4, p) and ``terms`` (r, c) hold what `SolidLaw.parameters` gives; t is the element and q the point. D is a
+displacement gradient, F = 1 + D, J = det F, and ``push`` a pressure that the element adds to dPsi/dJ [Pa].
 
     respond(d, own, terms, t, q, push)       energy density without push [J/m^3], J, and the first Piola-Kirchhoff
                                              stress (3 x 3) [Pa]
@@ -39,7 +39,7 @@ class SolidLaw:
     """By which scenes and entry points name it; also part of the name of its kernels' module."""
     stored: int
     """Numbers that a tangent stores at a point."""
-    functions: Callable[[type, str], Any]
+    functions: Callable[[str], Any]
     """See the head of this file."""
     parameters: Callable[[np.ndarray, np.ndarray, Settings], tuple[np.ndarray, np.ndarray]]
     """Own numbers of every point (m, 4, p) and shared terms (r, c), from mu and lambda (m, 4) [Pa], which the law must

@@ -33,20 +33,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements import deformation
 from vsfsim.physics.laws.law import Settings, SolidLaw
+from vsfsim.physics.runtime import mat33, real, vec3
 
 CRUSHED = 0.1
 """det F below which the logarithm is continued by a polynomial [-]."""
 _FLAT = 0.02  # det F below which the projected tangent is that of an inverted element: its formulas do not divide by J
 
 
-def functions(real: type, module: str) -> Any:
+def functions(module: str) -> Any:
     """See `law.SolidLaw`."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
-    kinematics = deformation.functions(real, module)
+    kinematics = deformation.functions(module)
     deform, cofactor, cofactor_change, volume_change, singular = (
         kinematics.gradient, kinematics.cofactor, kinematics.cofactor_change, kinematics.volume_change,
         kinematics.squares)

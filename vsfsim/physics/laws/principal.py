@@ -12,23 +12,21 @@ from typing import Any
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.runtime import mat33, real, vec3
 
 STORED = 30
 """Numbers that a tangent stores at a point."""
 _SWEEPS = 6  # of Jacobi's method; it converges quadratically, and four suffice for a 3 x 3 matrix in double precision
 
 
-def decomposition(real: type, module: str) -> Any:
-    """Device functions for one scalar type, compiled into ``module``.
+def decomposition(module: str) -> Any:
+    """Device functions, compiled into ``module``.
 
     ``eigen`` gives the eigenvalues (decreasing) and eigenvectors (columns, a rotation) of a symmetric matrix by
     Jacobi's method. ``decompose`` gives x = ln of the singular values from the displacement gradient D, the signed
     singular values l (decreasing, the last one negative in an inverted element), and the rotations U and V with F = 1 +
     D = U diag(l) V^T. At small strains x keeps its digits, because it comes from F^T F - 1.
     """
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
 
     done = wp.constant(real(1e-17))
 
@@ -131,7 +129,7 @@ def decomposition(real: type, module: str) -> Any:
     return SimpleNamespace(eigen=eigen, decompose=decompose)
 
 
-def functions_of(energy: Any, slopes: Any, curvatures: Any, real: type, module: str) -> Any:
+def functions_of(energy: Any, slopes: Any, curvatures: Any, module: str) -> Any:
     """The functions of a law, see `law.SolidLaw`, from three Warp functions of the stretches l, and of x = ln l where
     l > 0.
 
@@ -141,9 +139,7 @@ def functions_of(energy: Any, slopes: Any, curvatures: Any, real: type, module: 
         curvatures: (l, own, terms, t, q) -> d2Psi/dl dl (3 x 3) [Pa].
         real, module: see `law.SolidLaw`.
     """
-    vec3 = wp.types.vector(length=3, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
-    parts = decomposition(real, module)
+    parts = decomposition(module)
     eigen, decompose = parts.eigen, parts.decompose
     # difference of two stretches below which their difference quotient is the mean of the derivatives
     near = wp.constant(real(1e-5 if real is wp.float64 else 1e-2))

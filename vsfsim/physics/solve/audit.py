@@ -40,7 +40,7 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
     on_object = acting.view(-1, 3, batch).sum(dim=0).T
     held = (internal - balance.load - acting) * (1.0 - balance.free)
     # anchor elements tie the object to the ground: their force is a reaction of the supports
-    held = (held - grounding * balance.u.to(torch.float64)).view(-1, 3, batch).sum(dim=0).T
+    held = (held - grounding * balance.u).view(-1, 3, batch).sum(dim=0).T
     weight = balance.load.view(-1, 3).sum(dim=0)
     unbalanced = (held + on_object + weight).norm(dim=1)
     largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=balance.floor)
@@ -109,7 +109,7 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
     solid = all(block.kind == "tet10" for block in model.blocks)
     if not (solid and isinstance(balance.contact, RigidContact)):
         return np.full(batch, np.nan), np.full(batch, np.nan)
-    u = balance.u.to(torch.float64).cpu().numpy().reshape(-1, 3, batch)
+    u = balance.u.cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
     share = balance.contact.local_share(balance.every).cpu().numpy()
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])

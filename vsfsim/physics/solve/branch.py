@@ -16,7 +16,7 @@ SNAP = 0.05
 # that shorter steps find again lacks 0.61 % (4e730fe1e09e of the stability map), steps of a box on nu = 0.499 that they
 # make otherwise 1.5 and 5 % (d9f35752c871)
 _DOUBTFUL = 0.0075
-_ROUNDING = 1e-4  # of the elastic energy, which single precision may lose [-]
+_ROUNDING = 1e-4  # of the elastic energy, which a state balanced to a tier's tolerance may lack [-]
 _SAME = 1e-2  # relative difference of least det F under which two crushed equilibria at one pose are the same
 _SAME_ENERGY = 1e-4  # the same of the energy that the bodies have put into the object, under two doubtful ones
 
@@ -75,7 +75,7 @@ class Branch:
         straight = torch.as_tensor((pose[..., :3, :3] == before[..., :3, :3]).all(axis=(1, 2, 3)),
                                    device=balance.device)  # the moments do no work
         stored = self._stored(columns)
-        lost = SNAP * (stored - self._rest[columns]).clamp(min=0.0) + _ROUNDING * state["energy"].to(torch.float64)
+        lost = SNAP * (stored - self._rest[columns]).clamp(min=0.0) + _ROUNDING * state["energy"]
         kept = torch.where(inward & straight[columns], stored - lost, none)
         # without friction every equilibrium of a step inward has more energy than those before it
         self._kept[columns] = kept if contact.has_friction else torch.maximum(kept, self._kept[columns])
@@ -145,7 +145,7 @@ class Branch:
     def _stored(self, columns: torch.Tensor) -> torch.Tensor:
         """Energy of object, weight and springs in the states that were evaluated last (k,) [J]."""
         balance = self._balance
-        energy = wp.to_torch(balance.elasticity.energy)[columns].to(torch.float64)
+        energy = wp.to_torch(balance.elasticity.energy)[columns]
         return energy + balance.contact.carried(columns) - (balance.load * balance.u[:, columns]).sum(dim=0)
 
 

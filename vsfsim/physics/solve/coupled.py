@@ -125,19 +125,19 @@ class CoupledSolver(Solver):
         model: the object, in the world.
         sensor: the sensor in its own frame, +z towards the object; its displacements are 0 in the free state.
         friction: Coulomb's coefficient of the pair [-].
-        device, precision, options: see `Solver`.
+        device, options: see `Solver`.
 
     Raises:
         SceneError: the sensor has more than `SENSOR_NODES` nodes.
     """
 
     def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu",
-                 precision: str = "float64", options: SolverOptions | None = None):
+                 options: SolverOptions | None = None):
         if len(sensor.mesh.points) > SENSOR_NODES:
             raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} "
                              f"are allowed, since its compliance is kept whole. Give fewer nodes.")
-        self._setup(PairModel.of(model, sensor), _SensorReach(sensor), np.array([float(friction)]), device, precision,
-                    options, False)
+        self._setup(PairModel.of(model, sensor), _SensorReach(sensor), np.array([float(friction)]), device, options,
+                    False)
         self.object, self.sensor = model, sensor
         # displacements, friction state before the prediction, poses before
         self._predicted: tuple[torch.Tensor, Any, np.ndarray] | None = None
@@ -252,7 +252,7 @@ class CoupledSolver(Solver):
 
     def _record(self, converged: np.ndarray) -> None:
         u = self._balance.u
-        self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
+        self.history.append(u.clone().cpu().numpy())
         split = 3 * len(self.object.mesh.points)
         force = self._contact_force.view(-1, 3, u.shape[1])
         surface = torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)
@@ -262,7 +262,7 @@ class CoupledSolver(Solver):
         carried = self.contact.surfaces.carried
         self.sensor_force.append(carried(force[split // 3:], place=False).cpu().numpy())
         rest = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None]
-        own = rest + u[split:].view(-1, 3, u.shape[1]).to(torch.float64)
+        own = rest + u[split:].view(-1, 3, u.shape[1])
         self.sensor_position.append(carried(own, place=True).cpu().numpy())
 
     def _report(self, state: State) -> Rows:

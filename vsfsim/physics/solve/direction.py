@@ -84,7 +84,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                 self.block = block if which is None else block.pick(which)
 
         def patch(self, x: torch.Tensor) -> torch.Tensor:
-            return x.gather(0, self.at).T.to(torch.float64) * self.mask
+            return x.gather(0, self.at).T * self.mask
 
     parts: dict[int, Part] = {}
 
@@ -99,13 +99,13 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         with clock.measure("products"):
             out = wp.to_torch(elasticity.multiply(own.index, wp.from_torch(x.contiguous())))
         if touched:
-            out = out + spread(own.dof, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0], size).to(out.dtype)
+            out = out + spread(own.dof, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0], size)
         return out
 
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
         with clock.measure("back-solves"):
-            right = r.to(torch.float64, copy=bool(own.local))
+            right = r.clone() if own.local else r
             begun = [inner.before(right[:, j].numpy()) for j, inner in own.local]
             for (j, _), (_, left) in zip(own.local, begun, strict=True):
                 right[:, j] = torch.as_tensor(left)
@@ -115,8 +115,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             for j, factor in own.factors:
                 y[:, j:j + 1] = torch.as_tensor(factor.solve(right[:, j:j + 1].numpy()))
             for (j, inner), (first, _) in zip(own.local, begun, strict=True):
-                y[:, j] = torch.as_tensor(inner.after(r[:, j].to(torch.float64).numpy(), first, y[:, j].numpy()))
-        return y.to(r.dtype)
+                y[:, j] = torch.as_tensor(inner.after(r[:, j].numpy(), first, y[:, j].numpy()))
+        return y
 
     if not contact.symmetric:
         direction, steps = gmres.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,

@@ -11,20 +11,19 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.elimination import Order
 from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import real, vec3
 
 _TOGETHER = 1024  # elements whose tangents are made at once
 _CHUNKS = 64  # partial sums of the energy of a touch: enough threads for a GPU, and the same sum on every device
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The kernels that all elements share, for one scalar type."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    module = f"vsfsim_elasticity_{real.__name__}"
+def kernels() -> Any:
+    """The kernels that all elements share."""
+    module = "vsfsim_elasticity"
 
     @wp.kernel(module=module, enable_backward=False)
     def gather(
@@ -229,7 +228,6 @@ class Elasticity:
     Args:
         model: the body.
         device: Warp device.
-        real: `wp.float32` or `wp.float64`.
     """
 
     internal: wp.array
@@ -239,12 +237,11 @@ class Elasticity:
     least_det: wp.array
     """Least det F (B,) [-]; likewise."""
 
-    def __init__(self, model: Model, *, device: str, real: type):
-        self.device, self.real = device, real
-        self.kernels = kernels(real)
+    def __init__(self, model: Model, *, device: str):
+        self.device, self.kernels = device, kernels()
         self.blocks = model.blocks
         self._points = len(model.mesh.points)
-        self._of = [block.kernels(real) for block in self.blocks]
+        self._of = [block.kernels() for block in self.blocks]
         self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
                        for block, k in zip(self.blocks, self._of, strict=True)]
         self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i,
@@ -259,7 +256,7 @@ class Elasticity:
 
     def begin(self, batch: int) -> None:
         """Room for ``batch`` touches."""
-        new = {"dtype": self.real, "device": self.device}
+        new = {"dtype": real, "device": self.device}
         slots = np.cumsum([0, *(block.nodes.size for block in self.blocks)])
         rows = np.cumsum([0, *(len(block) for block in self.blocks)])
         self._force = wp.zeros((int(slots[-1]), 3, batch), **new)
@@ -341,14 +338,14 @@ class Elasticity:
                 places = order.find(nodes[:, :, None], nodes[:, None, :])
                 own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
                 alone = wp.array(np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape), device="cpu")
-                matrix = wp.empty((count, size, size), dtype=self.real, device="cpu")
+                matrix = wp.empty((count, size, size), dtype=real, device="cpu")
                 given = [a if i in shared else wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu")
                          for i, a in enumerate(model[1:])]
                 wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
                     alone, *given,
                     wp.zeros(size, dtype=wp.int32, device="cpu"),
-                    *(wp.array(a, dtype=self.real, device="cpu") for a in (
-                        own_at, state.numpy()[rows, :, touch:touch + 1])), _units(size, self.real)[:count * size],
+                    *(wp.array(a, dtype=real, device="cpu") for a in (
+                        own_at, state.numpy()[rows, :, touch:touch + 1])), _units(size)[:count * size],
                     matrix])
                 wp.launch(self.kernels.add_blocks, dim=count, device="cpu", inputs=[
                     wp.array(places, dtype=wp.int32, device="cpu"), matrix,
@@ -378,6 +375,6 @@ class Elasticity:
 
 
 @functools.cache
-def _units(size: int, real: type) -> wp.array:
+def _units(size: int) -> wp.array:
     """The unit vectors of elements with ``size`` degrees of freedom, `_TOGETHER` times below one another, on a CPU."""
     return wp.array(np.tile(np.eye(size), (_TOGETHER, 1)), dtype=real, device="cpu")

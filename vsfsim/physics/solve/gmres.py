@@ -14,14 +14,13 @@ from vsfsim.physics.solve.pcg import Operator, column_dots
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor, iterations: int,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
-    """Solve A x = ``right`` from x = 0; arguments as `pcg.solve`, the residual measured by its length. The basis is
-    float64 in single precision, too.
+    """Solve A x = ``right`` from x = 0; arguments as `pcg.solve`, the residual measured by its length.
 
     Returns:
         x (3 n, k) and iterations of each column (k,).
     """
     size = column_dots(right, right).sqrt().clamp(min=1e-300)
-    basis, searched = [right.to(torch.float64) / size], []
+    basis, searched = [right / size], []
     k = right.shape[1]
     upper = torch.zeros((k, iterations + 1, iterations), dtype=torch.float64, device=right.device)
     steps = torch.zeros(k, dtype=torch.int64, device=right.device)
@@ -31,8 +30,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         if j and clock.now() > deadline:
             break
         steps += running
-        searched.append(precondition(basis[j].to(right.dtype), None))
-        w = multiply(searched[j], None).to(torch.float64)
+        searched.append(precondition(basis[j], None))
+        w = multiply(searched[j], None)
         for _ in range(2):  # twice is enough (Kahan)
             for i, v in enumerate(basis):
                 h = column_dots(v, w)
@@ -56,5 +55,5 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             break
     out = torch.zeros_like(right)
     for i, z in enumerate(searched[:y.shape[1]]):
-        out += z * y[:, i, 0].to(right.dtype)
+        out += z * y[:, i, 0]
     return out, steps

@@ -48,7 +48,7 @@ class LinearTier:
     @property
     def accept(self) -> float:
         """Measure under which a frame counts as balanced [-]."""
-        accept = self._balance.accept
+        accept = self._balance.options.tolerance
         return max(accept, RENEWED) if self._contact.has_friction else accept
 
     def frame(self, before: np.ndarray, way: Sequence[np.ndarray], start: torch.Tensor,
@@ -78,7 +78,7 @@ class LinearTier:
         force, error, on_bodies = self._arrive(before, way[-1], start, deadline, halvings)
         det = balance.least_det(every)
         balance.evaluate_contact(every, balance.u)
-        u = balance.u.to(torch.float64)
+        u = balance.u
         internal = self._times_stiffness(u)
         acting = spread(contact.dof, force, len(u))
         residual = (balance.load + acting - internal) * balance.free

@@ -45,8 +45,6 @@ class Equilibrium:
         contact: the contact.
         options: limits.
         floor: forces under this count as zero [N].
-        accept: measure at which a touch counts as balanced that rounding keeps from coming closer; None for the
-            tolerance.
     """
 
     u: torch.Tensor
@@ -61,14 +59,12 @@ class Equilibrium:
     """Potential under which a state of a touch lies on another branch than the one that it comes from (B,) [J]."""
 
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact, options: SolverOptions, *,
-                 floor: float, accept: float | None = None):
-        self.accept = options.tolerance if accept is None else accept
+                 floor: float):
         self.model, self.elasticity, self.contact = model, elasticity, contact
         self.options, self.floor = options, floor
         self.device = contact.device
         batch = contact.batch
-        self.real = torch.float64 if elasticity.real is wp.float64 else torch.float32
-        self.u = torch.zeros((3 * len(model.mesh.points), batch), dtype=self.real, device=self.device)
+        self.u = torch.zeros((3 * len(model.mesh.points), batch), dtype=torch.float64, device=self.device)
         self.load = torch.as_tensor(model.load, device=self.device)[:, None]
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
@@ -101,7 +97,7 @@ class Equilibrium:
     def least_det(self, columns: torch.Tensor) -> torch.Tensor:
         """The least det F of ``columns`` (k,) at the present displacements (k,) [-]."""
         self._strain(columns)
-        return wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)
+        return wp.to_torch(self.elasticity.least_det)[columns]
 
     def _strain(self, columns: torch.Tensor) -> None:
         with clock.measure("forces"):
@@ -111,7 +107,7 @@ class Equilibrium:
         """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
         dof = self.contact.dof[columns]
         self.contact.evaluate(columns,
-                              moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.contact.mask[columns])
+                              moved.gather(0, dof.clamp(min=0).T).T * self.contact.mask[columns])
 
     def renew_friction(self, columns: torch.Tensor) -> State:
         """The state after renewing friction limits and tangent planes; the measure counts Coulomb's residual, too."""
@@ -121,7 +117,7 @@ class Equilibrium:
         return out
 
     def _state(self, columns: torch.Tensor, moved: torch.Tensor) -> State:
-        internal = wp.to_torch(self.elasticity.internal)[:, columns].to(torch.float64)
+        internal = wp.to_torch(self.elasticity.internal)[:, columns]
         contact = spread(self.contact.dof[columns], self.contact.nodal(columns), len(internal))
         energy = wp.to_torch(self.elasticity.energy)[columns]
         bodies = self.contact.energy(columns) + self.contact.carried(columns)
@@ -130,7 +126,7 @@ class Equilibrium:
         self._acts[columns] = self._acting(contact)
         return {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
                 "energy": energy, "wrong_side": self.contact.wrong_side(columns),
-                "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64),
+                "det": wp.to_torch(self.elasticity.least_det)[columns],
                 "measure": self.measure(residual, contact)}
 
     def measure(self, residual: torch.Tensor, contact: torch.Tensor) -> torch.Tensor:
@@ -222,7 +218,7 @@ class Equilibrium:
             renew[open_] = (state["measure"][open_] > 0.5 * before) | curved
             # not even a projected step helps: the floor of rounding, or no equilibrium
             present = state["measure"][open_]
-            rounded[open_] = (present <= self.accept) & (present > 0.5 * before) & ~held[open_]
+            rounded[open_] = (present <= self.options.tolerance) & (present > 0.5 * before) & ~held[open_]
             stuck[open_] = ~moved & safe[open_] | rounded[open_]
             idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
             least[open_] = torch.minimum(least[open_], state["measure"][open_])
@@ -257,7 +253,7 @@ class Equilibrium:
                    near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
         opt = self.options
         left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
-        return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
+        return newton_direction(self.elasticity, self.contact, columns, residual, near=near,
                                 iterations=opt.cg, plain=opt.cg_plain, deadline=self._deadline,
                                 tolerance=linear_tolerance(opt, near, left), factors=self.factors)
 
@@ -297,7 +293,7 @@ class Equilibrium:
                 trying = pending[tried[pending]]
                 if not len(trying):
                     continue
-                self.u[:, columns[trying]] = base[:, trying] + step[trying].to(self.real) * direction[:, trying]
+                self.u[:, columns[trying]] = base[:, trying] + step[trying] * direction[:, trying]
                 new = self.evaluate(columns[trying])
                 good = accepted(new, trying, slope)
                 done = trying[good]

@@ -22,8 +22,8 @@ _COMPACT = 0.7  # share of running columns under which the others are dropped fr
 
 
 def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Dot product of every column (k,), summed in double."""
-    return (a.to(torch.float64) * b.to(torch.float64)).sum(dim=0)
+    """Dot product of every column (k,)."""
+    return (a * b).sum(dim=0)
 
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
@@ -68,7 +68,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         if step == 0:
             x += p * bad
         running = running & ~bad
-        alpha = torch.where(running, rz / torch.where(pap > 0.0, pap, 1.0), 0.0).to(right.dtype)
+        alpha = torch.where(running, rz / torch.where(pap > 0.0, pap, 1.0), 0.0)
         x += alpha * p
         r -= alpha * ap
         if plain:
@@ -85,7 +85,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             left = int(goes_on.sum())
             if left == 0:
                 break
-        beta = torch.where(goes_on, fresh / torch.where(rz > 0.0, rz, 1.0), 0.0).to(right.dtype)
+        beta = torch.where(goes_on, fresh / torch.where(rz > 0.0, rz, 1.0), 0.0)
         p = z + beta * p
         rz = torch.where(running, fresh, rz)
         running = goes_on

@@ -50,7 +50,7 @@ def guesses(equilibria: Sequence[Known], present: tuple[torch.Tensor, torch.Tens
         first, second = equilibria[-2:]
         f0, f1 = (_on_patches(known, contact) for known in (first, second))
         ratio = torch.as_tensor(path.ratio(first.pose, second.pose, pose), device=f1.device)
-        out.append((second.u + (ratio * (second.u - first.u)).to(second.u.dtype), f1 + ratio[:, None] * (f1 - f0)))
+        out.append((second.u + (ratio * (second.u - first.u)), f1 + ratio[:, None] * (f1 - f0)))
     return out
 
 
@@ -83,14 +83,14 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
         with clock.measure("prediction"):
             change, error = contact.condensed(columns, contact.gather(base)[columns], force[columns], iterations=20,
                                               tolerance=1e-4)
-        moved = base[:, columns] + contact.response.patch(columns, change).to(balance.real)
+        moved = base[:, columns] + contact.response.patch(columns, change)
         best.offer(moved, force[columns] + change, every)
         # of a body that responds otherwise than at rest, near a bifurcation, say, the correction may lead anywhere
         wild = error > _WILD
         if not (contact.solid and bool(wild.any())):
             continue
         if number:
-            best.offer(base[:, columns].to(balance.real), force[columns], wild)  # it may be of single precision yet
+            best.offer(base[:, columns], force[columns], wild)
         elif len(guesses) == 1:
             tries += [(times * base, times * force) for times in _TIMES]
     best.offer(now[:, columns], last[columns], every, present=True)
@@ -106,7 +106,7 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
             change, error = contact.condensed(columns, contact.gather(balance.u)[columns], pushed, iterations=20,
                                               tolerance=1e-4)
         change[error > _USEFUL] = 0.0
-        balance.u[:, columns] += contact.response.patch(columns, change).to(balance.real)
+        balance.u[:, columns] += contact.response.patch(columns, change)
         pushed += change
         _renew(balance, columns)
 

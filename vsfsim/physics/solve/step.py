@@ -26,8 +26,8 @@ def correct(contact: Contact, columns: torch.Tensor, u: torch.Tensor, direction:
         return direction
     at = contact.dof[columns].clamp(min=0).T
     mask = contact.mask[columns]
-    change = direction.gather(0, at).T.to(torch.float64) * mask
-    base = u[:, columns].gather(0, at).T.to(torch.float64) * mask + change
+    change = direction.gather(0, at).T * mask
+    base = u[:, columns].gather(0, at).T * mask + change
     pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
     slides = contact.has_friction and contact.solid  # Newton's own step may throw points past their anchors
     fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
@@ -40,7 +40,7 @@ def correct(contact: Contact, columns: torch.Tensor, u: torch.Tensor, direction:
     useful = (error < 0.1) & (force != 0.0).any(dim=1)
     if bool(useful.any()):
         corrected = direction.clone()
-        corrected[:, useful] += contact.response.patch(columns[useful], force[useful]).to(direction.dtype)
+        corrected[:, useful] += contact.response.patch(columns[useful], force[useful])
         falls = ((residual * corrected).sum(dim=0)
                  >= (_DESCENDS if slides else _CORRECTED) * (residual * direction).sum(dim=0))
         direction = torch.where(falls, corrected, direction)

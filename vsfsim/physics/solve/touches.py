@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics import clock
@@ -34,7 +33,6 @@ from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import LinearTier, first_force
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
-from vsfsim.physics.solve.precision import is_single, limits, to_double
 from vsfsim.physics.solve.prediction import Known, guesses, predict
 from vsfsim.physics.threads import torch_threads
 
@@ -53,33 +51,25 @@ class Solver:
         shapes: the rigid bodies (K).
         friction: Coulomb's coefficient with the object, one for all or one for each body [-].
         device: Warp device, "cpu" or "cuda:0".
-        precision: "float32" or "float64", of elements and vectors where Newton's method moves them; the rest-state
-            inverse and the contact are always float64, and so are steps that single precision cannot balance.
         options: limits.
         linear: use the linear elasticity of the rest state (the `linear` tier) instead of Newton's method.
     """
 
     def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *,
-                 friction: float | Sequence[float] = 0.0, device: str = "cpu", precision: str = "float64",
+                 friction: float | Sequence[float] = 0.0, device: str = "cpu",
                  options: SolverOptions | None = None, linear: bool = False):
         bodies = RigidBodies(shapes)
         self._setup(model, bodies, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device,
-                    precision, options, linear)
+                    options, linear)
 
-    def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str,
+    def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str,
                options: SolverOptions | None, linear: bool) -> None:
         self.model, self.bodies, self.friction = model, bodies, friction
-        self.device, self.precision, self.linear, self.options = device, precision, linear, options or SolverOptions()
+        self.device, self.linear, self.options = device, linear, options or SolverOptions()
         self._mount: Mount | None = None
-        single = precision == "float32" and not linear
-        self.elasticity = Elasticity(model, device=device, real=wp.float32 if single else wp.float64)
+        self.elasticity = Elasticity(model, device=device)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         self._floor = model.least_force()
-
-    @property
-    def went_double(self) -> bool:
-        """Whether the last run began in single precision and ended in double."""
-        return self.elasticity.real is wp.float32 and not is_single(self._balance)
 
     def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, mount: Mount | None = None,
             keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
@@ -108,9 +98,7 @@ class Solver:
         frames, batch, self._mount = *poses.shape[:2], mount
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
-        options, accept = limits(self.options, single=self.elasticity.real is wp.float32)
-        self._balance = Equilibrium(self.model, self.elasticity, self.contact, options, floor=self._floor,
-                                    accept=accept)
+        self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
         self._contact_force = self.contact.no_force()
         if self.linear:
             self._linear_tier = LinearTier(self._balance)
@@ -207,28 +195,21 @@ class Solver:
 
     def _record(self, converged: np.ndarray) -> None:
         """Keep the displacements and forces of this frame for the caller; forces are NaN where it did not converge."""
-        self.history.append(self._balance.u.to(torch.float64, copy=True).cpu().numpy())
+        self.history.append(self._balance.u.clone().cpu().numpy())
         force = audit.on_nodes(self.contact.patches, self._contact_force, converged, len(self.model.mesh.points))
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
 
     def _step(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> tuple[torch.Tensor, Any]:
-        """Bring all touches from their equilibria at ``before`` into equilibrium at ``pose`` (B, K, 4, 4); what fails
-        in single precision, in double. Returns the displacements (3 n, B) [m] and the state of friction that it began
-        with."""
+        """Bring all touches from their equilibria at ``before`` into equilibrium at ``pose`` (B, K, 4, 4). Returns the
+        displacements (3 n, B) [m] and the state of friction that it began with."""
         balance, contact = self._balance, self.contact
         begin, friction = balance.u.clone(), contact.friction_state()
         self._touched = (contact.recall(self._contact_force) != 0.0).any(dim=1)
-        while True:
-            self._start(balance.every, before, pose)
-            self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
-            if not is_single(balance) or not balance.reason.any() or clock.now() > deadline:
-                return begin, friction
-            to_double(balance, self.options)
-            begin = begin.to(balance.real)
-            balance.u.copy_(begin)
-            contact.restore_friction(balance.every, friction)
+        self._start(balance.every, before, pose)
+        self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
+        return begin, friction
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
@@ -288,7 +269,7 @@ class Solver:
         hopeless = balance.exhausted(asked) | self._branch.repeats(columns, pose)
         again = (balance.reason[asked] != Reason.NONE) & ~hopeless
         failed = columns[torch.as_tensor(again, device=self.device)]
-        if not len(failed) or halvings == 0 or is_single(balance) or clock.now() > deadline:
+        if not len(failed) or halvings == 0 or clock.now() > deadline:
             return
         host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
@@ -369,6 +350,6 @@ class Solver:
 
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
-        accept = (self._linear_tier if self.linear else self._balance).accept
+        accept = self._linear_tier.accept if self.linear else self.options.tolerance
         self._balance.reason[self._unknown & (self._balance.reason == Reason.NONE)] = Reason.PATH
         return audit.report(self._balance, state, self._grounding, linear=self.linear, accept=accept)

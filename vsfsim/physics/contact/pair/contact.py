@@ -155,7 +155,7 @@ class PairContact:
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """See `Contact`; the sensor's displacements are in its frame."""
-        return u.gather(0, self._patch.index.T).T.to(torch.float64) * self.mask
+        return u.gather(0, self._patch.index.T).T * self.mask
 
     def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, inputs: list[Any]) -> None:
         """Run a kernel over the nodes of a side of the touches ``columns`` (k,)."""

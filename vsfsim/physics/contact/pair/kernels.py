@@ -25,9 +25,9 @@ from typing import Any
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point, friction
 from vsfsim.physics.contact.rigid_kernels import FACING
+from vsfsim.physics.runtime import mat33, real, vec3
 
 CANDIDATES = 12
 """Number of faces of the other surface that one node may meet in one step."""
@@ -38,13 +38,10 @@ FIXED, NEW = 1, 2
 @functools.cache
 def kernels() -> Any:
     """The kernels of the pair and their types."""
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
     vec6 = wp.types.vector(length=6, dtype=real)
     vec_most = wp.types.vector(length=CANDIDATES, dtype=real)
-    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_pair_contact"
-    near = closest_point.functions(real, module)
+    near = closest_point.functions(module)
     facing = wp.constant(real(FACING))
     most = wp.constant(CANDIDATES)
     most_anchorings = wp.constant(friction.ANCHORINGS)

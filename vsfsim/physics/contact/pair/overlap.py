@@ -14,11 +14,11 @@ import numpy as np
 import torch
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.contact.sheet_intrusion import rim_disk
 from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import real, vec3
 
 _DEEP = 0.1  # that depth over the smaller of both element sizes
 _SPACING = 0.4  # of the points on a face over the smaller of both element sizes
@@ -84,7 +84,7 @@ class PairOverlap:
             Depth of the deepest point of either surface inside the other body (k,) [m].
         """
         count, k = len(columns), kernels()
-        x = self._rest + u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+        x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         x[:, self._count:] = x[:, self._count:] @ turn.mT + origin
         at = wp.from_torch(x.contiguous(), dtype=k.vec3)
         balls = [self._balls(s, count, at) for s in (self._sensor, self._object)]
@@ -123,11 +123,9 @@ class PairOverlap:
 @functools.cache
 def kernels() -> Any:
     """The kernels of the check and their types."""
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
     module = "vsfsim_pair_overlap"
-    closest = closest_point.functions(real, module)
+    closest = closest_point.functions(module)
     bulge = wp.constant(real(_BULGE))
     plain = wp.constant(real(_PLAIN))
     most = wp.constant(_MOST)

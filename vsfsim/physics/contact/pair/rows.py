@@ -12,14 +12,12 @@ from typing import Any
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.runtime import real, vec3
 
 
 @functools.cache
 def kernels() -> Any:
     """The kernels and their types."""
-    real = wp.float64
-    vec3 = wp.types.vector(length=3, dtype=real)
     module = "vsfsim_pair_rows"
 
     @wp.kernel(module=module, enable_backward=False)

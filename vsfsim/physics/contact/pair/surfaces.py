@@ -104,7 +104,7 @@ class PairSurfaces:
         """World positions (B, S, 3) [m] of all surface nodes for displacements u (3 N, B) [m] and the sensor at
         ``pose`` (B, 4, 4)."""
         index = self.dof.clamp(min=0).reshape(self.batch, -1)
-        moved = u.gather(0, index.T).T.reshape(self._rest.shape).to(torch.float64) * (self.dof >= 0)
+        moved = u.gather(0, index.T).T.reshape(self._rest.shape) * (self.dof >= 0)
         out = self._rest + moved
         at = torch.as_tensor(pose, dtype=torch.float64, device=self.device)
         out[:, self.width:] = out[:, self.width:] @ at[:, :3, :3].mT + at[:, None, :3, 3]
