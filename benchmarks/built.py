@@ -60,7 +60,7 @@ def built(name: str) -> dict[str, Any]:
     from vsfsim.generate.effector import effector_of
 
     effector, models = effector_of(scene), _models(scene)
-    tier = effector.check(scene, None, "float64") if scene.touches is not None else _press_tier(scene)
+    tier = effector.check(scene, None) if scene.touches is not None else _press_tier(scene)
     kinds: Counter[str] = Counter()
     for model in models:
         for block in getattr(model, "blocks", ()):

@@ -190,7 +190,7 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
     difference = None
     if compare and device != "cpu":
         few = min(_SAME, touches)
-        host = _solver(scene, model, tier, "cpu", "float64").run(poses[:, :few])
+        host = _solver(scene, model, tier, "cpu").run(poses[:, :few])
         difference = float(np.abs(frames.force[:, :few] - host.force).max() / np.abs(host.force).max())
     return Batch(tier, device, touches, len(poses), 3 * len(model.mesh.points), seconds, touches / seconds,
                  float(frames.iterations.mean()),

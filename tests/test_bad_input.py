@@ -166,7 +166,6 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vs
      "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
     (("press", "indent", "--gif", "x.png"), "--gif is 'x.png'; it must end in .gif"),
     (("press", "indent", "--save", "x.h5"), "--save is 'x.h5'; it must end in .npz"),
-    (("press", "indent", "--precision", "float32"), "No such option: --precision"),
     (("press", "indent", "--tier", "spring"), "unknown tier 'spring'"),
     (("generate", "indent"), "there is no [touches]"),
     (("generate", "shoes-mini", "--renderer", "pyrendr", "--out", "out"),

@@ -19,7 +19,7 @@ from vsfsim.physics.solve.elasticity import Elasticity
 
 ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0),
             "hyperfoam": foam_tetrahedra(FOAM), "anchor": foundation,
-            "all at once": lambda *given: (*tet(2.0)(*given), *foam_tetrahedra(FOAM)(*given), *foundation(*given))}
+            "all at once": lambda *given: (*tet(2.0)(*given), *foundation(*given))}
 
 
 def membrane(mesh, flat, *, law="neo-hookean", nu=0.5, tension_field=True):

@@ -79,7 +79,7 @@ def test_the_truth_knows_the_hidden_object(name: str) -> None:
     c, s = np.cos(scene.object.yaw), np.sin(scene.object.yaw)
     world = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ local + scene.object.pose
     assert truth.inside(world[None]).all() and not truth.inside(world[None] + [0.0, 0.0, 0.02]).any()
-    assert effector_of(scene).check(scene, None, "float64") == "fem-coarse"
+    assert effector_of(scene).check(scene, None) == "fem-coarse"
 
 
 def test_a_rope_is_stiffer_than_its_bed_in_the_mesh() -> None:
