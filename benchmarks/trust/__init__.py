@@ -17,7 +17,7 @@ import numpy as np
 import vsfsim
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from benchmarks.stability.team import Ended, answers, kept
-from benchmarks.trust.compare import FINER, FRAMES, WRONG, Verdict, judge
+from benchmarks.trust.compare import FINER, FRAMES, LATE, WRONG, Verdict, judge
 from vsfsim.core.errors import VsfsimError
 from vsfsim.data.provenance import commit
 
@@ -39,30 +39,33 @@ def measure(cells: int, seed: int, file: Path | None, *, limit: float = LIMIT, w
         cells: how many.
         seed: of the cells.
         file: keeps a line for each, from which a later run goes on; None for none.
-        limit: processor time of a press, and of its reference [s]; a cell that takes more is not judged.
+        limit: processor time of a press, and of its reference [s]; a cell that takes more is not judged. Those of a
+            ``file`` that took more than a shorter limit are pressed again, after the others.
         workers: processes.
         budget: time after which no cell begins [s]; None for none.
         progress: called with a sentence a cell.
 
     Raises:
-        VsfsimError: the file was made with another seed, limit, version or commit, or is no such file.
+        VsfsimError: the file was made with another seed, version or commit, or is no such file.
     """
-    settings = {"seed": seed, "limit": limit, "version": vsfsim.__version__, "commit": commit()}
-    done = {} if file is None else {row["number"]: row for row in _rows(file, settings)}
-    jobs = [(seed, number) for number in range(cells) if number not in done]
+    settings = {"seed": seed, "version": vsfsim.__version__, "commit": commit()}
+    done = {} if file is None else _rows(file, settings)
+    late = [number for number, row in done.items() if row["words"].endswith(LATE) and row["limit"] < limit]
+    jobs = [(seed, number) for number in (*(n for n in range(cells) if n not in done), *sorted(late))]
     if jobs:
         progress("kernels are compiled, if they are not there")
         _compile()
     for (_, number), found in answers(jobs, partial(judge, limit=limit), workers=workers,
                                       most=2.0 * _SLOW * limit + _SPARE, budget=budget):
         if isinstance(found, Ended):
-            found = Verdict(number, "not judged" if found.late else "crashed", words=found.words, seconds=found.seconds)
-        done[number] = found.table()
+            found = Verdict(number, "not judged" if found.late else "crashed", seconds=found.seconds,
+                            words=f"the press {LATE}" if found.late else found.words)
+        done[number] = {**found.table(), "limit": limit}
         if file is not None:
             with file.open("a") as out:
                 out.write(json.dumps(done[number]) + "\n")
         progress(f"{len(done)} of {cells} cells")
-    return report([done[number] for number in sorted(done) if number < cells], {"cells": cells, **settings})
+    return _report([done[number] for number in sorted(done) if number < cells], cells, settings)
 
 
 def stored(file: Path) -> Measurement:
@@ -75,14 +78,20 @@ def stored(file: Path) -> Measurement:
         raise VsfsimError(f"{file} does not exist. Run `{COMMAND} --out {file}`.")
     first = file.read_text().partition("\n")[0]
     rows = _rows(file, {})
-    return report(sorted(rows, key=lambda row: row["number"]), {"cells": len(rows), **json.loads(first)})
+    return _report([rows[number] for number in sorted(rows)], len(rows), json.loads(first))
 
 
-def _rows(file: Path, settings: dict[str, Any]) -> list[dict[str, Any]]:
+def _rows(file: Path, settings: dict[str, Any]) -> dict[int, dict[str, Any]]:
+    """The last line of each cell, by its number."""
     rows = kept(file, settings, COMMAND)
-    if any(not {"number", "outcome", "kinds", "error", "words"} <= row.keys() for row in rows):
+    if any(not {"number", "outcome", "kinds", "error", "words", "limit"} <= row.keys() for row in rows):
         raise VsfsimError(f"{file} is not a file of `{COMMAND}`. Give another --out.")
-    return rows
+    return {row["number"]: row for row in rows}
+
+
+def _report(rows: list[dict[str, Any]], cells: int, settings: dict[str, Any]) -> Measurement:
+    limit = max((row["limit"] for row in rows), default=LIMIT)
+    return report(rows, {"cells": cells, **settings, "limit": limit})
 
 
 def _compile() -> None:

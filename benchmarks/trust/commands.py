@@ -20,7 +20,8 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the fi
           out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a later "
                                                         "run goes on with it.")] = None,
           limit: Annotated[float, typer.Option(min=1.0, help="Processor time of a press, and of its reference [s]; a "
-                                                             "cell that takes more is not judged.")] = 30.0,
+                                                             "cell that takes more is not judged, and "
+                                                             "pressed again under a longer one.")] = 30.0,
           budget: Annotated[str | None, typer.Option(metavar="TIME", help="Begin no new press after this time, e.g. "
                                                                           "90s, 10m, 2h.")] = None,
           workers: Workers = None,

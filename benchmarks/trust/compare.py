@@ -21,6 +21,8 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.press_result import PressRequest, PressResult
 from vsfsim.physics import tiers
 
+LATE = "took too long"
+"""The last words on a cell that came to its limit."""
 FINER = 0.7
 """Element size of the reference, at tier fem, over the smaller of the press's own and the tier's."""
 FRAMES = 3
@@ -93,7 +95,7 @@ def judge(cell: tuple[int, int], *, limit: float) -> Verdict:
         except VsfsimError as error:
             found = dataclasses.replace(found, outcome="refused", words=str(error))
         except Late:
-            found = dataclasses.replace(found, outcome="not judged", words="the press took too long")
+            found = dataclasses.replace(found, outcome="not judged", words=f"the press {LATE}")
         except Exception as error:  # of any cell that a user could write: it counts, and the others go on
             found = dataclasses.replace(found, words=f"{type(error).__name__}: {error}")
     return dataclasses.replace(found, seconds=time.process_time() - began)
@@ -113,7 +115,7 @@ def _judge(number: int, cell: Press, folder: Path, limit: float) -> Verdict:
     try:
         exact = _press(cell.scene(folder, times=_times(cell), resolution=max(finest, 1e-5)), "fem", folder, limit)
     except Late:
-        raise _NoReference("it took too long") from None
+        raise _NoReference(f"it {LATE}") from None
     except VsfsimError as error:
         raise _NoReference(f"it was refused: {error}") from None
     return _compare(number, cell, pressed, exact)

@@ -72,6 +72,24 @@ def test_the_report_counts_and_a_run_goes_on(tmp_path, monkeypatch):
         trust.measure(1, 6, file)
 
 
+def test_what_came_to_its_limit_is_pressed_again_under_a_longer_one(tmp_path, monkeypatch):
+    pressed = []
+
+    def sound(jobs, work, **_):
+        pressed.append([number for _, number in jobs])
+        return [(job, compare.Verdict(job[1], "sound", ("box",), 0.01)) for job in jobs]
+
+    monkeypatch.setattr(trust, "answers", one_after_the_other)
+    monkeypatch.setattr(trust, "_compile", lambda: None)
+    file = tmp_path / "cells.jsonl"
+    trust.measure(5, 5, file)
+    monkeypatch.setattr(trust, "answers", sound)
+    trust.measure(5, 5, file)
+    found = trust.measure(6, 5, file, limit=90.0).record()
+    assert pressed == [[], [5, 4]] and found["settings"]["limit"] == 90.0
+    assert found["shares"] == trust.stored(file).record()["shares"] and found["shares"][0]["judged"] == 5
+
+
 def late(*_):
     raise Late
 
