@@ -123,6 +123,23 @@ def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
     assert sorted(names) == ["alone", "twin (a=1)", "twin (a=2)"]
 
 
+def test_a_row_of_an_earlier_version_of_its_method_says_so(task, toy_dataset, tmp_path):
+    made = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+    for k, (name, change) in enumerate({
+            "same": {}, "source": {"contents": {**made.contents, "the method": "0" * 64}}, "silent": {"contents": {}},
+            "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where", "contents": {}}}.items()):
+        scaled = {key: [(1.0 + 0.1 * k) ** (2 if key == "sse" else 1) * v for v in made.queries[key]]
+                  for key in ("sae", "sse")}
+        one = dataclasses.replace(made, queries={**made.queries, **scaled}, **change)
+        dataclasses.replace(one, scores=one.computed()).save(tmp_path / f"{name}.json")
+    board = leaderboard.collect(task, [tmp_path])
+    assert {row.path.stem: row.earlier for row in board.rows} == {
+        "same": False, "source": True, "silent": True, "settings": True, "stranger": False}
+    text = leaderboard.text(board)
+    assert text.count("(tuned) \u2020") == 2 and "\u2020 by an earlier version of the method" in text
+    assert "\u2020" not in leaderboard.text(leaderboard.collect(task, [tmp_path / "same.json"]))
+
+
 def test_equal_results_are_one_row(results, task, tmp_path):
     results[0].save(tmp_path / "here.json")
     dataclasses.replace(results[0], timing={**results[0].timing, "adapt_s": 9.0}).save(tmp_path / "there.json")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -13,8 +14,9 @@ from typing import Any
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
-from vsfsim.bench.board.named import is_ceiling, labels_of
+from vsfsim.bench.board.named import is_ceiling, is_earlier, labels_of
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
+from vsfsim.bench.method import method_sha256
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task
@@ -56,6 +58,13 @@ class Row:
     """Of a task with cross-validation, the value of its metric of each object, by shot."""
     origin: str = "shipped"
     """"shipped", "made here", or "shipped, made again here"."""
+    earlier: bool = False
+    """Its method has another source, or its preset other settings, than those that are installed."""
+
+    @property
+    def signs(self) -> str:
+        """Behind the name: * not ranked, ~ other bits, † an earlier version of the method."""
+        return (" *" if self.mark else " ~" if self.other_bits else "") + " †" * self.earlier
 
 
 @dataclass(frozen=True)
@@ -107,6 +116,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     good: list[Row] = []
     odd: list[Row] = []
     kept = {path: one for path, one in packed}
+    source = functools.cache(method_sha256)
     origin = {path: "shipped" if path in shipped or path in kept else "made here" for path, _ in told}
     for path, result in told:
         if path in kept:  # looked at when it was packed
@@ -125,7 +135,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         if same is None:
             objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
                        } if over_objects(task) and mark in ("", CEILING) else {}
-            rows.append(Row(None, mark, result, scores, path, other and not mark, objects, origin[path]))
+            rows.append(Row(None, mark, result, scores, path, other and not mark, objects, origin[path],
+                            is_earlier(result, task, source)))
         elif rows[same].origin != origin[path]:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
@@ -291,9 +302,10 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
-        rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
-                     *(_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
-                       for shot in labels), *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
+        values = [_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
+                  for shot in labels]
+        rows.append([str(row.rank or "-"), shown(label) + row.signs, *values,
+                     *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
                      _number(stiffness), row.result.evidence, f"{adapt:.2f} s",
                      shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
@@ -333,7 +345,7 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
 
 
 def column_notes(board: Board) -> list[str]:
-    """What the columns "of possible" and "evidence" say, and a ~ behind a name; only what the board has."""
+    """What the columns "of possible" and "evidence" say, and ~ and † behind a name; only what the board has."""
     lines = []
     if possible(board):
         lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
@@ -344,6 +356,9 @@ def column_notes(board: Board) -> list[str]:
     if any(row.other_bits for row in board.rows):
         lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
             f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
+    if any(row.earlier for row in board.rows):
+        lines.append("† by an earlier version of the method: its source or the settings of its preset are not those "
+                     "of this vsfsim, or the row does not say its source")
     return lines
 
 

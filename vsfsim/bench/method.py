@@ -201,11 +201,15 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
         which modules and files are looked for; default: the working folder.
     """
     folder = folder or os.getcwd()
+    out = {"the method": method_sha256(name, folder), "the harness": files_sha256(source_files(HARNESS))}
+    return out | {text: file_sha256(path) for text, path in named_files(dict(parameters), folder).items()}
+
+
+def method_sha256(name: str, folder: str | Path = "") -> str:
+    """sha256 of a method's source without that of the harness; operands as of `contents_of`."""
     module = (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]
     harness = source_files(HARNESS)
-    own = {key: path for key, path in source_files(module, folder).items() if key not in harness}
-    out = {"the method": files_sha256(own), "the harness": files_sha256(harness)}
-    return out | {text: file_sha256(path) for text, path in named_files(dict(parameters), folder).items()}
+    return files_sha256({key: path for key, path in source_files(module, folder).items() if key not in harness})
 
 
 def _classes(module: ModuleType) -> list[str]:

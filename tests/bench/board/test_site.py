@@ -130,7 +130,7 @@ def test_a_superseded_task_has_its_own_table_and_an_object_the_model_that_its_sc
 def test_a_row_on_data_that_another_machine_made_again_is_marked():
     board = leaderboard.collect(load_task("fewshot-shoes-v2-v3"))
     page = _task_page(board, labels_of([row.result for row in board.rows]))
-    assert ">imaml (paper) ~<" in page and ">imaml (tuned)<" in page
+    assert ">imaml (paper) ~ \u2020<" in page and ">imaml (tuned) \u2020<" in page
     assert "~ on the same dataset, made on a machine that rounds otherwise." in page
 
 

@@ -1,8 +1,14 @@
-"""Whose a result is: a method's, a ceiling's, or somebody's who only claims the name; and its label in a table."""
+"""Whose a result is: a method's, of this version or an earlier one, a ceiling's, or somebody's who only claims the
+name; and its label in a table."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from vsfsim.bench.commands.presets import PRESETS, preset
 from vsfsim.bench.result import Result
+from vsfsim.bench.task import Task
+from vsfsim.core.errors import MethodError
 from vsfsim.core.shelf import ceilings, methods
 
 
@@ -18,6 +24,26 @@ def claimed(result: Result) -> bool:
     if entry is None or entry.dist is None or entry.dist.name != "vsfsim":
         return False
     return result.entry != entry.value or result.package.get("name", "vsfsim") not in ("vsfsim", "")
+
+
+def is_earlier(result: Result, task: Task, source: Callable[[str], str]) -> bool:
+    """Whether a method that is installed has another source, or its preset other settings, than a result was made
+    with; also of a result that does not say its source.
+
+    Args:
+        result: the result. task: of the board. source: of a method's name, its `vsfsim.bench.method.method_sha256`.
+    """
+    if result.method not in methods() or claimed(result):
+        return False
+    if result.contents.get("the method") != source(result.method):
+        return True
+    if result.preset not in PRESETS:
+        return False
+    try:
+        here = preset(result.method, result.preset, task.observation.name, task.metric.answer.value).parameters
+    except MethodError:  # no such preset any more
+        return True
+    return any(result.parameters.get(key) != value for key, value in here.items() if key != "device")
 
 
 def labels_of(results: list[Result]) -> list[str]:

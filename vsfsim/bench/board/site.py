@@ -136,7 +136,7 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
     rows = list[list[Cell]]()
     best = next((row for row in board.rows if row.rank == 1), None)
     for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
-        rows.append([str(row.rank or "-"), link(_of_method(task, number), f"{name} ~" if row.other_bits else name),
+        rows.append([str(row.rank or "-"), link(_of_method(task, number), name + row.signs.replace(" *", "")),
                      *(_cell(row, task, label) for label in labels),
                      *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
                      *([_difference(row, best, task)] if over else []), *_other_scores(row, task), row.result.evidence])
