@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +14,7 @@ from benchmarks.gate.mechanisms import MECHANISMS, without
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.cli.options import check_choice
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 
 _LEAST = 0.05  # of the largest force: the differences of smaller forces are told relative to this part of it [-]
 
@@ -39,7 +39,7 @@ def earlier(path: Path) -> dict[str, Run]:
         VsfsimError: the file is no such record.
     """
     try:
-        rows = json.loads(path.read_text())["cells"]
+        rows = from_json(path.read_text())["cells"]
         return {row["cell"]: Run(**row["run"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise VsfsimError(f"{path} is not a record of `vsfsim measure solver --cell all --json FILE` ({error}). "

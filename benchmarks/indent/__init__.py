@@ -6,7 +6,6 @@ folder that is given, and filled from the package registry. Errors are against t
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ import numpy as np
 import references
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
@@ -76,7 +76,7 @@ def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
         raise Skipped(f"it took longer than {LIMIT:g} s") from None
     if found.returncode:
         raise Skipped(f"its script ended with {(found.stderr.strip().splitlines() or ['no word'])[-1]}")
-    made = json.loads(out.read_text())
+    made = from_json(out.read_text())
     if "skipped" in made:
         raise Skipped(made["skipped"])
     return made

@@ -13,6 +13,7 @@ from benchmarks.stability.design import Cell
 from benchmarks.stability.judge import LATE, Outcome, Verdict, judge
 from benchmarks.stability.team import Ended, answers, kept
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.data.disk import write_atomic
 from vsfsim.physics.solve.frames import Reason
 
@@ -76,7 +77,7 @@ def updated(known: Sequence[Verdict], again: Sequence[Verdict]) -> tuple[list[Ve
 
 def _first_line(file: Path) -> dict[str, Any]:
     try:
-        return dict(json.loads(file.read_text().split("\n", 1)[0]))
+        return dict(from_json(file.read_text().split("\n", 1)[0]))
     except (ValueError, TypeError) as error:
         raise VsfsimError(f"{file} is not a file of `vsfsim stability` ({error}). Give another folder.") from None
 

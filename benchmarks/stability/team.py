@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.system.threads import one_thread
 
 
@@ -64,8 +65,8 @@ def kept(file: Path, circumstances: Mapping[str, Any], command: str) -> list[dic
         return []
     lines = file.read_text().split("\n")
     try:
-        found = dict(json.loads(lines[0]))
-        rows = [dict(json.loads(line)) for line in lines[1:-1]]
+        found = dict(from_json(lines[0]))
+        rows = [dict(from_json(line)) for line in lines[1:-1]]
     except (ValueError, TypeError) as error:
         raise VsfsimError(f"{file} is not a file of `{command}` ({error}). Give another --out.") from None
     for name, value in circumstances.items():

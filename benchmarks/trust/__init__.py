@@ -19,6 +19,7 @@ from benchmarks.measurement import Column, Measurement, Progress, Table
 from benchmarks.stability.team import Ended, answers, kept
 from benchmarks.trust.compare import FINER, FRAMES, LATE, WRONG, Verdict, judge
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.data.provenance import commit
 
 COMMAND = "vsfsim measure trust"
@@ -78,7 +79,7 @@ def stored(file: Path) -> Measurement:
         raise VsfsimError(f"{file} does not exist. Run `{COMMAND} --out {file}`.")
     first = file.read_text().partition("\n")[0]
     rows = _rows(file, {})
-    return _report([rows[number] for number in sorted(rows)], len(rows), json.loads(first))
+    return _report([rows[number] for number in sorted(rows)], len(rows), from_json(first))
 
 
 def _rows(file: Path, settings: dict[str, Any]) -> dict[int, dict[str, Any]]:

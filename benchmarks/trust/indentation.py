@@ -22,6 +22,7 @@ import vsfsim
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from benchmarks.stability.team import Ended, answers, kept
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import Scene, load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.provenance import commit
@@ -42,6 +43,7 @@ young_modulus = {{ base = 1e5, inclusions = [{inside}] }}
 shape = {{ sphere = {radius} }}
 [press]
 from = {start}
+from vsfsim.core.plain_text import from_json
 to = {stop}
 frames = 5
 """
@@ -130,7 +132,7 @@ def stored(file: Path) -> Measurement:
     Raises:
         VsfsimError: it is no such file.
     """
-    return report(kept(file, {}, COMMAND), json.loads(file.read_text().partition("\n")[0]))
+    return report(kept(file, {}, COMMAND), from_json(file.read_text().partition("\n")[0]))
 
 
 def _job(row: Mapping[str, Any]) -> tuple[int | str, str, bool]:

@@ -25,7 +25,7 @@ from vsfsim.bench.protocol import Draw, divide, record, support
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.folds import test_names
 from vsfsim.core.errors import SceneError, TaskError
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -105,7 +105,7 @@ def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
     if hashlib.sha256(text.encode()).hexdigest() != table.get("commitment"):
         raise TaskError(f"{private} does not keep its commitment: the sha256 of its text is another one.")
     try:
-        said = json.loads(text)
+        said = from_json(text)
         pairs = {"task_sha256": task.sha256, "dataset_sha256": dataset.sha256, "seed": dataset.recipe.seed}
         odd = [key for key, value in pairs.items() if said[key] != value]
     except (ValueError, KeyError, TypeError) as error:
@@ -147,7 +147,7 @@ def _questions_of(path: Path, sha256: str, task: Task) -> list[Question]:
             raise TaskError(f"{path} was changed after the set was sealed: its sha256 is another one.")
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = dict(file)
-        head = json.loads(arrays.pop("head").tobytes())
+        head = from_json(arrays.pop("head").tobytes())
         view = frozen_view(View(**{key: arrays[key] for key in _VIEW}))
         probes = parse_probe_shapes(head["probe"], str(path))
         draw = Draw(tuple(head["query"]), tuple(head["pool"]))
@@ -182,7 +182,7 @@ def _surface(arrays: Mapping[str, np.ndarray], k: int) -> Surface | None:
 
 def _table(path: Path, wanted: str) -> dict[str, Any]:
     try:
-        table = json.loads(path.read_text())
+        table = from_json(path.read_text())
         if table["format"] != wanted or table["version"] != 1:
             raise ValueError(f"its format is {plain(table['format'])}")
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -1,10 +1,12 @@
-"""Text from files and other people's code, made fit for a terminal, a Markdown page or a file name."""
+"""Text from files and other people's code: made fit for a terminal, a Markdown page or a file name, or read as JSON."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import unicodedata
+from typing import Any
 
 LONGEST = 2000
 """Characters of a text that are shown."""
@@ -23,6 +25,18 @@ def plain(text: object, *, longest: int = LONGEST) -> str:
     shown = "".join(" " if letter.isspace() else "?" if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Co", "Cn")
                     else letter for letter in words[:longest])
     return shown + "..." * cut
+
+
+def from_json(text: str | bytes) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        ValueError: it is none, or is nested deeper than Python reads.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None
 
 
 def markdown(text: object) -> str:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from vsfsim.core.errors import DatasetError, SceneError
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import ObjectView, Touch, Truth, View
@@ -236,8 +236,8 @@ def check_attributes(file: h5py.File, path: Path) -> None:
 
 def _probes(text: str, path: Path) -> tuple[ProbeShape, ...]:
     try:
-        return parse_probe_shapes(json.loads(text), str(path))
-    except (ValueError, TypeError, RecursionError, SceneError) as error:
+        return parse_probe_shapes(from_json(text), str(path))
+    except (ValueError, TypeError, SceneError) as error:
         raise DatasetError(f"{path}: attribute 'probe' is {plain(text, longest=200)}, not a probe's shape: "
                            f"{plain(error)}") from error
 

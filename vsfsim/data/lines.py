@@ -16,7 +16,7 @@ import json
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import from_json, plain
 from vsfsim.data.checks.kept import audit_errors
 from vsfsim.data.hdf5 import encode_view
 from vsfsim.data.manifest import Entry, file_name
@@ -63,7 +63,7 @@ def read_line(store: Store, name: str) -> Entry | None:
     """The line of an object view, None if it is not there or not whole."""
     content = store.get(f"{FOLDER}/{name}{_LINE}")
     try:
-        table = json.loads(content or b"")
+        table = from_json(content or b"")
         table.pop("seed")
         return Entry(**{**table, "audits": tuple(table.get("audits", ()))})
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -119,7 +119,7 @@ class Failure:
 def failure(store: Store, name: str) -> Failure:
     """The failures of an object view so far."""
     try:
-        table = json.loads(store.get(f"{FOLDER}/{name}{_FAILED}") or b"")
+        table = from_json(store.get(f"{FOLDER}/{name}{_FAILED}") or b"")
         return Failure(int(table["count"]), str(table["reason"]))
     except (ValueError, KeyError, TypeError):
         return Failure(0, "")

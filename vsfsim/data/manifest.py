@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import from_json, plain
 from vsfsim.data.checks.kept import observed
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.safety import check_name, whole_number
@@ -121,9 +121,9 @@ def parse_manifest(content: bytes, path: Path) -> dict[str, Any]:
         content: of the file. path: for messages; one named `PART_MANIFEST` has no files yet.
     """
     try:
-        table = json.loads(content)
+        table = from_json(content)
         format_ = table["format"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read as a dataset's manifest: {plain(repr(error))}. It is damaged; "
                            f"delete the folder and generate the dataset again, or restore the file.") from error
     if format_ != FORMAT:

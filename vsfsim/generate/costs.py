@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
+from vsfsim.core.plain_text import from_json
 from vsfsim.data.provenance import made_by, processor
 from vsfsim.data.recipe import Recipe
 
@@ -129,7 +130,7 @@ def _rows() -> list[dict[str, Any]]:
         return []
     for line in lines:
         with contextlib.suppress(ValueError, TypeError, KeyError):  # a line cut by a full disk
-            row = json.loads(line)
+            row = from_json(line)
             if min(row["touches"], row["seconds"], row["bytes"]) > 0 and row["key"]:
                 out.append(row)
     return out

@@ -27,7 +27,7 @@ from vsfsim.bench.protocol import divide, record
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.folds import shown_names, test_names
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import probe_table
 from vsfsim.core.shelf import folder
 from vsfsim.data.dataset import Dataset
@@ -204,8 +204,8 @@ def load_record(path: Path) -> Record:
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it has more than {LARGEST_FILE} bytes")
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        table = from_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file.") from error
     return Record.read(table, str(path))
 

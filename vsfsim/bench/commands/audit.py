@@ -31,7 +31,7 @@ from vsfsim.bench.stiffness_metrics import spearman
 from vsfsim.bench.task import Task, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.text_table import text_table
 from vsfsim.data.disk import write_atomic
 
@@ -151,7 +151,7 @@ def _shipped(task: Task) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        table = json.loads(path.read_text())
+        table = from_json(path.read_text())
         if table["format"] != FORMAT:
             raise ValueError(f"its format is {table['format']!r}")
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -16,6 +16,7 @@ from vsfsim.bench.isolation.process import Trial as Asked
 from vsfsim.bench.method import LARGEST_READING, checked_choice
 from vsfsim.bench.trials.subject import Subject, Trial
 from vsfsim.core.errors import MethodError
+from vsfsim.core.plain_text import from_json
 from vsfsim.data.disk import write_atomic
 
 
@@ -160,7 +161,7 @@ def load(path: Path) -> list[Answers] | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             out = []
-            for index, head in enumerate(json.loads(file["heads"].tobytes())):
+            for index, head in enumerate(from_json(file["heads"].tobytes())):
                 subject, shot, seed, support, adapt_s, predict_s, count = head
                 readings = tuple(file[f"{index}/readings/{k}"] for k in range(count))
                 stds = tuple(file[f"{index}/readings_std/{k}"] for k in range(count)

@@ -21,6 +21,7 @@ from vsfsim.bench.trials.stages import Stage, first_run, stages
 from vsfsim.bench.trials.subject import Subject, Trial, asked_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.system.content import differences
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -240,7 +241,7 @@ class Collector:
         assert self.part is not None
         finished = len(list(self.part.glob("*.npz")))
         try:
-            before = json.loads((self.part / NOTE).read_bytes())
+            before = from_json((self.part / NOTE).read_bytes())
             odd = [key for key in made if key != "contents" and before.get(key) != made[key]]
             why = [*(f"the {key} is another one" for key in odd),
                    *differences(before.get("contents", {}), self.contents)]
@@ -275,7 +276,7 @@ class Collector:
         """Add what a kept stage has cost."""
         assert self.part is not None
         try:
-            cost = json.loads((self.part / f"{stage}.json").read_text())
+            cost = from_json((self.part / f"{stage}.json").read_text())
             self.meta_fit_s += float(cost["meta_fit_s"])
             self.fits += int(cost["fits"])
             self.peak_memory_mib = max(self.peak_memory_mib, float(cost["peak_memory_mib"]))

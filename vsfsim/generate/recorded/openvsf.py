@@ -17,7 +17,6 @@ Source: github uiuc-iml/openvsf @29d70e9 (multi_modal_dataset.py, joint_torque_s
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ import numpy as np
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import DatasetError, MeshError, did_you_mean
 from vsfsim.core.extras import missing_package
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats.target import whole_folder
@@ -215,7 +215,7 @@ def _torques(sequence: Path, arm: Arm, q: np.ndarray, tare: int, options: Option
 def _without_weight(place: Path) -> bool:
     """Whether the torques of an object are those of the contact alone, as in our own exports."""
     try:
-        return json.loads((place / ABOUT).read_text()).get("torques") == "contact"
+        return from_json((place / ABOUT).read_text()).get("torques") == "contact"
     except (OSError, ValueError, AttributeError):
         return False
 

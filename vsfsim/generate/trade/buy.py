@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.errors import SceneError, VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.data.manifest import MANIFEST, PART_MANIFEST
 from vsfsim.data.store import open_store
@@ -138,7 +138,7 @@ def _begun(folder: Path | str) -> Mapping[str, Any] | None:
     store = open_store(folder)
     for name in (MANIFEST, PART_MANIFEST):
         try:
-            found = json.loads(store.get(name) or b"")["recipe"]
+            found = from_json(store.get(name) or b"")["recipe"]
             if isinstance(found["options"], dict):
                 return found
         except (ValueError, KeyError, TypeError):

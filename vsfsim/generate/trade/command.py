@@ -15,6 +15,7 @@ import numpy as np
 
 import vsfsim
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import commit, machine_kind
@@ -118,7 +119,7 @@ def read_lines(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]], bool]:
     """
     try:
         lines = file.read_text().split("\n")
-        head, rows = json.loads(lines[0]), [json.loads(line) for line in lines[1:-1]]
+        head, rows = from_json(lines[0]), [from_json(line) for line in lines[1:-1]]
         if head["format"] != "vsfsim-tradeoff" or not all("key" in row for row in rows):
             raise ValueError("it has another format")
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -38,7 +38,7 @@ def _array(values: np.ndarray, dtype: type) -> wp.array:
 
 @functools.cache
 def _query():
-    near = closest_point.functions(wp.float64, "vsfsim_distance_grid")
+    near = closest_point.functions("vsfsim_distance_grid")
 
     @wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
     def query(
