@@ -87,6 +87,7 @@ dependency."""
 FORBIDDEN_NAMES = ("utils", "util", "common", "manager", "base", "helpers", "misc")
 LONGEST = 400  # lines
 MOST_MODULES = 20  # at one level of a folder
+MOST_FLOORS = {"bench": 8}  # of a layer: modules that import one another in a row
 
 
 def files():
@@ -194,6 +195,18 @@ def circles(texts: dict[str, str]) -> list[tuple[str, ...]]:
     return sorted(group for group in groups if len(group) > 1)
 
 
+def floors(texts: dict[str, str]) -> dict[str, int]:
+    """The most modules that import one another in a row, down from each of them; there is no circle."""
+    below = {name: {given for _, given, _ in imports(text, name)} for name, text in texts.items()}
+
+    @functools.cache
+    def floor(name: str) -> int:
+        return 1 + max((floor(other) for other in texts if other != name and any(
+            given == other or given.startswith(f"{other}.") for given in below[name])), default=0)
+
+    return {name: floor(name) for name in texts}
+
+
 def wrong_size_or_name(path: Path, lines: int) -> list[str]:
     """What is wrong with the length and the name of a file, relative to the root."""
     out = [f"{path} has {lines} lines, over {LONGEST}: it holds more than one idea"] * (lines > LONGEST)
@@ -214,6 +227,14 @@ def test_imports_follow_the_table():
 
 def test_no_modules_import_one_another():
     assert circles({module_name(path): (ROOT / path).read_text() for path in files()}) == []
+
+
+def test_no_layer_has_too_many_floors():
+    for layer, most in MOST_FLOORS.items():
+        texts = {module_name(path): (ROOT / path).read_text() for path in files() if layer_of(path) == layer
+                 and path.name != "__init__.py"}
+        high = {name: floor for name, floor in floors(texts).items() if floor > most}
+        assert high == {}, f"{layer} has more than {most} floors; move down what a module takes from the one below"
 
 
 def test_no_folder_is_crowded():
@@ -274,9 +295,9 @@ def test_planted_violations_are_found_and_nothing_else():
         assert violations(text, Path(path)) == []
 
 
-def test_planted_circles_are_found():
+def test_planted_circles_and_floors_are_found():
     straight = {"vsfsim.a": "from vsfsim import b", "vsfsim.b": "from vsfsim.c import x", "vsfsim.c": "import vsfsim"}
-    assert circles(straight) == []
+    assert circles(straight) == [] and floors(straight) == {"vsfsim.a": 3, "vsfsim.b": 2, "vsfsim.c": 1}
     for back in ("import vsfsim.a", "def f():\n    from vsfsim.a import x", "from . import a",
                  "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from vsfsim.a import x"):
         assert circles({**straight, "vsfsim.c": back}) == [("vsfsim.a", "vsfsim.b", "vsfsim.c")]

@@ -17,8 +17,8 @@ from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.baselines.sbml import Sbml
 from vsfsim.bench.method import build_method, parameters_of
+from vsfsim.bench.metric_functions import touch_errors
 from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.reading_metrics import touch_errors
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError
 from vsfsim.data.dataset import Dataset

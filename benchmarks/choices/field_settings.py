@@ -15,8 +15,8 @@ from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.bench.board.compare import interval
 from vsfsim.bench.commands.presets import on_device, preset
 from vsfsim.bench.method import build_method, find_method, parameters_of
+from vsfsim.bench.metric_functions import rmse_ratio, touch_errors
 from vsfsim.bench.protocol import Recording, record
-from vsfsim.bench.reading_metrics import rmse_ratio, touch_errors
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError
 from vsfsim.data.dataset import Dataset

@@ -15,8 +15,7 @@ import numpy as np
 from benchmarks.dense_force import NOISE, Contender, Row, compare, contenders, errors_of, report
 from benchmarks.dense_force.calibration import PressRecord
 from benchmarks.measurement import Measurement, Progress
-from vsfsim.bench.noise import NOISE_KINDS, Noise
-from vsfsim.bench.noise_bubble import noisy_nodes, noisy_pressure
+from vsfsim.bench.noise import NOISE_KINDS, Noise, noisy_nodes, noisy_pressure
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import parse_scene
 from vsfsim.data.dataset import Dataset

@@ -11,9 +11,9 @@ from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.particle_model import ObjectShelf, VsfSettings
 from vsfsim.baselines.point_vsf import PointVsf
 from vsfsim.bench.check import MOCK_TASK, check, report
+from vsfsim.bench.metric_functions import spearman
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.stiffness_metrics import spearman
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError
 

@@ -14,8 +14,9 @@ from vsfsim.baselines.known_object import PoseSearch, locate
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
 from vsfsim.baselines.sensor_surface import dense_touch
 from vsfsim.bench.check import check
-from vsfsim.bench.inclusions import Inclusions, rotation_error, translation_error
+from vsfsim.bench.inclusions import Inclusions
 from vsfsim.bench.method import Action, Reading, Surface
+from vsfsim.bench.metric_functions import rotation_error, translation_error
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.observations import PUNYO_RIM_AREA
 from vsfsim.bench.protocol import record

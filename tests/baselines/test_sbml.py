@@ -10,9 +10,9 @@ from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.baselines.sbml import Sbml, object_of
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.method import Specimen
+from vsfsim.bench.metric_functions import HALF_WIDTH_50
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.reading_metrics import HALF_WIDTH_50
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import VsfsimError
 

@@ -4,8 +4,8 @@ import os
 import pytest
 
 from vsfsim.bench.mock import mock_view
+from vsfsim.bench.result_file import unpack
 from vsfsim.bench.task import parse_task
-from vsfsim.bench.trials.packed import unpack
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.admission import fingerprint, same_data
+from vsfsim.bench.admission import admit, fingerprint
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result import Result
@@ -55,14 +55,14 @@ def views(rounding=0.0, train=0):
 def test_a_record_is_short_and_knows_its_dataset(task, toy_dataset, record):
     assert fingerprint.record_path(task).stat().st_size < 4096 * len(record.entries)
     again = fingerprint.Record.read(json.loads(json.dumps(record.table())), "x")
-    assert same_data.differences(again, record) == []
+    assert admit.differences(again, record) == []
     assert fingerprint.beside_record(task, toy_dataset) == {}
     assert [len(e.query) for e in record.entries] == [0, 4, 4]
 
 
 def test_rounding_is_the_same_dataset_and_anything_else_is_not(task, record, write_dataset):
     def found(views):
-        return same_data.differences(fingerprint.make_record(task, write_dataset(views)), record)
+        return admit.differences(fingerprint.make_record(task, write_dataset(views)), record)
 
     assert found(views(1e-7)) == []
     assert found(views(1e-2)) != []
@@ -91,7 +91,7 @@ def test_a_pixel_may_move_the_probed_points(task, record, write_dataset, lost, f
         moved = {name: getattr(view.truth, name)[kept] for name in ("probe_points", "probe_normals", "probe_stiffness")}
         moved["probe_stiffness"] = factor * moved["probe_stiffness"]
         out.append(dataclasses.replace(view, truth=dataclasses.replace(view.truth, **moved)))
-    said = same_data.differences(fingerprint.make_record(task, write_dataset(out)), record)
+    said = admit.differences(fingerprint.make_record(task, write_dataset(out)), record)
     assert (said == []) is same and (same or "probed" in said[0])
 
 
@@ -101,10 +101,10 @@ def test_few_touches_may_have_other_frames_that_did_not_converge(task, record, w
         other[1] = dataclasses.replace(other[1], touches=tuple(dataclasses.replace(
             touch, converged=touch.converged & ((np.arange(len(touch.time)) != 6) | (k >= count)), **changes)
             for k, touch in enumerate(other[1].touches)))
-        return same_data.differences(fingerprint.make_record(task, write_dataset(other)), record)
+        return admit.differences(fingerprint.make_record(task, write_dataset(other)), record)
 
     assert found(1) == ["1 of 36 touches have other frames that did not converge"]
-    monkeypatch.setattr(same_data, "OTHER_MARKS", 0.03)
+    monkeypatch.setattr(admit, "OTHER_MARKS", 0.03)
     assert found(1) == [] and len(found(2)) == 1
     assert "touches differ" in found(1, axis=np.array([0.0, 0.6, -0.8]))[0], "another path is another touch"
 
@@ -123,31 +123,31 @@ def test_where_rounding_decides_as_much_may_differ_as_on_another_machine(task, r
     def made(views):
         return fingerprint.make_record(task, write_dataset(views))
 
-    assert "4 of 36 touches differ" in same_data.differences(made(_snapped(4)), record)[0], "nothing was measured yet"
-    measured = same_data.again(made(_snapped(4)), record)
+    assert "4 of 36 touches differ" in admit.differences(made(_snapped(4)), record)[0], "nothing was measured yet"
+    measured = admit.again(made(_snapped(4)), record)
     assert measured.touches == pytest.approx(4 / 36) and 0.05 < measured.size < 0.3
     path = fingerprint.record_path(task)
     fingerprint.save_record(dataclasses.replace(record, again=measured), path)
     known = fingerprint.shipped_record(task)
     assert known.again == measured
     for same in (_snapped(4, 0.8), _snapped(5, 1.2), views()):
-        assert same_data.differences(made(same), known) == []
+        assert admit.differences(made(same), known) == []
     # more touches, a view whose readings are much larger, another plan or another view are other data
-    more = same_data.differences(made(_snapped(6, 1.01)), known)
+    more = admit.differences(made(_snapped(6, 1.01)), known)
     assert "16.7 % of its touches come to another end, where 11.1 %" in more[0]
-    assert "of a view are" in same_data.differences(made(_snapped(4, 3.0)), known)[0]
+    assert "of a view are" in admit.differences(made(_snapped(4, 3.0)), known)[0]
     turned = np.array([0.0, 0.6, -0.8])
-    assert "4 of 36 touches differ" in same_data.differences(made(_snapped(4, axis=turned)), known)[0]
+    assert "4 of 36 touches differ" in admit.differences(made(_snapped(4, axis=turned)), known)[0]
     seen = _snapped(4)
     seen[2] = dataclasses.replace(seen[2], view=dataclasses.replace(seen[2].view, rgb=255 - seen[2].view.rgb))
-    assert same_data.differences(made(seen), known) == ["1 of 3 views differ (mock-0002-v0: colour)"]
+    assert admit.differences(made(seen), known) == ["1 of 3 views differ (mock-0002-v0: colour)"]
     for other in (_snapped(4, axis=turned), seen, views()[:2]):
         with pytest.raises(TaskError, match="not of the same planned touches"):
-            same_data.again(made(other), record)
+            admit.again(made(other), record)
 
 
 def test_a_row_on_touches_that_rounding_decided_is_ranked_and_marked(task, record, result, write_dataset, tmp_path):
-    measured = same_data.again(fingerprint.make_record(task, write_dataset(_snapped(4))), record)
+    measured = admit.again(fingerprint.make_record(task, write_dataset(_snapped(4))), record)
     fingerprint.save_record(dataclasses.replace(record, again=measured), fingerprint.record_path(task))
     elsewhere = evaluate("toy_methods:Constant", task, write_dataset(_snapped(4, 0.9)), parameters={"value": 3.0},
                          check=False)

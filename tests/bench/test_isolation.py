@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from vsfsim.bench.commands.evaluate import finish
-from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.evaluate import evaluate, finish
 from vsfsim.bench.isolation import child, limits
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.protocol import divide, record

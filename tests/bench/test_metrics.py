@@ -6,11 +6,17 @@ from scipy.stats import spearmanr
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.leaderboard import collect, text
+from vsfsim.bench.metric_functions import (
+    best_f1,
+    can_be_scored,
+    spearman,
+    stiff_points,
+    touch_errors,
+    touch_uncertainty,
+)
 from vsfsim.bench.metrics import METRICS, Answer, Metric, record_scores
 from vsfsim.bench.noise import Noise, noisy_force
 from vsfsim.bench.reached_points import distance, reached
-from vsfsim.bench.reading_metrics import touch_errors, touch_uncertainty
-from vsfsim.bench.stiffness_metrics import best_f1, can_be_scored, spearman, stiff_points
 from vsfsim.bench.task import parse_task
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vsfsim.bench.noise import NOISE_KINDS, Noise, noisy_force
-from vsfsim.bench.noise_torque import hysteresis, noisy_torque, posture_error
+from vsfsim.bench.noise import NOISE_KINDS, Noise, hysteresis, noisy_force, noisy_torque, posture_error
 
 WHICH = {"object_index": 3, "view_index": 1, "touch_index": 7}
 POSED = Noise(**{"offset_std": 0.0, "drift_std": 0.0, "tare_frames": 5, "seed": 0, **NOISE_KINDS["gen3-posed"]})

@@ -7,8 +7,18 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.noise import NOISE_KINDS, Noise, delayed, noisy_force
-from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, noisy_pressure, quantised, relaxed, window
+from vsfsim.bench.noise import (
+    NOISE_KINDS,
+    Noise,
+    delayed,
+    noisy_force,
+    noisy_node_force,
+    noisy_nodes,
+    noisy_pressure,
+    quantised,
+    relaxed,
+    window,
+)
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import TaskError

@@ -8,10 +8,10 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.metrics import Answer, metrics_of
+from vsfsim.bench.metrics import Answer, metrics_of, scores_of
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import Result, readings_apart
-from vsfsim.bench.trials.rows import READING_COLUMNS, scores_of
+from vsfsim.bench.result_file import READING_COLUMNS
 from vsfsim.core.errors import MethodError, TaskError
 
 

@@ -12,8 +12,7 @@ from vsfsim.bench.board.named import is_ceiling
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.board.site import write_site
 from vsfsim.bench.commands.ceiling import ceiling_rows
-from vsfsim.bench.commands.evaluate import evaluate
-from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.protocol import record

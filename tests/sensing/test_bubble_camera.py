@@ -151,7 +151,7 @@ def test_what_it_refuses():
 
 def test_the_noise_of_the_benchmark_knows_the_same_camera():
     """The benchmark imports no simulator, so the camera's place is written down twice."""
-    from vsfsim.bench.noise_bubble import CAMERA_ORIGIN, CAMERA_TILT
+    from vsfsim.bench.noise import CAMERA_ORIGIN, CAMERA_TILT
 
     camera = BubbleCamera()
     assert camera.pose[:3, 3].tolist() == list(CAMERA_ORIGIN) and camera.tilt == CAMERA_TILT

@@ -11,8 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import bubble, patch
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.noise import NOISE_KINDS, Noise
-from vsfsim.bench.noise_bubble import noisy_nodes
+from vsfsim.bench.noise import NOISE_KINDS, Noise, noisy_nodes
 from vsfsim.sensing.bubble_touch import aligned_nodes, estimate_forces
 from vsfsim.sensing.membrane_fe import SensorError
 

@@ -217,7 +217,7 @@ def result(folder, tmp_path_factory):
 
 def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp_path, monkeypatch):
     from vsfsim.bench.result import Result
-    from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP
+    from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
     from vsfsim.view import scored
     from vsfsim.view.command import view
 

@@ -26,9 +26,8 @@ from vsfsim.bench.method import (
     checked_prediction,
     frozen_view,
 )
-from vsfsim.bench.protocol import Query, divide, record, specimen_of
+from vsfsim.bench.protocol import Query, divide, folds_of, record, specimen_of
 from vsfsim.bench.task import Task, load_task, open_dataset
-from vsfsim.bench.trials.folds import folds_of
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import methods
 from vsfsim.data.records import View

@@ -28,9 +28,9 @@ from vsfsim.bench.method import (
     frozen_view,
     parameters_of,
 )
+from vsfsim.bench.metric_functions import rmse, touch_errors
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.reading_metrics import rmse, touch_errors
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.data.records import ObjectView, View

@@ -7,25 +7,23 @@ The method runs in a process of its own (`vsfsim.bench.isolation`), a fresh copy
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.admission import fingerprint
+from vsfsim.bench.curves import Curves
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
-from vsfsim.bench.metrics import Answer
-from vsfsim.bench.result import Result, machine, versions
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
-from vsfsim.bench.trials.collect import Collector, Progress
-from vsfsim.bench.trials.curves import Curves
-from vsfsim.bench.trials.rows import Rows, as_columns, beside_zero, scores_of, stored
-from vsfsim.bench.trials.score import map_of, rows_of
+from vsfsim.bench.trials.collect import Collector, Progress, gather
+from vsfsim.bench.trials.score import map_of, result_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.provenance import made_by
 
 
 def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
@@ -50,7 +48,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         check: test on mock objects first whether the method keeps its contract.
         training: what the method learns from, where a study departs from the task (`vsfsim study`). Such a result is
             never ranked.
-        curves: file for all predictions beside the truth (`vsfsim.bench.trials.curves`); None writes none.
+        curves: file for all predictions beside the truth (`vsfsim.bench.curves.Curves`); None writes none.
 
     Raises:
         MethodError: the method is unknown, breaks its contract, raises, takes too long, or answers with something that
@@ -68,7 +66,6 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
                         None if part is None else Path(part).absolute(), progress or (lambda *_: None), check,
                         training)
         answers = run.run()
-    rows, readings = _rows(answers, task, dataset)
     if curves is not None:
         Curves.of(answers, task, dataset, run.seeds).save(curves)
     said = run.description
@@ -80,20 +77,36 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
     wanted = len(task.protocol.runs(seeded=said.seeded))
     if len(run.seeds) != wanted:
         notes.append(f"{len(run.seeds)} seeds instead of the task's {wanted}")
-    asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings, task.observation.size)}
-    scores = {metric: by_shot for answer in Answer
-              for metric, by_shot in scores_of(answer, asked[answer], task.protocol.labels, run.seeds).items()}
-    return Result(
-        task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
-        method=name, entry=said.entry, parameters=dict(said.parameters), observation=task.observation.name,
-        unit=task.observation.unit, shots=task.protocol.labels, seeds=run.seeds, scores=scores,
-        queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), timing=timing,
-        peak_memory_mib=round(run.peak_memory_mib, 1), machine=machine(), made_by=made_by(), versions=versions(),
-        notes=tuple(notes), readings=readings, package={"name": said.package, "version": said.version},
-        isolation=isolation.sandbox, contents=run.contents, data=data, preset=preset, study=training.table(),
-        maps={} if training.table() else _maps(answers, task, dataset),
-        answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
-                 if answer is not Answer.READINGS and rows[answer]})
+    return result_of(answers, task, dataset, run.seeds, method=name, entry=said.entry, parameters=dict(said.parameters),
+                     timing=timing, peak_memory_mib=round(run.peak_memory_mib, 1), notes=tuple(notes),
+                     package={"name": said.package, "version": said.version}, isolation=isolation.sandbox,
+                     contents=run.contents, data=data, preset=preset, study=training.table(),
+                     maps={} if training.table() else _maps(answers, task, dataset))
+
+
+def finish(name: str, task: Task, dataset: Dataset, path: Path, **options: Any) -> Result:
+    """Evaluate with what was kept beside the result, write it, and remove what was kept.
+
+    Args:
+        name, task, dataset: as of `evaluate`. path: of the result. options: further ones.
+    """
+    part, log = path.with_suffix(".part"), log_of(path)
+    log.unlink(missing_ok=True)
+    before = gather(path)
+    with tempfile.TemporaryDirectory() as folder:
+        printed = Path(folder) / "log"
+        result = evaluate(name, task, dataset, part=part, log=printed, **options)
+        result.save(path)
+        shutil.rmtree(part, ignore_errors=True)
+        text = before + (printed.read_text(errors="replace") if printed.is_file() else "")
+        if text:
+            log.write_text(text)
+    return result
+
+
+def log_of(result: Path) -> Path:
+    """The file beside a result that holds what the method printed: RESULT.json.log, as RESULT.log may be the user's."""
+    return result.with_name(result.name + ".log")
 
 
 def _maps(answers: list[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
@@ -107,21 +120,3 @@ def _maps(answers: list[Answers], task: Task, dataset: Dataset) -> dict[str, lis
         for column, values in map_of(given, dataset).items():
             out.setdefault(column, []).extend(values)
     return out
-
-
-def _rows(answers: list[Answers], task: Task, dataset: Dataset) -> tuple[Rows, dict[str, list]]:
-    """The rows of all answers in their order, and `Result.readings`."""
-    rows: Rows = {answer: [] for answer in Answer}
-    readings: dict[str, list] = {}
-    for name in dict.fromkeys(a.trial.subject for a in answers):
-        found, summary = rows_of(name, [a for a in answers if a.trial.subject == name], task, dataset)
-        for answer in Answer:
-            rows[answer] += found[answer]
-        for column, values in summary.items():
-            readings.setdefault(column, []).extend(values)
-    order = {(a.trial.subject, a.trial.shot, a.trial.seed): index for index, a in enumerate(answers)}
-    for of_answer in rows.values():
-        of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
-    if task.protocol.folds:
-        stored([*rows[Answer.READINGS], *rows[Answer.READING_STD]])
-    return rows, readings

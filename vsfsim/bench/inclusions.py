@@ -16,10 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.bench.reached_points import reached
-from vsfsim.bench.stiffness_metrics import best_f1, best_threshold
 from vsfsim.core.errors import TaskError
 from vsfsim.core.material import Inclusion
-from vsfsim.core.rotation import pose_errors
 from vsfsim.core.scene import parse_scene
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
@@ -151,33 +149,6 @@ class Mask:
         value = np.full(len(self.stiff), -np.inf)
         np.maximum.at(value, self.pixel, stiffness)
         return value
-
-
-def mask_f1(value: np.ndarray, stiff: np.ndarray) -> float:
-    """Best F1 score of ``value >= threshold`` (p,) against ``stiff`` (p,) bool."""
-    return best_f1(value, stiff)
-
-
-def mask_precision(value: np.ndarray, stiff: np.ndarray) -> float:
-    """Precision at the threshold of the best F1 score."""
-    found = value >= best_threshold(value, stiff)[1]
-    return float((found & stiff).sum()) / max(int(found.sum()), 1)
-
-
-def mask_recall(value: np.ndarray, stiff: np.ndarray) -> float:
-    """Recall at the threshold of the best F1 score."""
-    found = value >= best_threshold(value, stiff)[1]
-    return float((found & stiff).sum()) / max(int(stiff.sum()), 1)
-
-
-def translation_error(estimate: np.ndarray, truth: np.ndarray) -> float:
-    """Distance [mm] between the origins of two poses (4, 4)."""
-    return 1e3 * pose_errors(estimate, truth)[0]
-
-
-def rotation_error(estimate: np.ndarray, truth: np.ndarray) -> float:
-    """Angle [deg] of the rotation between two poses (4, 4)."""
-    return float(np.degrees(pose_errors(estimate, truth)[1]))
 
 
 def mesh_of(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:

@@ -17,10 +17,9 @@ from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval
 from vsfsim.bench.board.named import is_ceiling, is_earlier, labels_of
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.method import method_sha256
-from vsfsim.bench.metrics import METRICS, Answer, metrics_of
+from vsfsim.bench.metrics import METRICS, Answer, Score, metrics_of
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.rows import Score
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown as escaped
 from vsfsim.core.plain_text import plain
@@ -79,7 +78,7 @@ class Board:
     """The task ships a record of its dataset, with which the results are compared; else with one another."""
     again: float
     """Share of the dataset's touches that came to another end on another machine [-]
-    (`vsfsim.bench.admission.same_data`)."""
+    (`vsfsim.bench.admission.admit`)."""
     rows: tuple[Row, ...]
     """One row a result."""
 

@@ -6,6 +6,7 @@ metric is one row and one function of the records of one seed. Result files name
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,9 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench import reading_metrics as readings
-from vsfsim.bench import stiffness_metrics as stiffness
-from vsfsim.bench.inclusions import mask_f1, mask_precision, mask_recall, rotation_error, translation_error
+from vsfsim.bench import metric_functions as functions
 from vsfsim.core.shelf import Registry
 
 Record = Mapping[str, Any]
@@ -25,10 +24,10 @@ class Answer(StrEnum):
     """What a method answers, and what a record of it holds."""
 
     READINGS = "readings"
-    """`predict`. A record is a query touch: the sums of `reading_metrics.touch_errors`."""
+    """`predict`. A record is a query touch: the sums of `metric_functions.touch_errors`."""
 
     READING_STD = "reading std"
-    """`predict_std`. A record is a query touch: the sums of `reading_metrics.touch_uncertainty`."""
+    """`predict_std`. A record is a query touch: the sums of `metric_functions.touch_uncertainty`."""
 
     STIFFNESS = "stiffness"
     """`stiffness` at the reached probe points. A record is an object: ``mean`` (k,), ``std`` (k,) or None where the
@@ -71,7 +70,7 @@ def _mean_uncertainty(score: Callable[[np.ndarray, np.ndarray], float]) -> Calla
     def mean(records: Sequence[Record]) -> float | None:
         if any(record["std"] is None or not np.any(record["std"] > 0) for record in records):
             return None
-        return float(np.mean([score(*stiffness.uncertainty(r["mean"], r["std"], r["truth"])) for r in records]))
+        return float(np.mean([score(*functions.uncertainty(r["mean"], r["std"], r["truth"])) for r in records]))
     return mean
 
 
@@ -86,46 +85,46 @@ def _of_mask(name: str, score: Callable[..., float], doc: str) -> Metric:
 
 METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
     m.name: m for m in (
-        _reading("rmse", readings.rmse, "Root mean square error of a touch's readings, averaged over touches."),
-        _reading("rmse_pooled", readings.rmse_pooled, "Root mean square error over all readings."),
-        Metric("rmse_ratio", Answer.READINGS, readings.rmse_ratio,
+        _reading("rmse", functions.rmse, "Root mean square error of a touch's readings, averaged over touches."),
+        _reading("rmse_pooled", functions.rmse_pooled, "Root mean square error over all functions."),
+        Metric("rmse_ratio", Answer.READINGS, functions.rmse_ratio,
                "Error of an object, `rmse`, over that of predicting zero on the same touches, averaged over objects.",
                ranks=True),
-        Metric("rmse_norm", Answer.READINGS, readings.rmse_norm,
+        Metric("rmse_norm", Answer.READINGS, functions.rmse_norm,
                "`rmse` of the norm of the error of a reading of several numbers; of torques, of the norm of all seven.",
                unit=None, ranks=True),
-        _reading("mae", readings.mae, "Mean absolute error of a touch's readings, averaged over touches."),
-        _reading("mae_pooled", readings.mae_pooled, "Mean absolute error over all readings."),
-        Metric("nll", Answer.READING_STD, readings.mean_of("nll"),
+        _reading("mae", functions.mae, "Mean absolute error of a touch's readings, averaged over touches."),
+        _reading("mae_pooled", functions.mae_pooled, "Mean absolute error over all functions."),
+        Metric("nll", Answer.READING_STD, functions.mean_of("nll"),
                "Mean negative log-likelihood of the readings; a std that is too small and one that is too large both "
                "increase it."),
-        Metric("coverage50", Answer.READING_STD, readings.mean_of("in50"),
+        Metric("coverage50", Answer.READING_STD, functions.mean_of("in50"),
                "Fraction of readings within 0.674 std of the prediction; 0.5 is right."),
-        Metric("coverage90", Answer.READING_STD, readings.mean_of("in90"),
+        Metric("coverage90", Answer.READING_STD, functions.mean_of("in90"),
                "Fraction of readings within 1.645 std of the prediction; 0.9 is right."),
-        Metric("stiffness_spearman", Answer.STIFFNESS, _mean_over_objects(stiffness.spearman, "mean", "truth"),
+        Metric("stiffness_spearman", Answer.STIFFNESS, _mean_over_objects(functions.spearman, "mean", "truth"),
                "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
-        Metric("stiffness_log10", Answer.STIFFNESS, _mean_over_objects(stiffness.log10_error, "mean", "truth"),
+        Metric("stiffness_log10", Answer.STIFFNESS, _mean_over_objects(functions.log10_error, "mean", "truth"),
                "Mean absolute error of log10 of the stiffness after one scale an object."),
         Metric("stiffness_f1", Answer.STIFFNESS,
-               _mean_over_objects(lambda mean, truth: stiffness.best_f1(mean, stiffness.stiff_points(truth)), "mean",
+               _mean_over_objects(lambda mean, truth: functions.best_f1(mean, functions.stiff_points(truth)), "mean",
                                   "truth"),
                "Best F1 score of a threshold that separates the stiff points from the soft ones.",
                higher_is_better=True),
-        Metric("stiffness_nll", Answer.STIFFNESS, _mean_uncertainty(stiffness.log_likelihood_loss),
+        Metric("stiffness_nll", Answer.STIFFNESS, _mean_uncertainty(functions.log_likelihood_loss),
                "Mean negative log-likelihood of the stiffness after one scale an object."),
-        Metric("stiffness_coverage50", Answer.STIFFNESS, _mean_uncertainty(stiffness.coverage50),
+        Metric("stiffness_coverage50", Answer.STIFFNESS, _mean_uncertainty(functions.coverage50),
                "Fraction of points within 0.674 std of the estimate; 0.5 is right."),
-        Metric("stiffness_coverage90", Answer.STIFFNESS, _mean_uncertainty(stiffness.coverage90),
+        Metric("stiffness_coverage90", Answer.STIFFNESS, _mean_uncertainty(functions.coverage90),
                "Fraction of points within 1.645 std of the estimate; 0.9 is right."),
-        Metric("stiffness_std_spearman", Answer.STIFFNESS, _mean_uncertainty(stiffness.spearman),
+        Metric("stiffness_std_spearman", Answer.STIFFNESS, _mean_uncertainty(functions.spearman),
                "Spearman's rank correlation of absolute error and std.", higher_is_better=True),
-        _of_mask("mask_f1", mask_f1, "F1 score of the mask of stiff pixels at the best threshold."),
-        _of_mask("mask_precision", mask_precision, "Precision of the mask at that threshold."),
-        _of_mask("mask_recall", mask_recall, "Recall of the mask at that threshold."),
-        Metric("translation_error", Answer.POSE, _mean_over_objects(translation_error, "estimate", "truth"),
+        _of_mask("mask_f1", functions.mask_f1, "F1 score of the mask of stiff pixels at the best threshold."),
+        _of_mask("mask_precision", functions.mask_precision, "Precision of the mask at that threshold."),
+        _of_mask("mask_recall", functions.mask_recall, "Recall of the mask at that threshold."),
+        Metric("translation_error", Answer.POSE, _mean_over_objects(functions.translation_error, "estimate", "truth"),
                "Distance between the centres of the estimated and the true object.", unit="mm", ranks=True),
-        Metric("rotation_error", Answer.POSE, _mean_over_objects(rotation_error, "estimate", "truth"),
+        Metric("rotation_error", Answer.POSE, _mean_over_objects(functions.rotation_error, "estimate", "truth"),
                "Angle of the rotation between the estimated and the true object.", unit="deg", ranks=True),
     )
 })
@@ -162,3 +161,46 @@ def score_of_rows(metric: Metric, rows: Sequence[Record]) -> float | None:
         return metric.score(rows)
     values = [row[metric.name] for row in rows if row.get(metric.name) is not None]
     return float(np.mean(values)) if len(values) == len(rows) else None
+
+
+@dataclass(frozen=True)
+class Score:
+    """A metric at one shot."""
+
+    mean: float
+    """Over seeds."""
+    std: float
+    """Over seeds, with n - 1; 0 for one seed."""
+    per_seed: tuple[float, ...]
+    """In the order of `Result.seeds`."""
+
+    @classmethod
+    def of(cls, per_seed: list[float]) -> Score:
+        """From the values of the seeds."""
+        n = len(per_seed)
+        mean = math.fsum(per_seed) / n
+        std = math.sqrt(math.fsum((v - mean) ** 2 for v in per_seed) / (n - 1)) if n > 1 else 0.0
+        return cls(mean, std, tuple(per_seed))
+
+
+def scores_of(answer: Answer, rows: Sequence[Record], labels: tuple[str, ...],
+              seeds: tuple[int, ...]) -> dict[str, dict[str, Score]]:
+    """The metrics of one kind of answer, by metric and shot.
+
+    A shot at which some seed has no row is left out, and so is a metric that a row lacks something for.
+
+    Args:
+        answer: what was asked. rows: as a result file keeps them. labels, seeds: of the result.
+    """
+    parts: dict[tuple[str, int], list[Record]] = {(label, seed): [] for label in labels for seed in seeds}
+    for row in rows:
+        parts.setdefault((row["shot"], row["seed"]), []).append(row)
+    out: dict[str, dict[str, Score]] = {}
+    for label in labels:
+        of_seeds = [parts[label, seed] for seed in seeds]
+        for metric in metrics_of(answer) if all(of_seeds) else ():
+            values = [score_of_rows(metric, part) for part in of_seeds]
+            known = [value for value in values if value is not None]
+            if len(known) == len(values):
+                out.setdefault(metric.name, {})[label] = Score.of(known)
+    return out

@@ -1,17 +1,37 @@
-"""A sensor's noise, added to noise-free touches when a task loads them.
+"""The noise of the sensors, added to noise-free touches when a task loads them.
 
 Force: the reading of frame t of a touch is f(t - lag) + b + r t / (T - 1) + w(t): an offset b and a drift r drawn once
 a touch, and white noise w, each normal and independent in x, y, z. Then the touch is tared: the mean of its first
-contact-free frames is subtracted, as with a real sensor. The readings of an air-filled bubble are in
-`vsfsim.bench.noise_bubble`, joint torques in `vsfsim.bench.noise_torque`.
+contact-free frames is subtracted, as with a real sensor.
+
+Pressure of a bubble: first the relaxation of air and rubber, y = x + r (x - l) of the noise-free change x, where the
+low pass l follows x with the time constant tau, so that a step overshoots by r of itself and then decays. The
+noise-free (quasi-static) pressure is the settled one, because the stiffness of skin and air was fitted to held frames.
+Then drift and white noise, then the tare.
+
+Node positions of a bubble: the error of their depth, delay and drift (`noisy_nodes`), in the camera's window only.
+
+Joint torques: white noise, an offset a touch, a random walk, an error of the arm's gravity model that varies with
+posture, and hysteresis of the drives, minus the tare. The gravity model's error is one random function of the joint
+angles for every joint, a Gaussian process with a squared exponential covariance (by 256 random Fourier features), the
+same in all touches, as that of one real arm. It does not depend on joint 1, whose axis is vertical. The hysteresis adds
+or subtracts a constant for each joint by the sign of its velocity; a joint that stands still keeps its last sign, and
+that before a touch is random.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
+from vsfsim.core.errors import TaskError
+
+# channels of the random streams; the force has none
+_PRESSURE, _TRACKING, _NODES, _TORQUE, _NODE_FORCE, _ARM, _SIGN = range(1, 8)
 
 
 @dataclass(frozen=True)
@@ -172,3 +192,207 @@ def delayed(signal: np.ndarray, time: np.ndarray, lag: float) -> np.ndarray:
         share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)[:, None]
         out = (1.0 - share) * values[after - 1] + share * values[after]
     return np.where(good[:, None], out, np.nan).reshape(signal.shape)
+
+
+_WAVES = 256  # of the drift: their sum is normal to a few per cent of its spread
+
+CAMERA_ORIGIN, CAMERA_TILT = (-0.040, 0.0, -0.054), math.radians(25.0)
+"""Position of the inside camera in the mount frame [m], and its tilt towards +x [rad]; see
+`vsfsim.sensing.bubble_camera`."""
+
+
+def relaxed(signal: np.ndarray, time: np.ndarray, share: float, seconds: float) -> np.ndarray:
+    """y = x + share (x - l) of a signal x (T,) at times (T,) [s], with tau l' = x - l, exact for an x that is linear
+    between frames."""
+    low = np.empty_like(signal)
+    low[:1] = signal[:1]
+    for k in range(1, len(signal)):
+        step = time[k] - time[k - 1]
+        keep = math.exp(-step / seconds)
+        slope = (signal[k] - signal[k - 1]) / step
+        low[k] = signal[k] - slope * seconds + keep * (low[k - 1] - signal[k - 1] + slope * seconds)
+    return signal + share * (signal - low)
+
+
+def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
+                   view_index: int, touch_index: int) -> np.ndarray:
+    """The noise-free pressure of a touch as a real sensor would show it.
+
+    Args:
+        pressure: noise-free (T,) [Pa]; NaN (unconverged frames) stays NaN.
+        time: of the frames (T,) [s], increasing.
+        force: noise-free contact force (T, 3) [N], which determines the contact-free frames of the tare.
+        noise: its parameters.
+
+    Returns:
+        (T,) [Pa]; if frames were tared, the change against their mean.
+    """
+    rng = stream(noise, object_index, view_index, touch_index, _PRESSURE)
+    rate = noise.pressure_drift + noise.pressure_drift_std * rng.standard_normal()
+    white = noise.pressure_std * rng.standard_normal(len(pressure))
+    good = np.isfinite(pressure)
+    out = np.full(len(pressure), np.nan)
+    if good.any():
+        out[good] = relaxed(pressure[good], time[good], noise.relaxation, noise.relaxation_time)
+    return tared(out + rate * (time - time[0]) + white, force, noise)
+
+
+def quantised(value: np.ndarray, step: float) -> np.ndarray:
+    """Rounded to multiples of ``step``; as it is for a step of 0."""
+    return step * np.rint(value / step) if step else value
+
+
+def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int,
+                view_index: int, touch_index: int,
+                origin: tuple[float, float, float] = CAMERA_ORIGIN, tilt: float = CAMERA_TILT) -> np.ndarray:
+    """The read-out nodes of a touch as the inside camera would locate them.
+
+    A node has its true pixel and a noisy, quantised depth, so it moves along its ray. It is delayed by ``image_lag`` in
+    the frame of the mount; the arm's pose is not delayed. Across the ray it drifts by a smooth field (``tracking_std``)
+    that grows evenly from the first frame to the last.
+
+    Args:
+        position: world (T, N, 3) [m]; NaN rows stay NaN.
+        mount_pose: mount to world (T, 4, 4) [m].
+        time: of the frames (T,) [s].
+        noise: its parameters.
+        object_index, view_index, touch_index: of the touch; they select the random stream.
+        origin, tilt: of the camera in the mount frame (3,) [m], [rad].
+
+    Returns:
+        World (T, N, 3) [m].
+
+    Raises:
+        TaskError: the shapes do not fit, or a node is at or behind the camera.
+    """
+    position, mount_pose = np.asarray(position, np.float64), np.asarray(mount_pose, np.float64)
+    if position.ndim != 3 or position.shape[2] != 3 or mount_pose.shape != (len(position), 4, 4):
+        raise TaskError(f"noise: node positions {position.shape} and mount poses {mount_pose.shape}; they must be (T, "
+                        f"N, 3) and (T, 4, 4).")
+    rotation, shift = mount_pose[:, :3, :3], mount_pose[:, :3, 3]
+    local = np.einsum("tni,tij->tnj", position - shift[:, None], rotation)
+    local = delayed(local, time, noise.image_lag)
+    ray = local - np.asarray(origin)
+    axis = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
+    depth = ray @ axis
+    if (depth <= 0.0).any():
+        raise TaskError("noise: a node lies behind the inside camera; give the camera's origin and tilt of "
+                        "this sensor.")
+    white = noise.depth_std * stream(noise, object_index, view_index, touch_index, _NODES).standard_normal(depth.shape)
+    measured = quantised(depth + white, noise.depth_quantum)
+    local = np.asarray(origin) + ray * (measured / depth)[..., None]
+    if noise.tracking_std:
+        rng = stream(noise, object_index, view_index, touch_index, _TRACKING)
+        wave = rng.standard_normal((_WAVES, 2)) / noise.tracking_length
+        phase = rng.uniform(0.0, 2.0 * np.pi, (2, 1, _WAVES))
+        # on the skin at the first known frame; a sum of random waves has a Gaussian correlation (Rahimi, Recht 2007)
+        first = local[int(np.isfinite(local).all(axis=(1, 2)).argmax()), :, :2]
+        field = noise.tracking_std * np.sqrt(2.0 / _WAVES) * np.cos(first @ wave.T + phase).sum(axis=2)  # (2, N)
+        gone = (time - time[0]) / max(float(time[-1] - time[0]), 1e-12)
+        unit = ray / np.linalg.norm(ray, axis=2, keepdims=True)
+        side = np.cross(unit, [0.0, 1.0, 0.0])
+        side /= np.linalg.norm(side, axis=2, keepdims=True)
+        across = field[0][:, None] * side + field[1][:, None] * np.cross(unit, side)
+        local = local + gone[:, None, None] * across
+    return np.einsum("tni,tji->tnj", local, rotation) + shift[:, None]
+
+
+def window(rest: np.ndarray, noise: Noise) -> np.ndarray:
+    """Which nodes the inside camera sees (N,) bool, by their places ``rest`` on the free dome, mount frame (N, 3) [m]:
+    those over the rim's ellipse made smaller by ``noise.window``."""
+    rest = np.asarray(rest, np.float64)
+    if not noise.window:
+        return np.ones(len(rest), bool)
+    return np.hypot(*(rest[:, :2] / np.abs(rest[:, :2]).max(axis=0)).T) <= noise.window
+
+
+def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,
+                     touch_index: int) -> np.ndarray:
+    """Contact forces on nodes (T, N, 3) [N] with the error of an estimate: delayed like the images it is made from, and
+    with a relative error.
+
+    The errors are normal and independent in x, y, z and between nodes, with the standard deviation that gives the RMS
+    error over the nodes in contact. Nodes without contact stay at 0, as an estimator with a sparse solution leaves
+    them. NaN rows stay NaN.
+
+    Raises:
+        TaskError: the shapes do not fit.
+    """
+    force = np.asarray(force, np.float64)
+    if force.ndim != 3 or force.shape[2] != 3 or np.shape(time) != force.shape[:1]:
+        raise TaskError(f"noise: node forces {force.shape} and times {np.shape(time)}; they must be (T, N, "
+                        f"3) and (T,).")
+    late = delayed(force, time, noise.image_lag)
+    size = np.linalg.norm(late, axis=2)
+    in_contact = size > 0.0
+    rms = np.sqrt((size**2).sum(axis=1) / np.maximum(in_contact.sum(axis=1), 1))
+    white = stream(noise, object_index, view_index, touch_index, _NODE_FORCE).standard_normal(force.shape)
+    return late + np.where(in_contact, noise.node_force_share * rms[:, None] / math.sqrt(3.0), 0.0)[..., None] * white
+
+
+_LARGE = 4  # joints 1 to 4 have the large actuators
+_SMALL_SCALE = 0.5  # noise of the other joints relative to theirs, as their range
+_POSE_SHARE = (0.375, 1.0, 0.375, 1.0, 0.25, 1.0, 0.25)  # of `Noise.torque_pose_std` at joints 1 to 7
+_FEATURES = 256  # random Fourier features of the gravity model's error
+_ARM_SPREAD = 0.25  # an arm's own error lies within this share of the mean over arms, a third more for the hysteresis
+_STILL = 1e-5  # a joint that turns less between two frames stands still [rad]
+
+
+def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
+                 view_index: int, touch_index: int, q: np.ndarray | None = None) -> np.ndarray:
+    """The noise-free torques of a touch as real sensors would show them.
+
+    Args:
+        torque: noise-free (T, J) [N m]; NaN rows (unconverged frames) stay NaN.
+        time: of the frames (T,) [s].
+        force: noise-free contact force (T, 3) [N], which determines the contact-free frames of the tare.
+        noise: its parameters.
+        object_index, view_index, touch_index: of the touch; they select the random stream.
+        q: joint angles (T, J) [rad]; without them there is neither an error in posture nor hysteresis.
+
+    Returns:
+        (T, J) [N m].
+    """
+    rng = stream(noise, object_index, view_index, touch_index, _TORQUE)
+    joints = torque.shape[1]
+    size = np.where(np.arange(joints) < _LARGE, 1.0, _SMALL_SCALE)
+    offset = noise.torque_offset_std * rng.standard_normal(joints)
+    steps = np.sqrt(np.diff(time, prepend=time[:1]))[:, None] * rng.standard_normal(torque.shape)
+    white = noise.torque_std * rng.standard_normal(torque.shape)
+    reading = torque + size * (offset + noise.torque_drift_std * np.cumsum(steps, axis=0) + white)
+    if q is not None and (noise.torque_pose_std or noise.torque_hysteresis):
+        start = stream(noise, object_index, view_index, touch_index, _SIGN).choice([-1.0, 1.0], joints)
+        reading = reading + posture_error(q, noise) + size * hysteresis(q, start, noise)
+    return tared(reading, force, noise)
+
+
+def posture_error(q: np.ndarray, noise: Noise) -> np.ndarray:
+    """Error of the gravity model [N m] at joint angles ``q`` (T, 7) [rad]: (T, 7), the same function of ``q`` in every
+    touch."""
+    share, slope, phase = _gravity_model(noise.seed, noise.torque_pose_length, q.shape[1])
+    waves = np.cos(np.einsum("jfk,tk->tjf", slope, q) + phase)
+    return noise.torque_pose_std * share * np.sqrt(2.0 / _FEATURES) * waves.sum(axis=2)
+
+
+@functools.lru_cache(maxsize=8)
+def _gravity_model(seed: int, length: float, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share of each joint (J,), and slopes (J, F, J) [1/rad] and phases (J, F) [rad] of the Fourier features; kept,
+    because a data set asks for those of one arm in each of its thousands of touches."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ARM,)))
+    share = np.resize(_POSE_SHARE, joints) * rng.uniform(1.0 - _ARM_SPREAD, 1.0 + _ARM_SPREAD, joints)
+    slope = rng.standard_normal((joints, _FEATURES, joints)) / length
+    slope[:, :, 0] = 0.0
+    return share, slope, rng.uniform(0.0, 2.0 * np.pi, (joints, _FEATURES))
+
+
+def hysteresis(q: np.ndarray, start: np.ndarray, noise: Noise) -> np.ndarray:
+    """Hysteresis of the drives [N m], of joints 1 to 4 in full size, along joint angles ``q`` (T, 7) [rad]: (T, 7).
+    ``start`` (7,) is the sign of each joint's last motion before the touch."""
+    rng = np.random.default_rng(np.random.SeedSequence(noise.seed, spawn_key=(_ARM, 1)))
+    spread = 4.0 / 3.0 * _ARM_SPREAD
+    height = noise.torque_hysteresis * rng.uniform(1.0 - spread, 1.0 + spread, q.shape[1])
+    step = np.diff(q, axis=0, prepend=q[:1])
+    sign = np.where(np.abs(step) > _STILL, np.sign(step), 0.0)
+    sign[0] = start
+    moved = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(q))[:, None], 0), axis=0)
+    return height * np.take_along_axis(sign, moved, axis=0)

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.noise import Noise, noisy_force
-from vsfsim.bench.noise_bubble import noisy_pressure
-from vsfsim.bench.noise_torque import noisy_torque
+from vsfsim.bench.noise import Noise, noisy_force, noisy_pressure, noisy_torque
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import Registry
 from vsfsim.data.records import Touch

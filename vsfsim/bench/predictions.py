@@ -8,31 +8,24 @@ from __future__ import annotations
 
 import lzma
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
-from vsfsim.bench.metrics import Answer
-from vsfsim.bench.protocol import divide, record, support
-from vsfsim.bench.result import Result, machine, versions
+from vsfsim.bench.protocol import Trial, divide, folds_of, record, support
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
-from vsfsim.bench.trials.folds import folds_of
-from vsfsim.bench.trials.rows import as_columns, beside_zero, scores_of
-from vsfsim.bench.trials.score import rows_of
-from vsfsim.bench.trials.subject import Trial
+from vsfsim.bench.trials.score import result_of
 from vsfsim.core.errors import MethodError, no_such_file
 from vsfsim.core.plain_text import plain
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.provenance import made_by
 from vsfsim.data.records import View
 
 
@@ -101,33 +94,9 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
                 raise MethodError(f"predictions {path} have '{plain(key, longest=100)}', which the task does not ask. "
                                   f"Keys are <object>/<shot>/<seed>/<touch>.")
     every = [one for mine in answers.values() for one in mine]
-    return result_of(every, task, dataset, method=plain(name), entry="predictions file",
-                     notes=("scored from a file of predictions",), data=data, evidence=evidence)
-
-
-def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, **said: Any) -> Result:
-    """The result of readings that were predicted outside the harness; the truth is read here.
-
-    Args:
-        answers: of every object, shot and draw of the task. task, dataset: of the questions. said: further fields of
-        `Result`, at least ``method`` and ``entry``.
-    """
-    rows: list[dict[str, Any]] = []
-    readings: dict[str, list] = {}
-    for subject in dict.fromkeys(one.trial.subject for one in answers):
-        found, summary = rows_of(subject, [one for one in answers if one.trial.subject == subject], task, dataset)
-        rows += found[Answer.READINGS]
-        for column, values in summary.items():
-            readings.setdefault(column, []).extend(values)
-    seeds = task.protocol.runs(seeded=False)
-    fields: dict[str, Any] = {"parameters": {}, "timing": {}, **said}
-    return Result(
-        task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
-        observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
-        scores=scores_of(Answer.READINGS, beside_zero(rows, readings, task.observation.size), task.protocol.labels,
-                         seeds),
-        queries=as_columns(Answer.READINGS, rows), peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(),
-        made_by=made_by(), versions=versions(), readings=readings, **fields)
+    return result_of(every, task, dataset, task.protocol.runs(seeded=False), method=plain(name),
+                     entry="predictions file", notes=("scored from a file of predictions",), data=data,
+                     evidence=evidence)
 
 
 class PredictionFile:

@@ -15,11 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.board import compare
-from vsfsim.bench.metrics import Answer
+from vsfsim.bench.metrics import Answer, Score, scores_of
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.trials.packed import pack
-from vsfsim.bench.trials.result_fields import OLD_VERSION, PLAIN_VERSION, SCHEMA_VERSION, checked_fields, read_json
-from vsfsim.bench.trials.rows import Score, as_rows, beside_zero, scores_of
+from vsfsim.bench.result_file import (
+    OLD_VERSION,
+    PLAIN_VERSION,
+    SCHEMA_VERSION,
+    as_rows,
+    beside_zero,
+    checked_fields,
+    pack,
+    read_json,
+)
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.interactive.figure import new_figure
 from vsfsim.core.interactive.html_table import html_table
@@ -217,7 +224,7 @@ class Result:
         return out
 
     def rows(self) -> list[dict[str, Any]]:
-        """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.trials.rows.beside_zero`). They
+        """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.result_file.beside_zero`). They
         are made once, and are not the caller's to change."""
         return self._rows
 

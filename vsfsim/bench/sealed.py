@@ -21,9 +21,8 @@ import numpy as np
 
 from vsfsim.bench.method import Action, Reading, Surface, frozen_view
 from vsfsim.bench.predictions import Question
-from vsfsim.bench.protocol import Draw, divide, record, support
+from vsfsim.bench.protocol import Draw, divide, record, support, test_names
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.folds import test_names
 from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables

@@ -22,7 +22,7 @@ from vsfsim.cli.options import (
     result_path,
 )
 from vsfsim.core.engines.fan import HERE
-from vsfsim.core.errors import VsfsimError
+from vsfsim.core.errors import MethodError, TaskError, VsfsimError
 
 if TYPE_CHECKING:
     from vsfsim.bench.task import Task
@@ -71,7 +71,6 @@ def _record(dataset: Path, name: str | None) -> None:
     from vsfsim.bench.admission.fingerprint import record_path, write_record
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.core import shelf
-    from vsfsim.core.errors import TaskError
     from vsfsim.data.dataset import Dataset
 
     folder = Dataset.open(dataset).path.resolve().name
@@ -90,9 +89,9 @@ def _again(path: Path, name: str | None) -> None:
     """Measure how far a dataset that another machine made differs from a task's record, and write it there."""
     from dataclasses import replace
 
-    from vsfsim.bench.admission import fingerprint, same_data
+    from vsfsim.bench.admission import fingerprint
+    from vsfsim.bench.admission.admit import again
     from vsfsim.bench.task import load_task, open_dataset
-    from vsfsim.core.errors import TaskError
 
     if name is None:
         raise TaskError("--again needs the name of a task: give --task.")
@@ -102,7 +101,7 @@ def _again(path: Path, name: str | None) -> None:
         raise TaskError(f"task {name} has no record yet. Write one with --record FOLDER.")
     found = (fingerprint.make_record(task, open_dataset(task, path)) if path.is_dir()
              else fingerprint.load_record(path))
-    measured = same_data.again(found, known)
+    measured = again(found, known)
     fingerprint.save_record(replace(known, again=measured), fingerprint.record_path(task))
     print(f"{fingerprint.record_path(task)}: {100.0 * measured.touches:.3g} % of the touches come to another end, the "
           f"readings of a view are up to {100.0 * measured.size:.2g} % larger or smaller")
@@ -157,11 +156,10 @@ def evaluate(task: TaskName,
     """
     from vsfsim.bench.commands import presets
     from vsfsim.bench.commands.ceiling import ceiling_rows
-    from vsfsim.bench.commands.evaluate_all import evaluate_all
+    from vsfsim.bench.commands.evaluate import evaluate_all
     from vsfsim.bench.method import check_name
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.core import shelf
-    from vsfsim.core.errors import MethodError
 
     given, names = parameters_of(parameters), list(method or [])
     if every == bool(names):
@@ -235,7 +233,7 @@ def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str
                    shared: dict[str, Any], json: Path | None) -> None:
     """Score the methods that were named, one after the other."""
     from vsfsim.bench.commands.evaluate import evaluate as run
-    from vsfsim.bench.commands.evaluate import log_of
+    from vsfsim.bench.evaluate import log_of
     from vsfsim.bench.leaderboard import score_table
 
     paths = [result_path(out, wanted.name, f"{name}.{preset}" if preset else name) for name in names]

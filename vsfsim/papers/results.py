@@ -11,9 +11,9 @@ from pathlib import Path
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
-from vsfsim.bench.commands.evaluate import finish
 from vsfsim.bench.commands.presets import on_device
 from vsfsim.bench.commands.side_by_side import Evaluation, make
+from vsfsim.bench.evaluate import finish
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task, load_task

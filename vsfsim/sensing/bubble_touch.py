@@ -130,7 +130,7 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
         touch: made by a bubble.
         stiffness: E h of its skin [N/m].
         method, options: of the estimator.
-        position: measured nodes, world (T, N, 3) [m], e.g. of `vsfsim.bench.noise_bubble.noisy_nodes`; None for the
+        position: measured nodes, world (T, N, 3) [m], e.g. of `vsfsim.bench.noise.noisy_nodes`; None for the
             true ones.
         pressure: measured gauge pressure (T,) [Pa]; None for the true one.
         image_lag: delay of ``position`` against ``pressure`` [s], which is taken out first (`aligned_nodes`). A real

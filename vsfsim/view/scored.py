@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench.curves import Curves
+from vsfsim.bench.metric_functions import scale_of
 from vsfsim.bench.result import Result
-from vsfsim.bench.stiffness_metrics import scale_of
+from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import load_task
-from vsfsim.bench.trials.curves import Curves
-from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView

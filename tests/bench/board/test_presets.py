@@ -4,8 +4,7 @@ import inspect
 
 import pytest
 
-from vsfsim.bench.commands import evaluate_all as command
-from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.presets import Choice, choices, preset
 from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.method import find_method
@@ -76,14 +75,14 @@ def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_datase
             Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
     # the toys have no table of presets; what a row asks for is what is used
     monkeypatch.setattr("vsfsim.bench.commands.evaluate.chosen", lambda *asked: rows[0])
-    found = list(command.evaluate_all(task, rows, tmp_path, dataset=toy_dataset.path, seeds=1))
+    found = list(evaluate_all(task, rows, tmp_path, dataset=toy_dataset.path, seeds=1))
     assert [one.state for one in found[::2]] == ["made", "made"] and "KeyError: 'toe'" in found[1].state
     assert found[0].path.name == "toy_methods:Constant.paper.json" and found[1].result is None
     assert Result.load(found[2].path).parameters == {"value": 3.0} and Result.load(found[2].path).preset == "tuned"
-    again = list(command.evaluate_all(task, rows[::2], tmp_path, dataset=toy_dataset.path, seeds=1))
+    again = list(evaluate_all(task, rows[::2], tmp_path, dataset=toy_dataset.path, seeds=1))
     assert [one.state for one in again] == ["kept", "kept"]
     other = [Choice("toy_methods:Constant", "paper", {"value": 2.5})]
-    assert [one.state for one in command.evaluate_all(task, other, tmp_path, dataset=toy_dataset.path, seeds=1)] == [
+    assert [one.state for one in evaluate_all(task, other, tmp_path, dataset=toy_dataset.path, seeds=1)] == [
         "made"], "other parameters are another row"
     shown = text(collect(task, [tmp_path]))
     assert "toy_methods:Constant (paper)" in shown and "toy_methods:Constant (tuned)" in shown

@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from vsfsim.bench.commands.evaluate import evaluate
-from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task

@@ -9,15 +9,14 @@ import pytest
 
 from vsfsim.bench.board.charts import round_numbers
 from vsfsim.bench.board.touch_chart import touch_chart
-from vsfsim.bench.commands.evaluate import evaluate
-from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.leaderboard import collect
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task, parse_task
-from vsfsim.bench.trials.curves import Curves, beside
 from vsfsim.core.errors import MethodError, TaskError
 
 DEVELOPED = 'development = { folder = "toy-development", seed = 5, objects = 3 }, tier'

@@ -5,8 +5,9 @@ import json
 
 import pytest
 
+from vsfsim.bench.board.named import command_of
 from vsfsim.bench.commands import submit as module
-from vsfsim.bench.commands.submit import command_of, submit
+from vsfsim.bench.commands.submit import submit
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.leaderboard import collect
 from vsfsim.bench.method import contents_of

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.commands.evaluate import finish
-from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.evaluate import evaluate_all
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.side_by_side import Evaluation, make
-from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.evaluate import evaluate, finish
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
-from vsfsim.bench.trials import reader
+from vsfsim.bench.trials import answers
 from vsfsim.bench.trials.training import Extra, Training
 from vsfsim.core.errors import TaskError
 from vsfsim.data.recipe import Recipe
@@ -56,7 +55,7 @@ def learned(training, dataset, task):
 
 
 def test_the_default_is_the_task(dataset, task):
-    from vsfsim.bench.trials.folds import folds_of
+    from vsfsim.bench.protocol import folds_of
 
     assert Training().folds(dataset, task.protocol) == folds_of(dataset, task.protocol)
     assert Training().table() == {} and Training(classes=CLASSES).is_plain and not Training(touches=0.5).is_plain
@@ -81,7 +80,7 @@ def test_views_divide_the_objects(dataset, task):
 def test_a_share_is_a_part_of_a_larger_one(dataset, task):
     def of(**given):
         fold = Training(**given).folds(dataset, task.protocol)[0]
-        return Training(**given).specimens(task, dataset, fold.number, fold.train, training=1)
+        return Training(**given).specimens(task, dataset, fold.number, fold.train, 1, answers.Reader().specimen)
 
     every, some, few = of(), of(touches=0.5), of(touches=0.1)
     assert [len(s.touches) for s in every] == [12] * len(every)
@@ -91,8 +90,9 @@ def test_a_share_is_a_part_of_a_larger_one(dataset, task):
         assert paths[2] < paths[1] < paths[0]
     names = {s.name[:9] for s in of(objects=0.5)}
     assert len(names) == 1 and names < {s.name[:9] for s in every}
-    assert {tuple(s.name for s in Training(objects=0.5).specimens(task, dataset, 0, [n for n in dataset.names()], k))
-            for k in (0, 2, 3)} != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
+    half, read = Training(objects=0.5), answers.Reader().specimen
+    assert {tuple(s.name for s in half.specimens(task, dataset, 0, dataset.names(), k, read)) for k in (0, 2, 3)
+            } != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -104,7 +104,7 @@ def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch, tm
             file.write(view.name + "\n")
         return record(view, task)
 
-    monkeypatch.setattr(reader, "record", noted)
+    monkeypatch.setattr(answers, "record", noted)
     if processes == 1:
         result = evaluate("toy_methods:Seeded", task, dataset, check=False)
         assert result.timing["fits"] == 4, "two folds, two trainings"
@@ -147,7 +147,7 @@ def test_a_broken_contract_is_found_before_trainings_side_by_side(dataset, task,
 def test_objects_of_another_dataset_are_added(dataset, task):
     extra = Training(extra=(Extra(task, dataset, 2),))
     fold = extra.folds(dataset, task.protocol)[0]
-    found = extra.specimens(task, dataset, fold.number, fold.train, training=0)
+    found = extra.specimens(task, dataset, fold.number, fold.train, 0, answers.Reader().specimen)
     assert len(found) == len(fold.train) + 4 and extra.table()["extra"][0]["objects"] == 2
 
 
@@ -200,7 +200,7 @@ def test_processes_change_nothing_and_a_failure_does_not_end_the_rest(dataset, t
 
 def test_a_reader_tells_protocols_and_noises_apart(dataset, task):
     """Studies ask one task by several protocols, and all their trainings share a reader."""
-    name, read = dataset.names()[0], reader.Reader()
+    name, read = dataset.names()[0], answers.Reader()
     fewer = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, query=task.protocol.query - 1))
     loud = dataclasses.replace(task, noise=dataclasses.replace(task.noise, force_std=10.0))
     first = read.subject(task, dataset, name)
@@ -211,10 +211,10 @@ def test_a_reader_tells_protocols_and_noises_apart(dataset, task):
 
 
 def test_several_processes_read_what_one_does(dataset, task, monkeypatch):
-    names, reads = dataset.names(), [reader.Reader(), reader.Reader()]
+    names, reads = dataset.names(), [answers.Reader(), answers.Reader()]
     for processes, read in zip((1, 3), reads):
         read.read(task, dataset, test=names, train=names, processes=processes)
-    monkeypatch.setattr(reader, "record", None)  # nothing is left to read
+    monkeypatch.setattr(answers, "record", None)  # nothing is left to read
     for name in names:
         (one, first), (other, second) = ((r.subject(task, dataset, name), r.specimen(task, dataset, name))
                                          for r in reads)
@@ -230,7 +230,7 @@ def test_several_processes_read_what_one_does(dataset, task, monkeypatch):
 def test_a_view_that_cannot_be_read_is_told_by_several_processes(dataset, task, monkeypatch):
     asked = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, query=1000))
     with pytest.raises(TaskError, match="touches"):
-        reader.Reader().read(asked, dataset, test=dataset.names(), train=(), processes=2)
-    monkeypatch.setattr(reader, "record", lambda *_: os.kill(os.getpid(), 9))  # as the system does without memory
+        answers.Reader().read(asked, dataset, test=dataset.names(), train=(), processes=2)
+    monkeypatch.setattr(answers, "record", lambda *_: os.kill(os.getpid(), 9))  # as the system does without memory
     with pytest.raises(TaskError, match="ended from outside"):
-        reader.Reader().read(task, dataset, test=dataset.names(), train=(), processes=2)
+        answers.Reader().read(task, dataset, test=dataset.names(), train=(), processes=2)

@@ -2,24 +2,30 @@
 
 A result file is a text that anybody can write. These checks find mistakes, old files and other data; they cannot tell
 an honest file from one that was written by hand to pass them. Who ranks rows of strangers runs their methods again.
+
+Two records are of the same dataset up to what rounding decides. Rounding alone changes a touch with a unique
+equilibrium by 1e-8. Where an object has several, as a plant whose branches snap off a link of the arm, the last digit
+decides which one it comes to, and from there on the touch is another one: the same code makes other readings of a large
+share of the same touches on another machine. How large this share is was measured for such a task and stands in its
+record (`Again`); a dataset is the task's if it differs no more than that.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.admission import fingerprint, same_data
-from vsfsim.bench.metrics import METRICS, PER_OBJECT, Answer
+from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Entry, Record
+from vsfsim.bench.metrics import METRICS, PER_OBJECT, Answer, Score
 from vsfsim.bench.result import Result
+from vsfsim.bench.result_file import OLD_VERSION, as_rows
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.result_fields import OLD_VERSION
-from vsfsim.bench.trials.rows import Score, as_rows
 from vsfsim.core.errors import TaskError
+from vsfsim.core.plain_text import plain
 
 ROUNDING = 1e-6
 """Relative difference up to which a stored score is the one that its rows give; sums are stored to 16 digits."""
@@ -39,7 +45,7 @@ class Admission:
     """Its dataset has the very bits of the task's record."""
 
 
-def admit(result: Result, task: Task, record: fingerprint.Record | None) -> Admission:
+def admit(result: Result, task: Task, record: Record | None) -> Admission:
     """Look at a result before it is ranked.
 
     Args:
@@ -73,7 +79,7 @@ def _other_task(result: Result, task: Task) -> str:
     return ""
 
 
-def _wrong_rows(result: Result, task: Task, record: fingerprint.Record | None) -> str:
+def _wrong_rows(result: Result, task: Task, record: Record | None) -> str:
     """Whether every query touch was answered once at every shot and seed, with sums that errors can have."""
     rows = as_rows(result.queries)
     counts = Counter((row["object"], row["touch"], row["shot"], row["seed"]) for row in rows)
@@ -120,14 +126,172 @@ def _wrong_primary(result: Result, task: Task, scores: Mapping[str, Mapping[str,
     return f"no {task.primary} at {task.ranking_shot}-shot"
 
 
-def _other_data(result: Result, record: fingerprint.Record | None) -> str:
+def _other_data(result: Result, record: Record | None) -> str:
     if record is None:
         return ""
     if not result.data:
         return f"other dataset ({result.dataset_sha256[:12]}), of which nothing is known"
     try:
-        found = fingerprint.Record.read(result.data, "data")
+        found = Record.read(result.data, "data")
     except TaskError:
         return "its fingerprints of the dataset cannot be read"
-    odd = same_data.differences(found, record)
+    odd = differences(found, record)
     return f"other dataset ({result.dataset_sha256[:12]}): {'; '.join(odd)}" if odd else ""
+
+
+TOLERANCE = 1e-3
+"""Largest relative difference of a fingerprint: rounding alone gives 1e-8 in a touch with a unique equilibrium, and
+quantisation 1.2e-4; other seeds, scenes or physics differ by tens of per cent."""
+IMAGE_TOLERANCE = 2e-2
+"""The same for an image averaged in blocks: five flipped pixels on an outline give 0.4 %, another shoe 10 %."""
+OTHER_MARKS = 0.02
+"""Largest share of the touches of which a frame converged in one dataset and not in the other, with what it read: where
+a frame ends at a limit of the solver, rounding decides (13 of the 1,440 frames of the bubble shoes do)."""
+AGAIN_TOUCHES = 1.25
+"""Factor on the measured share of touches that another machine makes otherwise: a third machine is not the second."""
+AGAIN_SIZE = 2.0
+"""Factor on the measured difference of a view's readings."""
+SMALLEST = 1e-2
+"""A vector smaller than this fraction of the root mean square of its kind counts as that large: the readings of a touch
+that met nothing are rounding error."""
+
+_OF_MARKED = frozenset((MARK, READING, "skin", "skin's force"))
+_OF_PHYSICS = _OF_MARKED | {"time", "rotation", "position", "joint angles", "frames as planned"}
+# points are a sample of the visible cloud: a pixel that rounding moves into another cell of the sample's grid moves a
+# point or adds one, and all that follow have other places in the vector, so that only its norm can be compared
+_SAMPLED = frozenset(("probed points", "probed stiffness"))
+_OF_PIXELS = frozenset(("colour", "depth", "mask")) | _SAMPLED
+
+
+def differences(found: Record, known: Record) -> list[str]:
+    """What is different in ``found`` from the record ``known``: a phrase a difference, [] if it is the same data."""
+    other = _other_shape(found, known)
+    if other:
+        return [other]
+    floors = _floors(known)
+    out = _other_views(found, known, floors)
+    total = sum(len(e.of_touches) for e in known.entries)
+    marks = touches = ends = 0
+    first = ""
+    for name, odd in _odd_touches(found, known, floors):
+        if known.again is not None and _OF_PHYSICS.issuperset(odd):
+            ends += 1
+        elif MARK in odd and _OF_MARKED.issuperset(odd):
+            marks += 1
+        else:
+            touches += 1
+            first = first or f"{name}: {odd[0]}"
+    if touches:
+        out.append(f"{touches} of {total} touches differ ({plain(first)})")
+    if marks > OTHER_MARKS * total:
+        out.append(f"{marks} of {total} touches have other frames that did not converge")
+    if known.again is not None:
+        out += _beyond(known.again, ends / max(total, 1), _size_apart(found, known, floors))
+    return out
+
+
+def again(found: Record, known: Record) -> Again:
+    """How far the touches of a dataset differ from those of a record that another machine made of the same plan.
+
+    Raises:
+        TaskError: they are not the same views or the same planned touches.
+    """
+    other, floors = _other_shape(found, known), _floors(known)
+    wrong = [other] if other else _other_views(found, known, floors)
+    ends = 0
+    for name, odd in _odd_touches(found, known, floors) if not wrong else ():
+        if not _OF_PHYSICS.issuperset(odd):
+            wrong.append(f"{name}: {', '.join(odd)}")
+        ends += 1
+    if wrong:
+        raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
+                        f"one that `vsfsim generate` made on another machine with the operands of the task.")
+    return Again(ends / max(sum(len(e.of_touches) for e in known.entries), 1),
+                 _size_apart(found, known, floors), found.made_by)
+
+
+def _beyond(measured: Again, touches: float, size: float) -> list[str]:
+    """Whether more differs than what another machine was seen to change."""
+    out = []
+    if touches > AGAIN_TOUCHES * measured.touches:
+        out.append(f"{100.0 * touches:.3g} % of its touches come to another end, where "
+                   f"{100.0 * measured.touches:.3g} % did on another machine")
+    if size > AGAIN_SIZE * measured.size:
+        out.append(f"the readings of a view are {100.0 * size:.2g} % larger or smaller, where "
+                   f"{100.0 * measured.size:.2g} % was seen on another machine")
+    return out
+
+
+def _other_shape(found: Record, known: Record) -> str:
+    """Why the two cannot be compared number by number, or ""."""
+    mine, theirs = ([(e.name, e.split, e.object_index, e.view_index) for e in r.entries] for r in (found, known))
+    if mine != theirs:
+        odd = [entry[0] for entry in mine if entry not in theirs] or [entry[0] for entry in theirs if entry not in mine]
+        which = f", e.g. {plain(odd[0])}" if odd else ""
+        return f"its object views or their splits are others{which}"
+    for one, other in zip(found.entries, known.entries, strict=True):
+        if one.kinds != other.kinds or one.of_touches.shape != other.of_touches.shape or (
+                one.of_view.shape != other.of_view.shape) or one.query != other.query:
+            return f"{plain(one.name)} has other touches or other readings"
+    return ""
+
+
+def _other_views(found: Record, known: Record, floors: Mapping[str, float]) -> list[str]:
+    views, first = 0, ""
+    for one, other in zip(found.entries, known.entries, strict=True):
+        wrong = _odd(one.kinds[:len(one.of_view)], one.of_view, other.of_view, floors)
+        views += bool(wrong)
+        first = first or (f"{one.name}: {wrong[0]}" if wrong else "")
+    return [f"{views} of {len(known.entries)} views differ ({plain(first)})"] if views else []
+
+
+def _odd_touches(found: Record, known: Record, floors: Mapping[str, float]) -> Iterator[tuple[str, list[str]]]:
+    """Touches that differ, with the kinds of what differs."""
+    for one, other in zip(found.entries, known.entries, strict=True):
+        kinds = one.kinds[len(one.of_view):]
+        for index, (a, b) in enumerate(zip(one.of_touches, other.of_touches, strict=True)):
+            odd = _odd(kinds, a, b, floors)
+            if odd:
+                yield f"{one.name} touch {index}", odd
+
+
+def _size_apart(found: Record, known: Record, floors: Mapping[str, float]) -> float:
+    """Largest relative difference, over object views, of the root mean square of the readings [-]."""
+    floor, apart = floors.get(READING, 0.0), [0.0]
+    for one, other in zip(found.entries, known.entries, strict=True):
+        mine, theirs = _size(one), _size(other)
+        apart.append(abs(mine - theirs) / max(theirs, floor, np.finfo(float).tiny))
+    return max(apart)
+
+
+def _size(entry: Entry) -> float:
+    kinds = entry.kinds[len(entry.of_view):]
+    if READING not in kinds:
+        return 0.0
+    return float(np.linalg.norm(entry.of_touches[:, kinds.index(READING)]["norm"].astype(float)))
+
+
+def _floors(known: Record) -> dict[str, float]:
+    """The size as which a smaller vector counts, by kind."""
+    sizes: dict[str, list[float]] = {}
+    for entry in known.entries:
+        count = len(entry.of_view)
+        for kind, item in zip(entry.kinds[:count], entry.of_view, strict=True):
+            sizes.setdefault(kind, []).append(float(item["norm"]))
+        for column, kind in enumerate(entry.kinds[count:]):
+            sizes.setdefault(kind, []).extend(float(n) for n in entry.of_touches[:, column]["norm"])
+    return {kind: SMALLEST * float(np.sqrt(np.mean(np.square(norms)))) for kind, norms in sizes.items()}
+
+
+def _odd(kinds: Sequence[str], mine: np.ndarray, theirs: np.ndarray, floors: Mapping[str, float]) -> list[str]:
+    return [kind for kind, a, b in zip(kinds, mine, theirs, strict=True) if not _same(a, b, kind, floors)]
+
+
+def _same(a: np.void, b: np.void, kind: str, floors: Mapping[str, float]) -> bool:
+    size = max(float(b["norm"]), floors[kind])
+    apart = np.abs(np.concatenate([[float(a["norm"]) - float(b["norm"])], (
+        float(a["norm"]) * a["along"].astype(float) - float(b["norm"]) * b["along"].astype(float)) / SCALE]))
+    tolerance = IMAGE_TOLERANCE if kind in _OF_PIXELS else TOLERANCE
+    if kind in _SAMPLED:
+        apart = apart[:1]
+    return bool((apart <= tolerance * size).all())

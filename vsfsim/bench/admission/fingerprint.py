@@ -4,7 +4,7 @@ A fingerprint of a vector v (n,) is its norm and three projections r_k . v on fi
 differ by d, each number differs by about |d|, so rounding changes them as little as it changes the data, and another
 touch changes them as much as the touches differ (Johnson and Lindenstrauss 1984). Images are averaged in blocks first,
 because rounding can move a pixel at an outline from the object to the background. Two records are compared by
-`vsfsim.bench.admission.same_data`.
+`vsfsim.bench.admission.admit`.
 
 Fingerprints tell mistakes and lazy replacements from the task's data. They are no proof against somebody who computes
 other data with the same fingerprints, nor against somebody who writes a result file by hand.
@@ -23,9 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.protocol import divide, record
+from vsfsim.bench.protocol import divide, record, shown_names, test_names
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.folds import shown_names, test_names
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import probe_table

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from vsfsim.bench.metric_functions import object_of, object_ratios
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.reading_metrics import object_of, object_ratios
 
 TOLD_APART = 2.0
 """Standard errors by which a paired difference must exceed zero before two methods count as different."""
@@ -63,7 +63,7 @@ class Paired:
 
 
 def ratios(result: Scored, shot: str) -> dict[str, float]:
-    """Mean over runs of each object's ratio to zero (`reading_metrics.object_ratios`), by the object's name.
+    """Mean over runs of each object's ratio to zero (`metric_functions.object_ratios`), by the object's name.
 
     {} where the result does not hold the shot, or not the true readings' sizes.
     """

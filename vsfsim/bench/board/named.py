@@ -1,15 +1,20 @@
 """Whose a result is: a method's, of this version or an earlier one, a ceiling's, or somebody's who only claims the
-name; and its label in a table."""
+name; its label in a table, and the command that makes it again."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from typing import Any
 
 from vsfsim.bench.commands.presets import PRESETS, preset
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shelf import ceilings, methods
+
+PREDICTIONS = "predictions file"
+"""What a result of `vsfsim score` has in place of the entry of a method."""
 
 
 def is_ceiling(result: Result) -> bool:
@@ -57,3 +62,24 @@ def labels_of(results: list[Result]) -> list[str]:
         words = [*filter(None, ["claimed" if claimed(result) else "", result.preset]), *differ]
         out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
     return out
+
+
+def command_of(result: Result, *, whole: bool = False) -> str:
+    """The command that makes a result again.
+
+    Args:
+        result: the result. whole: every parameter of the method is named, also those of its preset.
+    """
+    if result.entry == PREDICTIONS:
+        return f"vsfsim score FILE --task {result.task} --name {result.method}"
+    given = "" if not result.preset else f" --preset {result.preset}"
+    every = "".join(f" --set {key}={_toml(value)}" for key, value in result.parameters.items() if value is not None
+                    ) if whole else ""
+    return f"vsfsim evaluate --method {result.method}{given}{every} --task {result.task}"
+
+
+def _toml(value: Any) -> str:
+    """A value of `--set`, quoted for a shell where it needs that."""
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else "'" + text.replace(
+        "'", "'\\''") + "'"

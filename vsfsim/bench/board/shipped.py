@@ -18,11 +18,9 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.metrics import METRICS, Answer, columns_of
+from vsfsim.bench.metrics import METRICS, Answer, Score, columns_of
 from vsfsim.bench.result import Result
-from vsfsim.bench.trials.packed import pack, unpack
-from vsfsim.bench.trials.result_fields import SCHEMA_VERSION, checked_fields, read_json
-from vsfsim.bench.trials.rows import MAP_COLUMNS, Score
+from vsfsim.bench.result_file import MAP_COLUMNS, SCHEMA_VERSION, checked_fields, pack, read_json, unpack
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import write_atomic

@@ -17,14 +17,12 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, escape, figure, file_name, link, page, paragraph, table
-from vsfsim.bench.board.named import labels_of
-from vsfsim.bench.commands.submit import command_of
+from vsfsim.bench.board.named import command_of, labels_of
 from vsfsim.bench.leaderboard import Board, Row, column_notes, over_objects, possible, share_text, superseded, unit_of
-from vsfsim.bench.metrics import Answer
-from vsfsim.bench.reading_metrics import object_of
-from vsfsim.bench.stiffness_metrics import scale_of
+from vsfsim.bench.metric_functions import object_of, scale_of
+from vsfsim.bench.metrics import Answer, Score
+from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP, Score
 from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.core.shelf import scenes

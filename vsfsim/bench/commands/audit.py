@@ -23,11 +23,12 @@ import numpy as np
 
 from vsfsim.bench.board.compare import ByObject, by_object, interval, paired
 from vsfsim.bench.board.named import labels_of
-from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.own_result import own
+from vsfsim.bench.evaluate import finish
 from vsfsim.bench.leaderboard import collect, over_objects
 from vsfsim.bench.method import contents_of
+from vsfsim.bench.metric_functions import spearman
 from vsfsim.bench.result import Result
-from vsfsim.bench.stiffness_metrics import spearman
 from vsfsim.bench.task import Task, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
@@ -207,7 +208,8 @@ def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callabl
         result = Result.load(path) if path.is_file() else None
         if result is None or (result.task_sha256, result.dataset_sha256, result.contents.get(source)) != (
                 task.sha256, data.sha256, contents_of(METHOD, result.parameters)[source]):
-            result = evaluate(METHOD, task, data, parameters=given, out=path, progress=progress)
+            with own(path):
+                result = finish(METHOD, task, data, path, parameters=given, progress=progress)
         out[sees] = by_object(result, task.primary, task.ranking_shot)
     return out
 

@@ -26,17 +26,15 @@ import numpy as np
 
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.method import Action, Reading, contents_of
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.predictions import result_of
-from vsfsim.bench.protocol import divide, record, support
+from vsfsim.bench.protocol import Trial, divide, record, support, test_names
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
-from vsfsim.bench.trials.curves import Curves, beside
-from vsfsim.bench.trials.folds import test_names
-from vsfsim.bench.trials.subject import Trial
+from vsfsim.bench.trials.score import result_of
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
@@ -102,8 +100,8 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
                for trial in trials]
     notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
-    result = result_of(answers, task, dataset, method=name, entry=entry.value, parameters=given,
-                       notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents,
+    result = result_of(answers, task, dataset, task.protocol.runs(seeded=False), method=name, entry=entry.value,
+                       parameters=given, notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents,
                        timing={"predict_s": time.perf_counter() - began,
                                "predicts": sum(len(queries) for queries, _ in asked.values())})
     if out is not None:

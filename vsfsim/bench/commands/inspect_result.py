@@ -14,12 +14,12 @@ import numpy as np
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.markup import figure, page, paragraph, table
 from vsfsim.bench.board.touch_chart import legend, touch_chart
+from vsfsim.bench.curves import Curves
 from vsfsim.bench.leaderboard import score_table
+from vsfsim.bench.metric_functions import object_of
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task
-from vsfsim.bench.trials.curves import Curves
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.scene import load_scene

@@ -12,7 +12,6 @@ import contextlib
 import itertools
 import multiprocessing
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
@@ -25,9 +24,8 @@ from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import MethodProcess
 from vsfsim.bench.method import contents_of
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.collect import NOTE, Collector
-from vsfsim.bench.trials.reader import Reader
-from vsfsim.bench.trials.stages import Stage, stages
+from vsfsim.bench.trials.answers import Reader
+from vsfsim.bench.trials.collect import Collector, Stage, stages
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.engines import ray_cluster
 from vsfsim.core.engines.fan import HERE, Fan
@@ -111,32 +109,6 @@ class Evaluation:
         Collector(self.method, dict(self.parameters), self.task, self.dataset, self.seeds, self.isolation,
                   self.parts / f"{name}.log", self.parts / name, lambda *_: None, False, self.training, name,
                   read).run()
-
-
-def gather(path: Path) -> str:
-    """Move the answers that jobs kept beside a result into the folder where an evaluation takes them up.
-
-    Args:
-        path: of the result.
-
-    Returns:
-        What the methods printed in these jobs.
-    """
-    parts, part = path.with_suffix(".parts"), path.with_suffix(".part")
-    if not parts.is_dir():
-        return ""
-    printed = []
-    for log in sorted(parts.glob("*.log")):
-        text = log.read_text(errors="replace")
-        printed += [text] if text.strip() else []
-    for note in sorted(parts.glob(f"*/{NOTE}")):
-        if (part / NOTE).is_file() and (part / NOTE).read_bytes() != note.read_bytes():
-            shutil.rmtree(part)  # of other operands; the evaluation decides which are its own
-        part.mkdir(parents=True, exist_ok=True)
-        for file in sorted(note.parent.iterdir()):
-            shutil.move(file, part / file.name)
-    shutil.rmtree(parts, ignore_errors=True)
-    return "".join(printed)
 
 
 @dataclass

@@ -11,7 +11,7 @@ from typing import Any
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import interval, paired
-from vsfsim.bench.board.named import claimed
+from vsfsim.bench.board.named import PREDICTIONS, claimed, command_of
 from vsfsim.bench.leaderboard import Board, Row, collect, score_table
 from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
@@ -20,9 +20,6 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import file_stem, markdown
 from vsfsim.core.shelf import methods
 from vsfsim.data.disk import write_atomic
-
-PREDICTIONS = "predictions file"
-"""What a result of `vsfsim score` has in place of the entry of a method."""
 
 
 @dataclass(frozen=True)
@@ -77,27 +74,6 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     return words, {"task": task.name, "method": result.method, "rank": row.rank, "row": str(target),
                    "pull_request": str(text),
                    "checks": [{"what": f.what, "state": f.state, "said": f.said} for f in findings]}
-
-
-def command_of(result: Result, *, whole: bool = False) -> str:
-    """The command that makes a result again.
-
-    Args:
-        result: the result. whole: every parameter of the method is named, also those of its preset.
-    """
-    if result.entry == PREDICTIONS:
-        return f"vsfsim score FILE --task {result.task} --name {result.method}"
-    given = "" if not result.preset else f" --preset {result.preset}"
-    every = "".join(f" --set {key}={_toml(value)}" for key, value in result.parameters.items() if value is not None
-                    ) if whole else ""
-    return f"vsfsim evaluate --method {result.method}{given}{every} --task {result.task}"
-
-
-def _toml(value: Any) -> str:
-    """A value of `--set`, quoted for a shell where it needs that."""
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else "'" + text.replace(
-        "'", "'\\''") + "'"
 
 
 def _row_of(board: Board, path: Path, result: Result) -> Row | None:

@@ -179,7 +179,7 @@ class MethodProcess:
     # ------------------------------------------------------------------ trials
 
     @contextmanager
-    def trial(self, view: Any, support: Sequence[Any], where: str) -> Iterator[Trial]:
+    def trial(self, view: Any, support: Sequence[Any], where: str) -> Iterator[MethodCopy]:
         """A fresh copy of the method that learned, which holds one view and one support set.
 
         Args:
@@ -205,9 +205,9 @@ class MethodProcess:
                 self._free.append(channel)
                 self._waiting.notify()
 
-    def _one_trial(self, channel: Channel, view: Any, support: Sequence[Any], where: str) -> Iterator[Trial]:
+    def _one_trial(self, channel: Channel, view: Any, support: Sequence[Any], where: str) -> Iterator[MethodCopy]:
         self._ask(channel, "object", (view, list(support)), where)
-        yield Trial(self, channel, where)
+        yield MethodCopy(self, channel, where)
         self._ask(channel, "end", None, where)
 
     # ------------------------------------------------------------------ the process
@@ -357,7 +357,7 @@ class MethodProcess:
             return ""
 
 
-class Trial:
+class MethodCopy:
     """One adaptation of a fresh copy of the method."""
 
     def __init__(self, process: MethodProcess, channel: Channel, where: str):

@@ -1,23 +1,226 @@
-"""What a method answered in one trial, checked by the scorer, and kept on disk until all trials are done."""
+"""Test objects as a method meets them, and what it answered, checked by the scorer and kept until all trials are done.
+
+A method meets everything that is asked, without the truth and without a reading of a query. Each object view is read
+from its file once for all trainings of an evaluation.
+"""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable
+import multiprocessing
+import pickle
+import signal
+from collections.abc import Hashable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
-from vsfsim.bench.isolation.process import MethodProcess
-from vsfsim.bench.isolation.process import Trial as Asked
-from vsfsim.bench.method import LARGEST_READING, checked_choice
-from vsfsim.bench.trials.subject import Subject, Trial
-from vsfsim.core.errors import MethodError
+from vsfsim.bench.inclusions import Columns, Inclusions
+from vsfsim.bench.isolation.process import MethodCopy, MethodProcess
+from vsfsim.bench.method import LARGEST_READING, Action, Reading, Specimen, checked_choice, frozen_view
+from vsfsim.bench.metric_functions import FEWEST_POINTS
+from vsfsim.bench.metrics import Answer
+from vsfsim.bench.protocol import Draw, Recording, Trial, divide, record, specimen_of, support
+from vsfsim.bench.reached_points import reached
+from vsfsim.bench.task import Protocol, Task
+from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.plain_text import from_json
+from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
+from vsfsim.data.records import ObjectView, View
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A test object."""
+
+    name: str
+    """Of the object view."""
+    object_index: int
+    """From 0."""
+    view_index: int
+    """Of the view of that object, from 0."""
+    view: View
+    """What the method sees."""
+    draw: Draw
+    """Which touches are queries, and which may be given."""
+    pool: dict[int, Reading]
+    """The touches that may be given, by index."""
+    plans: dict[int, Action]
+    """Of the same touches before they are made."""
+    actions: tuple[Action, ...]
+    """Of the query touches."""
+    points: np.ndarray
+    """Where the stiffness is asked, world (k, 3) [m]: the probed surface points that some touch reached."""
+    columns: np.ndarray | None
+    """Where the stiffness is asked for a mask, world (q, 3) [m]; None where the task does not rank by one."""
+    hidden: tuple[np.ndarray, np.ndarray] | None
+    """Vertices (n, 3) [m] and triangles (m, 3) of the object that is to be located; None where the task does not rank
+    by its pose."""
+
+    @classmethod
+    def of(cls, view: ObjectView, places: np.ndarray, recording: Recording, task: Task, dataset: Dataset) -> Subject:
+        """A test object.
+
+        Args:
+            view: without its truth. places: of its probed points, world (P, 3) [m]. recording: of its touches. task:
+            whose protocol it is asked by. dataset: where it is.
+
+        Raises:
+            TaskError: it has too few touches.
+        """
+        draw = divide(view, task.protocol)
+        inclusions, ranked = None, task.metric.answer
+        if ranked in (Answer.MASK, Answer.POSE):
+            inclusions = Inclusions.of(dataset.recipe, view)
+        columns = Columns.of(places, view).points if ranked is Answer.MASK else None
+        hidden = inclusions.known_object()[:2] if inclusions is not None and ranked is Answer.POSE else None
+        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw,
+                   {i: recording.readings[i] for i in draw.pool}, {i: recording.queries[i].action for i in draw.pool},
+                   tuple(recording.queries[i].action for i in draw.query),
+                   places[touched(places, view)], columns, hidden)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the query touches, for messages."""
+        return tuple(f"touch {i}" for i in self.draw.query)
+
+    @property
+    def asks_stiffness(self) -> bool:
+        """Whether enough points were reached."""
+        return len(self.points) >= FEWEST_POINTS
+
+
+def asked_of(subject: Subject, label: str, run: int, protocol: Protocol) -> Trial:
+    """The trial of a test object at shot ``label`` in a run."""
+    draw, pool = protocol.draw_of(run), subject.draw.pool
+    given = support(subject, subject.draw, label, draw, protocol)
+    choice = protocol.chosen and 0 < len(given) < len(pool)
+    return Trial(subject.name, label, run, given,
+                 support(subject, subject.draw, str(len(pool)), draw, protocol) if choice else ())
+
+
+def touched(points: np.ndarray, view: ObjectView) -> np.ndarray:
+    """Which of the probed points (P, 3) [m] some touch of ``view`` reached (P,) bool."""
+    near = np.zeros(len(points), bool)
+    for touch in view.touches:
+        left = np.flatnonzero(~near)
+        near[left] = reached(points[left], view.probe_of(touch), touch.mount_pose, q=touch.q)
+    return near
+
+
+class Reader:
+    """Reads the object views that methods learn from and are asked about, without their truth but for the places of the
+    probed points.
+
+    A view of 60 touches takes a second to read, and every fold learns from most of the others' views. Trainings that
+    are forks of one process share what was read before (`vsfsim.bench.commands.side_by_side`).
+    """
+
+    def __init__(self) -> None:
+        self._specimens: dict[tuple[Hashable, ...], Specimen] = {}
+        self._subjects: dict[tuple[Hashable, ...], Subject] = {}
+
+    def specimen(self, task: Task, dataset: Dataset, name: str) -> Specimen:
+        """A training object as a method receives it.
+
+        Args:
+            task: whose noise and observation its readings have. dataset: where it is. name: of the object view.
+
+        Raises:
+            TaskError: it does not hold what the task reads.
+        """
+        key = _readings(task, dataset, name)
+        if key not in self._specimens:
+            view = dataset.blind().load(name)
+            self._specimens[key] = specimen_of(view, record(view, task))
+        return self._specimens[key]
+
+    def subject(self, task: Task, dataset: Dataset, name: str) -> Subject:
+        """A test object as a method meets it.
+
+        Args:
+            task: whose protocol it is asked by. dataset: where it is. name: of the object view.
+
+        Raises:
+            TaskError: it has too few touches, or not what the task reads.
+        """
+        readings, key = _readings(task, dataset, name), self._key(task, dataset, name)
+        if key not in self._subjects:
+            view, places = dataset.shown(name)
+            recording = record(view, task)
+            self._subjects[key] = Subject.of(view, places, recording, task, dataset)
+            self._specimens.setdefault(readings, specimen_of(view, recording))
+        return self._subjects[key]
+
+    def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str],
+             processes: int = 1) -> None:
+        """Read views in advance.
+
+        Args:
+            task, dataset: as for `subject`. test: names of the views that are asked about. train: of those to learn
+            from. processes: that read at the same time.
+
+        Raises:
+            TaskError: as `subject`.
+        """
+        test = [name for name in dict.fromkeys(test) if self._key(task, dataset, name) not in self._subjects]
+        if processes > 1 and len(test) > 1:
+            self._read_beside(task, dataset, test, min(processes, len(test)))
+        for name in test:
+            self.subject(task, dataset, name)
+        for name in train:
+            self.specimen(task, dataset, name)
+
+    def _read_beside(self, task: Task, dataset: Dataset, names: Sequence[str], processes: int) -> None:
+        pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _Reading.begin, (task, dataset))
+        try:
+            for name, (content, buffers) in zip(names, pool.map(_Reading.subject, names)):
+                specimen, subject = pickle.loads(content, buffers=buffers)
+                self._subjects[self._key(task, dataset, name)] = subject
+                self._specimens.setdefault(_readings(task, dataset, name), specimen)
+        except BrokenProcessPool as error:
+            raise TaskError(f"a process that read the dataset in {dataset.path} was ended from outside; often memory "
+                            f"was short. Ask for fewer processes.") from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    @staticmethod
+    def _key(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
+        # a study asks a task by a protocol of its own
+        return (*_readings(task, dataset, name), task.protocol, task.primary)
+
+
+class _Reading:
+    """A process of a pool, which has the task and the dataset from its parent: a task cannot be pickled."""
+
+    of: tuple[Task, Dataset]
+
+    @classmethod
+    def begin(cls, task: Task, dataset: Dataset) -> None:
+        """In a new process."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted, and ends its pool
+        cls.of = task, dataset
+
+    @classmethod
+    def subject(cls, name: str) -> tuple[bytes, list[bytes]]:
+        """A view as training and as test object, pickled. Its arrays are buffers of their own, from which they come
+        back read-only, as they were."""
+        read = Reader()
+        buffers: list[pickle.PickleBuffer] = []
+        found = read.subject(*cls.of, name)
+        content = pickle.dumps((read.specimen(*cls.of, name), found), protocol=5, buffer_callback=buffers.append)
+        return content, [bytes(b) for b in buffers]
+
+
+def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
+    """What decides how the touches of an object view read, and which of them are learned from."""
+    return dataset.path, name, task.observation.name, task.noise, task.protocol.transfer
 
 
 @dataclass(frozen=True)
@@ -78,7 +281,7 @@ def run_trial(process: MethodProcess, subject: Subject, trial: Trial) -> Answers
     return Answers(trial, readings, readings_std, mean, std, column_mean, pose, asked.adapt_s, asked.predict_s)
 
 
-def _choose(asked: Asked, subject: Subject, trial: Trial) -> tuple[int, ...]:
+def _choose(asked: MethodCopy, subject: Subject, trial: Trial) -> tuple[int, ...]:
     """Make as many touches as the support has, each as the method chooses it; the drawn ones if it does not choose.
 
     Returns:
@@ -105,7 +308,7 @@ def _check_readings(readings: Iterable[np.ndarray], names: Iterable[str]) -> Non
             raise MethodError(f"prediction for {name} is not finite, or over {LARGEST_READING:g}.")
 
 
-def _stiffness(asked: Asked, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
+def _stiffness(asked: MethodCopy, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Mean (k,) and std (k,) of the method's stiffness at ``points`` (k, 3) [m]; no std where it gives none."""
     arrays = asked.ask("stiffness", points, None)
     if len(arrays) != 2:
@@ -121,7 +324,7 @@ def _stiffness(asked: Asked, points: np.ndarray, where: str) -> tuple[np.ndarray
     return mean, std if given else None
 
 
-def _pose(asked: Asked, hidden: tuple[np.ndarray, np.ndarray], where: str) -> np.ndarray:
+def _pose(asked: MethodCopy, hidden: tuple[np.ndarray, np.ndarray], where: str) -> np.ndarray:
     arrays = asked.ask("locate", hidden, None)
     pose = arrays[0] if len(arrays) == 1 else np.zeros(0)
     if (pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > 1e6

@@ -1,4 +1,5 @@
-"""All trials of a method on a task, several at once, stage by stage; finished stages are kept and taken up again."""
+"""All trials of a method on a task, several at once, stage by stage: a training, and the runs that use it. Finished
+stages are kept and taken up again."""
 
 from __future__ import annotations
 
@@ -13,18 +14,72 @@ from typing import Any
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodProcess
 from vsfsim.bench.method import contents_of
-from vsfsim.bench.task import Task
-from vsfsim.bench.trials import answers as kept
-from vsfsim.bench.trials.answers import Answers, run_trial
-from vsfsim.bench.trials.reader import Reader
-from vsfsim.bench.trials.stages import Stage, first_run, stages
-from vsfsim.bench.trials.subject import Subject, Trial, asked_of
+from vsfsim.bench.protocol import Fold, Trial
+from vsfsim.bench.task import ALL, Protocol, Task
+from vsfsim.bench.trials.answers import Answers, Reader, Subject, asked_of, load, run_trial, save
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.system.content import differences
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Some runs on the test objects of one fold, after one training."""
+
+    name: str
+    """Of the file in which its answers are kept."""
+    fold: int
+    """Number of the fold."""
+    train: tuple[str, ...]
+    """Names of the views that the method learns from."""
+    test: tuple[str, ...]
+    """Names of the views that are scored."""
+    seed: int | None
+    """That the method is built with; None for a method without one."""
+    runs: tuple[int, ...]
+    """Numbers of the runs."""
+    complete: tuple[int, ...]
+    """Runs with the shots whose support set is the same in every draw: 0 touches and all of them."""
+
+    def shots(self, run: int, protocol: Protocol) -> tuple[str, ...]:
+        """Labels of the shots that are made in a run.
+
+        Without a ``seed`` a method must be deterministic, so that a support set that is the same in every draw needs
+        only one adaptation after a training.
+        """
+        return tuple(label for label in protocol.labels if run in self.complete or label not in ("0", ALL))
+
+    def trials(self, protocol: Protocol) -> int:
+        """Number of adaptations."""
+        return len(self.test) * sum(len(self.shots(run, protocol)) for run in self.runs)
+
+
+def first_run(protocol: Protocol, run: int, runs: Sequence[int], *, seeded: bool) -> int:
+    """The run after the same training in which the shots with one support set for all draws are made."""
+    if not protocol.folds:
+        return run if seeded else runs[0]
+    return next(one for one in runs if protocol.training_of(one) == protocol.training_of(run))
+
+
+def stages(protocol: Protocol, folds: Sequence[Fold], runs: Sequence[int], *, seeded: bool) -> tuple[Stage, ...]:
+    """The stages of an evaluation in their order, so that those with the same training follow one another.
+
+    Args:
+        protocol: of the task. folds: of its dataset. runs: to be made. seeded: the method takes a ``seed``.
+    """
+    complete = tuple(run for run in runs if first_run(protocol, run, runs, seeded=seeded) == run)
+    if not protocol.folds:  # one training for all seeds, or one a seed
+        (fold,) = folds
+        return tuple(Stage(f"seed-{run:04d}", fold.number, fold.train, fold.test, run if seeded else None, (run,),
+                           complete) for run in runs)
+    trainings = sorted({protocol.training_of(run) for run in runs})
+    return tuple(Stage(f"fold-{fold.number:02d}-training-{k:02d}", fold.number, fold.train, fold.test,
+                       k if seeded else None, tuple(run for run in runs if protocol.training_of(run) == k), complete)
+                 for k in trainings for fold in folds)
+
 
 NOTE = "evaluation.json"
 """File in the folder of kept stages that says of what they are."""
@@ -154,7 +209,7 @@ class Collector:
     def _learn(self, process: MethodProcess, stage: Stage) -> None:
         self.progress(self._finished(), self._total(), "meta-fit")
         specimens = self.training.specimens(self.task, self.dataset, stage.fold, stage.train, stage.seed or 0,
-                                            self.read)
+                                            self.read.specimen)
         self.meta_fit_s += process.meta_fit(specimens, seed=stage.seed)
         self.fits += 1
 
@@ -229,7 +284,7 @@ class Collector:
             self._tell_what_differs(made)
         elif (self.part / NOTE).is_file():
             for stage in self._stages:
-                found = kept.load(self.part / f"{stage.name}.npz")
+                found = load(self.part / f"{stage.name}.npz")
                 if found is not None:
                     self.done[stage.name] = found
                     self._recall(stage.name)
@@ -267,7 +322,7 @@ class Collector:
         self._told = self.meta_fit_s, self.fits
         write_atomic(self.part / f"{stage}.json", json.dumps(cost).encode(), error=MethodError)
         try:
-            kept.save(self.part / f"{stage}.npz", self.done[stage])
+            save(self.part / f"{stage}.npz", self.done[stage])
         except MethodError:  # no half of a stage stays behind
             (self.part / f"{stage}.json").unlink(missing_ok=True)
             raise
@@ -289,3 +344,29 @@ class Collector:
             return f"interrupted; no {self._unit} was finished, so nothing is kept."
         return (f"interrupted; {len(self.done)} of {len(self._stages)} {self._unit}s are finished and kept in "
                 f"{self.part}. Run the same command again to go on, or delete that folder to start again.")
+
+
+def gather(path: Path) -> str:
+    """Move the answers that jobs kept beside a result into the folder where an evaluation takes them up.
+
+    Args:
+        path: of the result.
+
+    Returns:
+        What the methods printed in these jobs.
+    """
+    parts, part = path.with_suffix(".parts"), path.with_suffix(".part")
+    if not parts.is_dir():
+        return ""
+    printed = []
+    for log in sorted(parts.glob("*.log")):
+        text = log.read_text(errors="replace")
+        printed += [text] if text.strip() else []
+    for note in sorted(parts.glob(f"*/{NOTE}")):
+        if (part / NOTE).is_file() and (part / NOTE).read_bytes() != note.read_bytes():
+            shutil.rmtree(part)  # of other operands; the evaluation decides which are its own
+        part.mkdir(parents=True, exist_ok=True)
+        for file in sorted(note.parent.iterdir()):
+            shutil.move(file, part / file.name)
+    shutil.rmtree(parts, ignore_errors=True)
+    return "".join(printed)

@@ -1,22 +1,71 @@
-"""Answers beside the truth: the rows of a result file."""
+"""Answers beside the truth, which is read here, after the method has answered: the result with its rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from vsfsim.bench.inclusions import Inclusions, Mask
-from vsfsim.bench.metrics import Answer, record_scores
+from vsfsim.bench.isolation.limits import peak_memory_mib
+from vsfsim.bench.metric_functions import can_be_scored, touch_errors, touch_uncertainty
+from vsfsim.bench.metrics import Answer, record_scores, scores_of
 from vsfsim.bench.protocol import Recording, divide, record
-from vsfsim.bench.reading_metrics import touch_errors, touch_uncertainty
-from vsfsim.bench.stiffness_metrics import can_be_scored
+from vsfsim.bench.result import Result, machine, versions
+from vsfsim.bench.result_file import (
+    MAP_COLUMNS,
+    MAP_ORIGIN,
+    MAP_STEP,
+    READING_COLUMNS,
+    Rows,
+    as_columns,
+    beside_zero,
+    stored,
+)
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers
-from vsfsim.bench.trials.rows import MAP_COLUMNS, MAP_ORIGIN, MAP_STEP, READING_COLUMNS, Rows
-from vsfsim.bench.trials.subject import touched
+from vsfsim.bench.trials.answers import Answers, touched
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.provenance import made_by
+
+
+def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: tuple[int, ...], **said: Any) -> Result:
+    """The result of all answers to a task.
+
+    Args:
+        answers: of every object, shot and run. task, dataset: of the questions. seeds: numbers of the runs. said:
+        further fields of `Result`, at least ``method`` and ``entry``.
+    """
+    rows, readings = _every_row(answers, task, dataset)
+    asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings, task.observation.size)}
+    scores = {metric: by_shot for answer in Answer
+              for metric, by_shot in scores_of(answer, asked[answer], task.protocol.labels, seeds).items()}
+    fields: dict[str, Any] = {"parameters": {}, "timing": {}, "peak_memory_mib": round(peak_memory_mib(), 1), **said}
+    return Result(
+        task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
+        observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
+        scores=scores, queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), readings=readings,
+        machine=machine(), made_by=made_by(), versions=versions(),
+        answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
+                 if answer is not Answer.READINGS and rows[answer]}, **fields)
+
+
+def _every_row(answers: Sequence[Answers], task: Task, dataset: Dataset) -> tuple[Rows, dict[str, list]]:
+    """The rows of all answers in their order, and `Result.readings`."""
+    rows: Rows = {answer: [] for answer in Answer}
+    readings: dict[str, list] = {}
+    for name in dict.fromkeys(a.trial.subject for a in answers):
+        found, summary = rows_of(name, [a for a in answers if a.trial.subject == name], task, dataset)
+        for answer in Answer:
+            rows[answer] += found[answer]
+        for column, values in summary.items():
+            readings.setdefault(column, []).extend(values)
+    order = {(a.trial.subject, a.trial.shot, a.trial.seed): index for index, a in enumerate(answers)}
+    for of_answer in rows.values():
+        of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
+    if task.protocol.folds:
+        stored([*rows[Answer.READINGS], *rows[Answer.READING_STD]])
+    return rows, readings
 
 
 def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset) -> tuple[Rows, Mapping[str, list]]:

@@ -8,16 +8,15 @@ a smaller share is a part of a larger one.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from vsfsim.bench.method import Specimen
+from vsfsim.bench.protocol import Fold, folds_of
 from vsfsim.bench.task import Protocol, Task
-from vsfsim.bench.trials.folds import Fold, folds_of
-from vsfsim.bench.trials.reader import Reader
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.manifest import Entry
@@ -142,25 +141,24 @@ class Training:
                 for index in sorted({e.object_index for e in dataset.entries})}
 
     def specimens(self, task: Task, dataset: Dataset, fold: int, train: Sequence[str], training: int,
-                  read: Reader | None = None) -> list[Specimen]:
+                  read: Callable[[Task, Dataset, str], Specimen]) -> list[Specimen]:
         """The training objects of one training, as a method receives them.
 
         Args:
             task, dataset: of the evaluation. fold: its number. train: names of its training views. training: number of
-            the training. read: what reads their files, e.g. one that has read them for another training.
+            the training. read: what reads an object view by its name (`vsfsim.bench.trials.answers.Reader.specimen`).
         """
-        read = read or Reader()
         number = {e.name: e.object_index for e in dataset.entries}
         objects = sorted({number[name] for name in train})
         if self.objects < 1.0:
             order = _order(len(objects), task.protocol.seed, (3, fold, training))
             objects = [objects[k] for k in order[:max(1, round(self.objects * len(objects)))]]
-        out = [read.specimen(task, dataset, name) for name in train if number[name] in objects]
+        out = [read(task, dataset, name) for name in train if number[name] in objects]
         views = {e.name: e.view_index for e in dataset.entries}
         if self.touches < 1.0:
             out = [self._some(s, task.protocol.seed, (4, number[s.name], views[s.name], training)) for s in out]
         for extra in self.extra:
-            out += [read.specimen(extra.task, extra.dataset, name) for name in extra.names()]
+            out += [read(extra.task, extra.dataset, name) for name in extra.names()]
         return out
 
     def _some(self, given: Specimen, seed: int, key: tuple[int, ...]) -> Specimen:
