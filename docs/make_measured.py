@@ -145,12 +145,12 @@ def result(name: str) -> str:
 
 def measurement(name: str, tables: int, first: int = 0, dataset: str = "", module: str = "", **settings: Any) -> str:
     """``tables`` tables of `vsfsim measure NAME`, from the ``first`` one on, with the machine, the day and the notes;
-    ``module`` of benchmarks/ is by default that of the name."""
+    ``module`` of measurements/ is by default that of the name."""
     from vsfsim.core.shelf import datasets
 
     sys.path.insert(0, str(ROOT))
     operands = [datasets() / dataset] if dataset else []
-    script = importlib.import_module(f"benchmarks.{module or name.replace('-', '_')}")
+    script = importlib.import_module(f"measurements.{module or name.replace('-', '_')}")
     found = script.measure(*operands, progress=print, **settings)
     words = f"{name} datasets/{dataset}" if dataset else name
     words += f" --tier {settings['tier']}" if "tier" in settings else ""
@@ -171,7 +171,7 @@ def written(found: Any, words: str, about: str, tables: list) -> str:
 def kept(name: str, module: str) -> str:
     """The tables of `vsfsim measure NAME` from the presses in measured/NAME.jsonl, which took a large machine."""
     sys.path.insert(0, str(ROOT))
-    found = importlib.import_module(f"benchmarks.{module}").stored(FOLDER / f"{name}.jsonl")
+    found = importlib.import_module(f"measurements.{module}").stored(FOLDER / f"{name}.jsonl")
     of = dict(found.settings)
     found = dataclasses.replace(found, version=of.pop("version"), commit=of.pop("commit"))
     words = "".join(f" --{key} {value:g}" for key, value in of.items())

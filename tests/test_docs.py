@@ -91,7 +91,8 @@ def test_links_and_paths_lead_somewhere():
         text = page.read_text()
         for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
             assert target.startswith("https://") or (page.parent / target).exists(), (page.name, target)
-        for path in re.findall(r"`((?:scenes|tasks|tests|docs|vsfsim|baselines|benchmarks|references)/[\w./-]+)", text):
+        for path in re.findall(
+                r"`((?:scenes|tasks|tests|docs|vsfsim|baselines|measurements|references)/[\w./-]+)", text):
             made = "NAME" in path or page.name == "CHANGELOG.md"
             assert made or (ROOT / path).exists(), (page.name, path)
 

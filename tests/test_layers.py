@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse
 
 ROOT = Path(__file__).parents[1]
-SHIPPED = ("vsfsim", "baselines", "scenes", "benchmarks", "references")
+SHIPPED = ("vsfsim", "baselines", "scenes", "measurements", "references")
 """Folders with code; the last two stay in the checkout."""
-CHECKOUT = ("benchmarks", "references")
+CHECKOUT = ("measurements", "references")
 
 MAY_IMPORT = {
     "core": set(),
@@ -36,7 +36,7 @@ MAY_IMPORT = {
     "tasks": {"core"},
     "leaderboard": set(),
     "cli": {"core"},
-    "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "papers",
+    "measurements": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "papers",
                    "baselines", "scenes", "references", "cli"},
     "references": set(),
     "top": {"cli"},
@@ -44,7 +44,7 @@ MAY_IMPORT = {
 """Layers that a layer may import, besides itself; "top" is `vsfsim/__init__.py` and `vsfsim/__main__.py`."""
 
 LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines",
-                  "papers", "vsf", "benchmarks"},
+                  "papers", "vsf", "measurements"},
           "tasks": {"bench"}, "top": {"data", "bench", "generate", "press", "tasks"}}
 """Layers that a layer may import inside a function, or for types alone. `vsfsim.tasks()` is a function of `bench`."""
 
@@ -61,7 +61,7 @@ HEAVY = {
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy"},
-    "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem"},
+    "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem"},
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},
     "active": {"numpy", "gymnasium"},
@@ -80,7 +80,7 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
                 "cli": {"rich"},
-                "robot": {"mujoco_menagerie"}, "view": {"rerun"}, "generate": {"yaml"}, "benchmarks": {"pyvista"}}
+                "robot": {"mujoco_menagerie"}, "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`; Menagerie's arm is an option, not a
 dependency."""
 
@@ -250,6 +250,8 @@ def test_files_are_short_and_named_for_what_they_hold():
 
 def test_the_table_knows_every_folder():
     assert {layer_of(path) for path in files()} <= set(MAY_IMPORT) == set(HEAVY)
+    outside = {path.parent.name for path in ROOT.glob("*/*.py")} - {"vsfsim", "tests", "docs"}
+    assert outside <= set(MAY_IMPORT), "a folder with code needs its row"
     packages = {p.parent.name for p in (ROOT / "vsfsim").glob("*/__init__.py")}
     assert packages <= set(MAY_IMPORT), "a new layer needs its row"
 

@@ -34,7 +34,7 @@ def test_a_line_a_day_that_is_whole(weekly, tmp_path):
 
 
 def test_the_names_of_outcomes_are_those_of_the_records(weekly):
-    from benchmarks.stability.report import measurement
+    from measurements.stability.report import measurement
 
     record = measurement([], {"limit": 10.0}).record()
     line = weekly.row("2026-11-27", {"shares": [{**record["shares"][0], "converged": 1.0, "wrong in silence": 0.5,

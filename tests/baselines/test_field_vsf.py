@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from benchmarks.palpation import palpate
+from measurements.palpation import palpate
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
 from vsfsim.baselines.known_object import PoseSearch, locate

@@ -326,11 +326,12 @@ def test_only_effectors_ask_which_sensor_or_arm_a_scene_has():
     """`generate`, `press`, `inspect`, the harness and the baselines do not mention a scene's [sensor] or [arm]; nobody
     but the scene itself branches on whether there is one."""
     root = Path(vsfsim.__file__).parents[1]
-    files = {path: path.read_text() for top in ("vsfsim", "baselines", "benchmarks")
+    files = {path: path.read_text() for top in ("vsfsim", "baselines", "measurements")
              for path in (root / top).rglob("*.py")}
     ask = re.compile(r"scene\.(sensor|arm) is|\bif (not )?scene\.(sensor|arm)\b")
     assert [str(p) for p, text in files.items() if p.name != "scene.py" and ask.search(text)] == []
     know = re.compile(r"\bscene\.(required_)?(sensor|arm)\b")
-    beyond = [p for p in files if {"effectors", "plants", "presses", "benchmarks"} & set(p.parts) or p.name == "arm.py"]
+    free = {"effectors", "plants", "presses", "measurements"}
+    beyond = [p for p in files if free & set(p.parts) or p.name == "arm.py"]
     assert [str(p) for p, text in files.items() if p not in beyond and know.search(text)] == []
     assert any(know.search(files[p]) for p in beyond)

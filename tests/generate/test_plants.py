@@ -10,8 +10,8 @@ import pytest
 from stems import crossing
 from stems import touch as push
 
-from benchmarks import arm as arm_modes
-from benchmarks import plants as plant_touches
+from measurements import arm as arm_modes
+from measurements import plants as plant_touches
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import SceneError

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from benchmarks.openvsf import punyo
-from benchmarks.openvsf.folder import _ply
+from measurements.openvsf import punyo
+from measurements.openvsf.folder import _ply
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task, open_dataset

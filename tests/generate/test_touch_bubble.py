@@ -325,7 +325,7 @@ def test_an_object_in_the_way_of_every_target(tmp_path):
 
 
 def test_the_pressure_laws_read_it(made):
-    from benchmarks import pressure_law as law
+    from measurements import pressure_law as law
 
     found = law.readings(Dataset.open(made, blind=True))
     assert len(found.change) == 4 and len(np.unique(found.touch)) == 2 and (found.distance < 0.02).all()
@@ -340,7 +340,7 @@ def test_the_pressure_laws_read_it(made):
 
 
 def test_the_force_estimators_read_it(made):
-    from benchmarks.dense_force import dataset as dense
+    from measurements.dense_force import dataset as dense
 
     data = Dataset.open(made)
     (view,) = data
@@ -361,7 +361,7 @@ def test_the_force_estimators_read_it(made):
 
 
 def test_a_dataset_without_a_skin_has_no_dense_forces(tmp_path):
-    from benchmarks.dense_force import dataset as dense
+    from measurements.dense_force import dataset as dense
     from vsfsim.bench.mock import mock_view
 
     view = mock_view(0)

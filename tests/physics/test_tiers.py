@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.stability.design import design
-from benchmarks.stability.evidence import gather
+from measurements.stability.design import design
+from measurements.stability.evidence import gather
 from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere

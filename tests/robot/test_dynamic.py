@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.arm import difference
+from measurements.arm import difference
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.robot.arm import ArmError, load_arm
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, inertial_torque, series, simulate

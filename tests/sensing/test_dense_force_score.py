@@ -10,7 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import bubble, patch
 
-from benchmarks.dense_force.calibration import FORCE_SCALES, STIFFNESSES, PressRecord, calibrate, noisy, score
+from measurements.dense_force.calibration import FORCE_SCALES, STIFFNESSES, PressRecord, calibrate, noisy, score
 from vsfsim.sensing.dense_force import BubbleCalibration, EstimatorOptions
 from vsfsim.sensing.membrane_fe import SensorError
 

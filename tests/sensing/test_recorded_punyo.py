@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from benchmarks.openvsf import punyo
+from measurements.openvsf import punyo
 from vsfsim.sensing.bubble_touch import estimate_forces, rim_of
 from vsfsim.sensing.membrane_fe import SensorError
 from vsfsim.sensing.recorded_punyo import read_sequence

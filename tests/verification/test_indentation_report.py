@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.trust import indentation
+from measurements.trust import indentation
 from vsfsim.physics import tiers
 
 

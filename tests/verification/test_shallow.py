@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import references
-from benchmarks import shallow
+from measurements import shallow
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.core.shelf import find_scene

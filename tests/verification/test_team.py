@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from benchmarks.stability.team import Ended, Late, answers, kept, processor_time
+from measurements.stability.team import Ended, Late, answers, kept, processor_time
 from vsfsim.core.errors import VsfsimError
 
 

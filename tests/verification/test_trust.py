@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import trust
-from benchmarks.stability.team import Ended, Late
-from benchmarks.trust import compare
-from benchmarks.trust.design import Press, press
+from measurements import trust
+from measurements.stability.team import Ended, Late
+from measurements.trust import compare
+from measurements.trust.design import Press, press
 from vsfsim.core.errors import VsfsimError
 
 

@@ -7,7 +7,7 @@ import torch
 from scipy import sparse
 from test_localise import pose, wedge
 
-from benchmarks.palpation import palpate
+from measurements.palpation import palpate
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit

@@ -1,5 +1,5 @@
-"""`vsfsim measure ...`: time and error, measured by the scripts in `benchmarks/` of a checkout, whose commands are in
-`benchmarks/commands.py` and the `commands.py` of the folders in `benchmarks/`."""
+"""`vsfsim measure ...`: time and error, measured by the scripts in `measurements/` of a checkout, whose commands are in
+`measurements/commands.py` and the `commands.py` of the folders in `measurements/`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _commands() -> dict[str, Any]:
         sys.path.insert(0, root)  # worker processes inherit the path
     modules = ("commands", "artificial_plants.commands", "datasets.commands", "trade.commands", "trust.commands")
     return {name: command for module in modules for name, command in
-            typer.main.get_group(importlib.import_module(f"benchmarks.{module}").app).commands.items()}
+            typer.main.get_group(importlib.import_module(f"measurements.{module}").app).commands.items()}
 
 
 class _Group(WholeSentences):

@@ -1,4 +1,4 @@
-"""`vsfsim stability`: presses at the extremes of every quantity, by `benchmarks/stability/` of a checkout."""
+"""`vsfsim stability`: presses at the extremes of every quantity, by `measurements/stability/` of a checkout."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     """
     root = str(checkout())
     if root not in sys.path:
-        sys.path.insert(0, root)  # `benchmarks` is a folder of the checkout; worker processes inherit the path
+        sys.path.insert(0, root)  # `measurements` is a folder of the checkout; worker processes inherit the path
     import vsfsim
-    from benchmarks.stability import campaign, design
-    from benchmarks.stability import report as results
-    from benchmarks.stability.judge import Outcome
+    from measurements.stability import campaign, design
+    from measurements.stability import report as results
+    from measurements.stability.judge import Outcome
     from vsfsim.data.provenance import commit
 
     cells = design.design(seed)

@@ -47,14 +47,13 @@ def checkout() -> Path:
     """The root of the repository that this package runs from.
 
     Raises:
-        VsfsimError: the package was installed without its repository (from a wheel), which has no `benchmarks/`.
+        VsfsimError: the package was installed without its repository (from a wheel), which has no `measurements/`.
     """
     root = Path(__file__).resolve().parents[2]
-    if not (root / "benchmarks" / "__init__.py").is_file():
+    if not (root / "measurements" / "__init__.py").is_file():
         raise VsfsimError(f"`vsfsim measure` needs a checkout of the repository: its scripts are in the folder "
-                          f"benchmarks/, which is not part of the installed "
-                          f"package (looked for {root / 'benchmarks'}). Clone the repository and install it with `pip "
-                          f"install -e .`.")
+                          f"measurements/, which is not part of the installed package (looked for "
+                          f"{root / 'measurements'}). Clone the repository and install it with `pip install -e .`.")
     return root
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from stems import crossing, plant, stem, touch
 
-from benchmarks.stability.elastica import elastica
+from measurements.stability.elastica import elastica
 from vsfsim.core.plant import Plant
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.model import RodError, build

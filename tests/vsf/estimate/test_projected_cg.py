@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import optimize, sparse
 
-from benchmarks.palpation import layer_with_inclusion, palpate
-from benchmarks.workload import MEAN, NOISE, STD, Workload
+from measurements.palpation import layer_with_inclusion, palpate
+from measurements.workload import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.pivoting import principal_pivoting
 from vsfsim.vsf.estimate.projected_cg import projected_cg

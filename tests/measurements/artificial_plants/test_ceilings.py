@@ -1,0 +1,73 @@
+"""`vsfsim measure plant-ceilings`: displaced skeletons, moduli of classes, and what is left of the error."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from measurements.artificial_plants.ceilings import (
+    REACH,
+    class_means,
+    displaced,
+    error,
+    measure,
+    predicted,
+    waves,
+    with_classes,
+)
+from tests.measurements.test_plant_wires import scene
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.plants.admit import grow
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    path = scene(tmp_path_factory.mktemp("plants"), plant="orange-tree", yields="true")
+    return grow(load_scene(find_scene(path)).sample(0), 0)
+
+
+def test_a_displacement_is_smooth_and_as_long_as_asked(plant):
+    way = 0.005 * waves(plant.nodes, np.random.default_rng(0))
+    assert np.sqrt((way**2).sum(axis=1).mean()) == pytest.approx(0.005)
+    moved = displaced(plant, way)
+    np.testing.assert_allclose(moved.nodes - plant.nodes, way, atol=1e-12)
+    step = np.linalg.norm(way[1:] - way[plant.parent[1:]], axis=1)
+    assert np.all(step < 6.0 * 0.005 * plant.lengths()[1:] / REACH)
+    assert np.array_equal(displaced(plant, 0.0 * way).nodes, plant.nodes)
+
+
+def test_classes_have_one_modulus_each_and_their_wires_follow(plant):
+    theta = np.log(1e9) + np.arange(len(plant.region_names))
+    other = with_classes(plant, theta)
+    np.testing.assert_allclose(np.log(other.young_modulus[1:]), theta[plant.region[1:]])
+    assert plant.yielding is not None and other.yielding is not None
+    held = plant.yielding[1:, 0] > 0.0
+    ratio = (other.yielding / np.where(plant.yielding > 0.0, plant.yielding, 1.0))[1:][held, 0]
+    np.testing.assert_allclose(ratio, (other.young_modulus / plant.young_modulus)[1:][held])
+    means = class_means([other, other])
+    for index, name in enumerate(plant.region_names):
+        if (plant.region[1:] == index).any():
+            assert means[name] == pytest.approx(theta[index])
+
+
+def test_the_error_is_over_planned_frames_and_a_model_that_stops_holds_its_last():
+    def touch(frames, torque):
+        return SimpleNamespace(planned_frame=np.array(frames), converged=np.ones(len(frames), bool),
+                               torque=np.repeat(np.array(torque, float)[:, None], 7, axis=1))
+
+    true, short = touch([0, 1, 2, -1], [0.0, 3.0, 4.0, 99.0]), touch([0, 1], [0.0, 3.0])
+    assert predicted(short, true)[:3, 0].tolist() == [0.0, 3.0, 3.0]
+    assert error([short], [true]) == pytest.approx(0.2) and error([true], [true]) == 0.0
+    nothing = touch([-1], [5.0])
+    assert error([nothing], [true]) == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+def test_the_true_plant_leaves_nothing(tmp_path):
+    found = measure(scene=scene(tmp_path, plant="orange-tree", yields="true"), objects=1, touches=17, shots=(2,))
+    rows = found.tables[0].rows
+    assert rows[0]["jitter"] == 0.0 and rows[0]["true"] < 1e-6
+    assert rows[0]["true"] < rows[1]["true"] < rows[2]["true"]

@@ -1,0 +1,50 @@
+"""The record of a measurement, its report and its JSON; and the command where there is no checkout."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from measurements.measurement import Column, Measurement, Table
+
+ROOT = Path(__file__).parents[2]
+
+ROWS = [{"name": "a", "depth": 0.0025, "parts": {"solve": 1.5}, "ends": [0.1, None], "share": 0.5},
+        {"name": "longer", "depth": float("nan"), "parts": {}, "ends": [0.2, 3.0], "share": 0.25}]
+COLUMNS = (Column("name", "who"), Column("depth", "depth", "m", "mm", ".1f"), Column("parts.solve", "solve", "s"),
+           Column("ends.1", "last", "1"), Column("share", "share", "1", "%", ".0f"))
+
+
+@pytest.fixture
+def measured():
+    return Measurement.of("toy", {"device": "cpu", "size": 3}, [
+        Table("some rows", COLUMNS, ROWS, name="rows"),
+        Table("one row", COLUMNS[:2], ROWS[:1], name="one", single=True),
+        Table("a view of them", COLUMNS[:1], ROWS)], notes=["It holds for toys."], numbers={"extra": 7})
+
+
+def test_the_report_prints_stored_values_in_the_printed_unit(measured):
+    lines = [line.split() for line in measured.text().splitlines()]
+    assert ["who", "depth", "[mm]", "solve", "[s]", "last", "share", "[%]"] in lines
+    assert ["a", "2.5", "1.5", "-", "50"] in lines and ["longer", "-", "-", "3.0", "25"] in lines
+    assert ["depth", "[mm]", "2.5"] in lines and "note: It holds for toys." in measured.text()
+
+
+def test_the_json_holds_rows_units_and_the_run(measured):
+    found = json.loads(json.dumps(measured.record(), allow_nan=False))
+    assert found["rows"][0] == ROWS[0] and found["rows"][1]["depth"] is None and found["one"] == ROWS[0]
+    assert found["units"] == {"rows": {"depth": "m", "parts.solve": "s", "ends.1": "1", "share": "1"},
+                              "one": {"depth": "m"}}
+    assert found["command"] == "vsfsim measure toy" and found["settings"]["size"] == 3 and found["extra"] == 7
+    assert found["notes"] == ["It holds for toys."] and found["version"] and found["date"].endswith("+00:00")
+
+
+def test_an_installed_package_without_its_repository_says_where_the_scripts_are(tmp_path):
+    """As in a wheel: the package and nothing beside it."""
+    shutil.copytree(ROOT / "vsfsim", tmp_path / "vsfsim", ignore=shutil.ignore_patterns("__pycache__"))
+    out = subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()", "measure", "solver"],
+                         capture_output=True, text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
+    assert out.returncode == 2 and "needs a checkout of the repository" in out.stderr and "measurements/" in out.stderr

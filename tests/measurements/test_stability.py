@@ -1,0 +1,224 @@
+"""The stability map: its design, its checks, and a small part of it that must not turn worse."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measurements.stability import campaign, checks, report
+from measurements.stability.design import INSTEAD, KINDS, Cell, design
+from measurements.stability.evidence import STEM, Evidence, rod_travel
+from measurements.stability.judge import SAMPLE, Outcome, Verdict, judge
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.shape import Sphere
+from vsfsim.core.solid import Solid
+from vsfsim.physics.mesh.quadratic import quadratic_mesh
+from vsfsim.physics.mesh.structured import box
+from vsfsim.physics.solve.frames import Reason
+
+EXPECTED = json.loads((Path(__file__).parent / "stability_expected.json").read_text())
+LIMIT = 30.0  # of a frame [s]; three times that of the command, since CI's machines are shared
+
+
+def test_the_design_is_stated_seeded_and_large():
+    cells = design()
+    assert len(cells) >= 500 and len({c.key for c in cells}) == len(cells)
+    assert [c.key for c in cells] == [c.key for c in design()] != [c.key for c in design(seed=1)]
+    for kind, factors in KINDS.items():
+        for f in factors:
+            met = {c.factors[f.name] for c in cells if c.kind == kind}
+            assert met == set(f.levels) - INSTEAD.keys(), f"{kind}: {f.name}"
+    assert Cell.of(json.loads(json.dumps(cells[0].table()))).key == cells[0].key
+
+
+def ball_in_a_box(**changed: object) -> Evidence:
+    """Three frames of a ball of 10 mm that dents the top of a flat sheet of triangles by 1, 2 and 3 mm, correctly."""
+    ticks = np.linspace(-0.03, 0.03, 61)
+    x, y = np.meshgrid(ticks, ticks, indexing="ij")
+    surface, poses = [], np.tile(np.eye(4), (3, 1, 1, 1))
+    number = np.arange(61 * 61).reshape(61, 61)
+    a, b, c, d = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    depth = np.array([0.001, 0.002, 0.003])
+    for t in range(3):
+        centre = 0.01 - depth[t]
+        low = centre - np.sqrt(np.maximum(0.01**2 - x**2 - y**2, 0.0))
+        z = np.where(np.hypot(x, y) < 0.01, np.minimum(low, 0.0), 0.0)
+        foot = np.array([[-0.03, -0.03, -0.05]])  # below, so that the sheet's box has a depth
+        surface.append((np.concatenate([np.stack([x, y, z], axis=2).reshape(-1, 3), foot]), triangles))
+        poses[t, 0, 2, 3] = centre
+    push = np.array([1.0, 3.0, 6.0])
+    e = Evidence(depth, push, np.stack([0 * push, 0 * push, push], axis=1), np.full(3, 1e-4),
+                 1e-3 * np.array([0.4, 2.3, 6.8]), np.full(3, 2e-6), np.ones(3, bool), ("", "", ""), np.zeros(3), 3,
+                 True, 0.005, surface=surface, poses=poses, shapes=(Sphere(0.01),))
+    return dataclasses.replace(e, **changed)
+
+
+def test_a_correct_press_has_no_contradiction():
+    assert checks.contradictions(ball_in_a_box()) == []
+
+
+@pytest.mark.parametrize(("name", "changed"), [
+    ("push", {"push": np.array([1.0, 3.0, 0.0])}),
+    ("work", {"energy": 1e-3 * np.array([0.4, 2.3, 9.0])}),
+    ("finite", {"force": np.full((3, 3), np.nan)}),
+    ("unbalanced", {"balance": np.array([0.0, 0.5, 0.0])}),
+    ("inside a rigid body", {"shapes": (Sphere(0.0105),)}),
+])
+def test_each_check_sees_its_error(name, changed):
+    wrong = ball_in_a_box(**changed)
+    found = checks.contradictions(wrong)
+    assert found and any(name in sentence for sentence in found)
+    # a frame that is marked is contradicted by nothing
+    assert checks.contradictions(dataclasses.replace(wrong, converged=np.zeros(3, bool))) == []
+
+
+def test_a_buried_body_is_seen():
+    """The surface sprang back around a small ball, which now lies 4 mm inside and touches nothing."""
+    e = ball_in_a_box(shapes=(Sphere(0.001),))
+    poses = e.poses.copy()
+    poses[2, 0, 2, 3] = -0.004
+    flat = [(np.where(v[:, 2:] > -0.04, v * [1.0, 1.0, 0.0], v), f) for v, f in e.surface]
+    found = checks.contradictions(dataclasses.replace(e, poses=poses, surface=flat))
+    assert any("rigid body lies" in sentence and "frame 3" in sentence for sentence in found)
+
+
+def test_a_contradiction_is_looked_at_again_with_a_finer_surface():
+    """A drawing whose flat triangles cut off a bulge is no evidence where the curved faces themselves say otherwise."""
+    vertices, tets = box((0.06, 0.06, 0.05), 0.02)
+    mesh = quadratic_mesh(Solid(vertices - [0.0, 0.0, 0.05], tets, np.zeros(len(tets), int), ("box",)))
+    moved = np.zeros((3, *mesh.points.shape))
+    above = ball_in_a_box().poses.copy()
+    above[:, 0, 2, 3] = 0.0101
+    raised = [(v + [0.0, 0.0, 0.004], f) for v, f in ball_in_a_box(depth=np.zeros(3)).surface]
+    e = ball_in_a_box(poses=above, surface=raised)
+    assert any("inside" in sentence for sentence in checks.contradictions(e))
+    assert checks.contradictions(dataclasses.replace(e, mesh=mesh, moved=moved)) == []
+    # and one that the faces bear out stays
+    above[:, 0, 2, 3] = 0.008
+    assert checks.contradictions(dataclasses.replace(e, poses=above, mesh=mesh, moved=moved))
+
+
+def test_a_membrane_inside_the_object_is_seen():
+    """It lies 0.5 mm under the surface of the object, which reports 2 um; half a millimetre over it, all is well."""
+    e = ball_in_a_box(poses=None, shapes=())
+    for height, wrong in ((-5e-4, True), (5e-4, False)):
+        membrane = [(v + [0.0, 0.0, height], f[:, ::-1]) for v, f in e.surface]
+        found = checks.contradictions(dataclasses.replace(e, membrane=membrane))
+        assert any("in one another" in sentence for sentence in found) == wrong
+
+
+def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float, ...] = (1.0, 2.0),
+            **more) -> Verdict:
+    return Verdict(cell, outcome, frames=2, converged=2, push=push, **more)
+
+
+@pytest.mark.parametrize("refused", [True, False])
+def test_a_refused_second_press_is_recorded(refused, monkeypatch):
+    """A cell that the sample presses at tier `fem` as well says so where that press is refused."""
+    cell = next(c for c in design() if c.kind == "solid" and int(c.key[:4], 16) % SAMPLE == 1
+                and c.factors["tier"] == "fem-coarse" and float(c.factors["depth"]) >= 0.1)
+
+    def gather(cell, folder, limit, *, device, tier=None):
+        if tier == "fem" and refused:
+            raise VsfsimError("the body has 99,999 nodes")
+        return ball_in_a_box()
+
+    monkeypatch.setattr("measurements.stability.judge.gather", gather)
+    found = judge(cell, 1.0)
+    assert (found.outcome, found.unchecked) == (Outcome.CONVERGED, "the body has 99,999 nodes" if refused else "")
+    assert Verdict.of(json.loads(json.dumps(found.table()))).unchecked == found.unchecked
+    rows = report.measurement([found], {}).record().get("unchecked", [])
+    assert rows == [{"reason": found.unchecked, "number": 1}] * refused
+
+
+def test_a_campaign_continues_and_refuses_other_circumstances(tmp_path, monkeypatch):
+    cells = design()[:3]
+    file = tmp_path / "cells.jsonl"
+    assert campaign.finished(file, {"limit": 1.0, "device": "cpu"}) == []
+    with file.open("a") as out:
+        out.write(json.dumps(verdict(cells[0]).table()) + "\n" + json.dumps(verdict(cells[1]).table())[:40])
+    assert [v.cell.key for v in campaign.finished(file, {"limit": 1.0})] == [cells[0].key]
+    assert file.read_text().endswith("\n")  # the line that was cut off is gone
+    with pytest.raises(VsfsimError, match=r"limit 1\.0, and this run has 2\.0"):
+        campaign.finished(file, {"limit": 2.0})
+    # with no budget left nothing new begins
+    assert len(campaign.run(cells, file, limit=1.0, workers=1, budget=-1.0)) == 1
+
+
+def test_a_longer_limit_makes_only_the_cells_that_ended_at_the_shorter_one(tmp_path):
+    cells = [c for c in design() if c.kind == "solid"][:5]
+    rows = [verdict(cells[0]), verdict(cells[1], Outcome.MARKED, reasons={Reason.TIME.text: 2}),
+            verdict(cells[2], Outcome.MARKED, reasons={Reason.INTRUSION.text: 1}), verdict(cells[3], Outcome.LATE)]
+    before, file = tmp_path / "short.jsonl", tmp_path / "long.jsonl"
+    campaign.finished(before, {"limit": 1.0, "device": "cpu"})
+    with before.open("a") as out:
+        out.writelines(json.dumps(v.table()) + "\n" for v in rows)
+    with pytest.raises(VsfsimError, match=r"not below this run's 1\.0"):
+        campaign.take_over(before, file, {"limit": 1.0, "device": "cpu"})
+    with pytest.raises(VsfsimError, match=r"does not exist"):
+        campaign.take_over(tmp_path / "none", file, {"limit": 4.0, "device": "cpu"})
+    known = campaign.take_over(before, file, {"limit": 4.0, "device": "cpu"})
+    assert [v.cell.key for v in known] == [c.key for c in cells[:4]]
+    kept = [v.cell.key for v in campaign.finished(file, {"limit": 4.0, "device": "cpu"})]
+    assert kept == [cells[0].key, cells[2].key]
+    # what was made since then stays
+    with file.open("a") as out:
+        out.write(json.dumps(verdict(cells[1]).table()) + "\n")
+    campaign.take_over(before, file, {"limit": 4.0, "device": "cpu"})
+    again = campaign.finished(file, {"limit": 4.0, "device": "cpu"})
+    assert len(again) == 3
+    # a cell that was not made again counts as it was at the shorter limit
+    together, left = campaign.updated(known, again)
+    assert left == 1
+    assert [v.outcome for v in together] == [Outcome.CONVERGED, Outcome.CONVERGED, Outcome.MARKED, Outcome.LATE]
+
+
+def test_shares_by_time():
+    """A cell counts within a time if its slowest frame took no longer, and within the limit if it converged."""
+    solids = [c for c in design() if c.kind == "solid"][:4]
+    some = [verdict(solids[0], slowest=0.3), verdict(solids[1], slowest=1.5), verdict(solids[2], slowest=4.2),
+            verdict(solids[3], Outcome.MARKED, slowest=0.1)]
+    found = report.measurement(some, {"limit": 4.0})
+    row = found.record()["within"][0]
+    assert [row[f"within_{span}_ms"] for span in (500, 1000, 2000, 4000)] == [0.25, 0.25, 0.5, 0.75]
+    assert "75.0" in found.text()
+    rods = [verdict(c) for c in design() if c.kind == "rod"][:2]  # whose frames are not timed
+    assert "within a time" in report.measurement(rods, {"limit": 4.0}).text()
+
+
+def test_forces_that_do_not_scale_with_the_units_are_wrong():
+    solids = {c.text: c for c in design() if c.kind == "solid"}
+    base, stiff = solids["solid: defaults"], solids["solid: young 1e+11"]
+    right = report.scaled([verdict(base), verdict(stiff, push=(1e6, 2e6))])
+    wrong = report.scaled([verdict(base), verdict(stiff, push=(1e6, 1.9e6))])
+    assert right[1].outcome is Outcome.CONVERGED and wrong[1].outcome is Outcome.WRONG
+
+
+def test_the_table_and_the_picture(tmp_path):
+    some = [verdict(c, Outcome.MARKED if k % 5 == 0 else Outcome.CONVERGED) for k, c in enumerate(design()[:200])]
+    found = report.measurement(some, {})
+    assert found.record()["shares"][0]["marked"] == pytest.approx(0.2)
+    report.picture(some, tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_no_cell_turns_worse(name):
+    """The small map of CI: each of these cells did at least as well when the file was made."""
+    cell = next(c for c in design() if c.text == name)
+    found = judge(cell, LIMIT)
+    assert found.outcome.rank <= Outcome(EXPECTED[name]).rank, f"{found.outcome}: {found.words} {found.reasons}"
+
+
+@pytest.mark.parametrize("depth", [0.02, 0.15, 0.5])
+def test_no_rod_is_asked_for_a_capsule_through_its_clamp(depth):
+    """Past the clamped end there is no equilibrium; a capsule that is higher than thick passes over it."""
+    thick, thin = ({"depth": depth, "height": 0.2, "slender": 0.01, "capsule": c} for c in (0.3, 0.1))
+    away = np.hypot(rod_travel(thick) - STEM * 0.31, STEM * 0.2)
+    assert away > 1.001 * STEM * 0.31 and 0.0 < rod_travel(thick) <= STEM * depth
+    assert rod_travel(thin) == STEM * depth

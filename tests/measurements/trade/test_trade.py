@@ -1,0 +1,78 @@
+"""Rankings, estimates of errors and peers: what is computed from what was measured."""
+
+import subprocess
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_scenes import BLOCK
+
+from measurements import indent
+from measurements.trade import ranking
+from measurements.trade.effectivity import dual_weighted
+from measurements.trade.ranking import agreement, kendall
+from vsfsim.core.scene import parse_scene
+from vsfsim.generate.trade.front import Point
+from vsfsim.generate.trade.plot import draw
+from vsfsim.physics import tiers
+
+
+def test_rankings_agree_as_far_as_their_objects_do():
+    one = np.array([[1.0, 1.1, 0.9, 1.0], [2.0, 2.1, 1.9, 2.0], [3.0, 2.9, 3.1, 3.0]])
+    assert agreement(one, one) == (1.0, 1.0, 1.0) and agreement(one, one[::-1]) == (-1.0, -1.0, -1.0)
+    assert kendall(np.array([1, 2, 3]), np.array([1, 3, 2])) == pytest.approx(1 / 3)
+    mixed = one + [[0, 0, 0, 0], [0, 0, 0, 8], [0, 0, 0, 0]]  # the middle one is worst where the last object is drawn
+    tau, low, high = agreement(mixed, one)
+    assert tau == pytest.approx(1 / 3) and low == pytest.approx(1 / 3) and high == 1.0
+
+
+def test_a_field_that_the_elements_hold_has_no_residual():
+    model = tiers.build(parse_scene(BLOCK, "small.toml").sample(0), "fem")
+    x = model.mesh.points
+    straight = x @ [[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.0, 0.3, 0.05]]
+    assert abs(dual_weighted(model, straight, straight, 0.3)) < 1e-20
+    # of the energy of a bent block a part
+    bent = np.stack([np.zeros(len(x)), np.zeros(len(x)), 5e3 * x[:, 0] ** 4], axis=1)
+    energy = 5e4 / 2.6 * float(np.mean((2e4 * x[:, 0] ** 3) ** 2)) * 0.06 * 0.06 * 0.03
+    assert 1e-4 * energy < dual_weighted(model, bent, bent, 0.3) < 0.5 * energy
+
+
+def test_a_peer_that_is_not_there_is_skipped_with_the_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(indent.venv, "create", lambda *_, **__: None)
+    failed = subprocess.CompletedProcess([], 1, "", "WARNING: a\nERROR: No matching distribution\n")
+    monkeypatch.setattr(indent.subprocess, "run", lambda *_, **__: failed)
+    with pytest.raises(indent.Skipped, match="mujoco cannot be installed here: No matching distribution"):
+        indent.python_of("mujoco", tmp_path)
+    made = {"forces": [1.1, 1.8], "balance": [1e-6, 1e-7], "seconds": [1.0, 3.0]}
+    found = indent.compared(made, np.array([1.0, 2.0]))
+    assert found["full"] == pytest.approx(-0.1) and found["worst"] == pytest.approx(0.1)
+    assert found["rms"] == pytest.approx(0.1) and found["seconds"] == 2.0 and found["balance"] == 1e-6
+
+
+def test_the_front_is_drawn(tmp_path):
+    points = [Point(f"fem, {k} mm", "fem", 1.0 / k, 1, 1, 1, 1, 0, 0.01 * k, 0.015, {}, front=k == 2)
+              for k in (1, 2, 3)]
+    draw(points, "a block", tmp_path / "front.png")
+    assert (tmp_path / "front.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_what_is_trained_cheaply_is_also_tested_on_the_finest_data(tmp_path, monkeypatch):
+    asked = []
+
+    def evaluate(method, task, dataset, *, training, check):
+        learned = training.extra[0].dataset.sha256 if training.extra else dataset.sha256
+        asked.append((method, learned, dataset.sha256))
+        return f"{method} {learned}"
+
+    monkeypatch.setattr(ranking, "evaluate", evaluate)
+    monkeypatch.setattr(ranking, "by_object", lambda result, *_: {"b": 1.0 + len(result), "a": 2.0})
+    entries = tuple(SimpleNamespace(object_index=k, name=str(k)) for k in range(4))
+    monkeypatch.setattr(ranking, "made", lambda one, *_, **__: SimpleNamespace(sha256=one.name, entries=entries))
+    given = {"fidelities": ["linear"], "methods": ("gaussian", "sbml"), "out": tmp_path}
+    (cheap, fine) = ranking.measure(**given).record()["ranking"]
+    assert ("sbml", "linear", "linear") in asked and ("sbml", "linear", "fem") in asked and len(asked) == 6
+    assert cheap["fidelity"] == "linear" and cheap["own_tau"] == fine["own_tau"] == 1.0
+    (tmp_path / "scores.jsonl").open("a").write('{"key": "half')  # a run that was killed
+    for _ in range(2):
+        assert ranking.measure(**given | {"methods": ("gaussian", "sbml", "cnp")}).record()["ranking"]
+        assert len(asked) == 9, "what is scored is not scored again"
