@@ -131,7 +131,7 @@ def factors(block):
 def note(factors, number):
     """Note a linear system of so many iterations: whether a factor of the whole is made then, and a local one."""
     before = factors._own[0], factors._local[0]
-    factors.count(torch.tensor([0]), torch.tensor([number]), torch.tensor([0.0]))
+    factors.count(torch.tensor([0]), torch.tensor([number]))
     factors.renew(torch.tensor([0]), torch.zeros(len(factors._model.free), 1, dtype=torch.float64), float("inf"))
     return factors._own[0] is not before[0], factors._local[0] not in (None, before[1])
 

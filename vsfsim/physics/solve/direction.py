@@ -125,7 +125,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     direction, steps, curved = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                          plain=plain, deadline=deadline)
     if factors is not None:
-        factors.count(columns, steps, curved)
+        factors.count(columns, steps)
         # a factor in short numbers may round to an indefinite one: then there is no step, and it is dropped
         none = ((steps == 0) & (residual != 0.0).any(dim=0)).nonzero()[:, 0]
         if len(none) and factors.drop(columns[none]):

@@ -152,7 +152,6 @@ class Equilibrium:
         # least measure since friction was renewed, and iterations in which it did not fall by a tenth
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
-        rounded = torch.zeros_like(stuck)  # at the floor of rounding
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
         self._barred = torch.zeros_like(self.every)  # steps in a row that points on the wrong side of a body kept short
         self.contact.coulomb[columns] = 0.0
@@ -216,18 +215,16 @@ class Equilibrium:
                 for key, value in self.evaluate(active[lost]).items():
                     state[key][..., open_[lost]] = value
             renew[open_] = (state["measure"][open_] > 0.5 * before) | curved
-            # not even a projected step helps: the floor of rounding, or no equilibrium
+            stuck[open_] = ~moved & safe[open_]  # not even a projected step helps: there is no equilibrium
             present = state["measure"][open_]
-            rounded[open_] = (present <= self.options.tolerance) & (present > 0.5 * before) & ~held[open_]
-            stuck[open_] = ~moved & safe[open_] | rounded[open_]
-            idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
-            least[open_] = torch.minimum(least[open_], state["measure"][open_])
+            idle[open_] = torch.where(present < 0.9 * least[open_], 0, idle[open_] + 1)
+            least[open_] = torch.minimum(least[open_], present)
             lost = open_[(idle[open_] >= self.contact.patience) | (self._barred[active] >= _BARRED)]
             stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
         self.contact.coulomb[columns] = 0.0
-        balanced = ((state["measure"] <= tolerance) | rounded) & ~held
+        balanced = (state["measure"] <= tolerance) & ~held
         self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
         self.reason[columns[balanced & (state["wrong_side"] > 0)].cpu().numpy()] = Reason.WRONG_SIDE
         self.reason[columns[balanced & (state["det"] < CRUSHED)].cpu().numpy()] = Reason.CRUSHED

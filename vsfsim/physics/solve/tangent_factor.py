@@ -84,17 +84,11 @@ class TangentFactors:
         """The local factor that corrects the factor of a touch, or None."""
         return self._local[touch] if self._softening[touch] == float(self._contact.softening[touch]) else None
 
-    def count(self, columns: torch.Tensor, steps: torch.Tensor, curved: torch.Tensor) -> None:
-        """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,), and
-        which of them met negative curvature (k,) bool.
-
-        Until the next frame a touch that met it has no local factor.
-        """
+    def count(self, columns: torch.Tensor, steps: torch.Tensor) -> None:
+        """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,)."""
         if not self._serves:
             return
-        for b, number, indefinite in zip(columns.tolist(), steps.tolist(), curved.tolist(), strict=True):
-            if indefinite:
-                self._local[b], self._no_local[b] = None, True
+        for b, number in zip(columns.tolist(), steps.tolist(), strict=True):
             if self._tried[b] and number > _GAIN * self._tried[b]:
                 self._own[b], self._local[b], self._lost[b] = None, None, True
             self._tried[b] = 0
