@@ -15,6 +15,8 @@ import warp as wp
 
 from vsfsim.core.errors import VsfsimError
 
+ON_THE_HOST: set[str] = set()
+"""Modules of kernels that run on the CPU alone, whatever the device: no compiler of a GPU takes them."""
 _THREADS = 4  # that compile modules side by side, as `wp.force_load` takes
 real = wp.float64
 """The scalar of elements and contact; single precision saved at most a seventh of a step on a CPU."""
@@ -99,8 +101,9 @@ def compile_kernels(kernels: list[Any], device: str, *,
         VsfsimError: as `check_device`.
     """
     check_device(str(wp.get_device(device).alias) if device == "cuda" else device)
-    modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
     where = wp.get_device(device)
+    modules = list({kernel.module.name: kernel.module for kernel in kernels
+                    if where.is_cpu or kernel.module.name not in ON_THE_HOST}.values())
     # on a CPU Warp launches blocks of one thread, and keeps a module for each size of block that it met
     load = functools.partial(wp.Module.load, device=where, block_dim=1 if where.is_cpu else None)
     with ThreadPoolExecutor(_THREADS) as pool:

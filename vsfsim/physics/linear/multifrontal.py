@@ -21,6 +21,7 @@ import warp as wp
 
 from vsfsim.physics import clock
 from vsfsim.physics.linear.elimination import UNIT, Order, blocks_of, gather_kernel
+from vsfsim.physics.runtime import ON_THE_HOST
 
 _WIDE = 16  # right-hand sides that share one reading of the factor
 _FEW = 4  # fewer right-hand sides are solved one by one
@@ -81,8 +82,10 @@ class Multifrontal:
 
 
 def factor_kernels() -> list[Any]:
-    """One kernel of each module that a factor is made and applied with."""
-    return [gather_kernel(), _kernels()[1]]
+    """One kernel of each module that a factor is made and applied with, on the host."""
+    kernels = [gather_kernel(), _kernels()[1]]
+    ON_THE_HOST.update(kernel.module.name for kernel in kernels)
+    return kernels
 
 
 def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray, *, within: float = TRUST) -> bool:

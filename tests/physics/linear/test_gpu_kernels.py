@@ -1,0 +1,40 @@
+"""What is compiled for a GPU, on a machine that need not have one."""
+
+from types import SimpleNamespace
+
+import pytest
+import warp as wp
+
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.run import kernels_of
+from vsfsim.physics import runtime
+from vsfsim.physics.linear.multifrontal import factor_kernels
+
+SCENES = "shoes-v3-mini", "shoes-v2-punyo-mini", "plants-v4-mini"  # solids, a bubble, plants
+
+
+@pytest.fixture
+def modules(monkeypatch):
+    """Those that `compile_kernels` loads on a GPU."""
+    found = {}
+    with monkeypatch.context() as patch:
+        patch.setattr(runtime, "check_device", lambda device: None)
+        patch.setattr(wp, "get_device", lambda device: SimpleNamespace(is_cpu=False, alias=device))
+        patch.setattr(wp.Module, "load", lambda module, **_: found.setdefault(module.name, module))
+        for scene in SCENES:
+            runtime.compile_kernels(kernels_of(load_scene(find_scene(scene)).sample(0), "float64"), "cuda:0")
+    return found
+
+
+def test_what_runs_on_the_host_alone_is_not_compiled_for_a_gpu(modules):
+    assert "vsfsim_contact" in modules
+    assert not {kernel.module.name for kernel in factor_kernels()} & set(modules)
+
+
+@pytest.mark.slow
+def test_every_kernel_of_a_scene_compiles_for_a_gpu(modules, tmp_path):
+    # NVRTC compiles for a Hopper card wherever Warp is installed
+    for module in modules.values():
+        wp.compile_aot_module(module, arch=90, module_dir=tmp_path / module.name, use_ptx=True)
+        assert list((tmp_path / module.name).glob("*.ptx")), module.name
