@@ -173,7 +173,7 @@ def law(name: str, force: np.ndarray, change: np.ndarray, *, scale: float | None
                float(np.sqrt(np.mean(error**2))), len(change))
 
 
-def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEMI_AXIS) -> dict[str, Any]:
+def judge(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEMI_AXIS) -> dict[str, Any]:
     """All laws on all frames, and by the distance of the contact from the dome's axis.
 
     Args:
@@ -201,7 +201,7 @@ def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEM
 
 
 def report(settings: dict[str, Any], result: dict[str, Any]) -> Measurement:
-    """The result of `study` as a measurement."""
+    """The result of `judge` as a measurement."""
     tables = [Table(f"{result['frames']} frames in contact of {result['touches']} touches; bias and RMS error of each "
                     f"law as it stands, scatter about its best scale", (
         Column("name", "law"), Column("scale", "scale", "Pa/N", form=".1f"), Column("bias", "bias", "1", "%", "+.1f"),
@@ -238,7 +238,7 @@ def measure(dataset: Dataset | None = None, *, nodes: int = 390, area: float | N
         found, rim = rigid_presses(nodes=nodes, progress=progress), (BASE_AREA, SEMI_AXIS)
     else:
         found, rim = readings(dataset), rim_of_dataset(dataset.load(dataset.names()[0]))
-    result = study(found, area=rim[0] if area is None else area, semi_axis=rim[1])
+    result = judge(found, area=rim[0] if area is None else area, semi_axis=rim[1])
     if plot is not None:
         draw(found, result, plot)
     return report({"dataset": None if dataset is None else str(dataset.path), "nodes": nodes, "area": result["area"]},

@@ -12,7 +12,7 @@ import numpy as np
 
 from vsfsim.physics import tiers
 from vsfsim.physics.solve import newton, tangent_factor, touches
-from vsfsim.physics.solve.branch import Branch
+from vsfsim.physics.solve.solution_branch import SolutionBranch
 from vsfsim.physics.solve.touches import Solver
 
 _NEVER = 10**9  # iterations after which something is done
@@ -31,8 +31,8 @@ def _unhalved() -> list[Any]:
 MECHANISMS: dict[str, tuple[str, Patch]] = {
     "predictor": ("a step begins from the extrapolated, condensed problem", _set(Solver, _predict=lambda *_: None)),
     "halving": ("a step that fails is made in two", _unhalved),
-    "branch": ("states of another branch are barred and marked", _set(
-        Branch, bar=lambda *_: None, mark=lambda *_, **__: None,
+    "branch": ("states of another solution branch are barred and marked", _set(
+        SolutionBranch, bar=lambda *_: None, mark=lambda *_, **__: None,
         repeats=lambda _self, columns, _pose: np.zeros(len(columns), bool))),
     "doubts": ("a step that lacks energy is made again in shorter ones", _set(touches, _DOUBTS=0)),
     # without it the cell "box" keeps two of four frames, at eight times the CPU time

@@ -333,7 +333,7 @@ def test_the_pressure_laws_read_it(made):
     assert ((found.summed >= found.normal * (1.0 - 1e-6)) & (found.summed < 1.2 * found.normal)).all()
     area, semi_axis = law.rim_of_dataset(Dataset.open(made).load("felt-0000-v0"))
     assert area == pytest.approx(law.BASE_AREA, rel=0.01) and semi_axis == pytest.approx(law.SEMI_AXIS, rel=1e-6)
-    result = law.study(found, area=area, semi_axis=semi_axis)
+    result = law.judge(found, area=area, semi_axis=semi_axis)
     assert result["touches"] == 2 and "sum|f|, scale fitted" in law.report({}, result).text()
     # a small contact in the middle of a dome: more pressure a newton than F over the base
     assert 130.0 < result["laws"][0]["best_scale"] < 250.0

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from measurements.pressure_law import BASE_AREA, draw, law, readings, report, study
+from measurements.pressure_law import BASE_AREA, draw, judge, law, readings, report
 from vsfsim.bench.mock import mock_view
 from vsfsim.cli.main import app
 from vsfsim.core.errors import DatasetError
@@ -62,7 +62,7 @@ def test_a_law_by_hand():
 
 def test_the_true_law_has_no_scatter_and_the_other_is_told_apart(dataset, tmp_path):
     found = readings(dataset)
-    result = study(found)
+    result = judge(found)
     laws = {x["name"]: x for x in result["laws"]}
     mine = laws["sum|f|, scale fitted"]
     assert mine["best_scale"] == pytest.approx(165.0, rel=1e-6)  # float32 of the nodes' forces
@@ -83,7 +83,7 @@ def test_the_true_law_has_no_scatter_and_the_other_is_told_apart(dataset, tmp_pa
 
 def test_without_forces_on_the_nodes_the_sum_is_left_out():
     found = readings([bubble_view(0, nodes=False)])
-    result = study(found)
+    result = judge(found)
     assert [x["name"] for x in result["laws"]] == ["F_n / A_base", "F_n / A fitted"] and result["rings"] == []
     assert "keeps no forces" in report({}, result).text()
 

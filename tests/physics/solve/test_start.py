@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.solve import path
+from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.touches import Solver
 
@@ -86,22 +86,22 @@ def test_an_obstacle_in_the_way_holds_the_post(block):
 def test_a_way_with_nothing_in_it_is_one_step_and_another_stops_before_the_object(block):
     model, bodies = block(POST, 0.01), RigidBodies([Sphere(0.004)])
     poses, first = way((-0.2, 0.0, 0.05), (0.2, 0.0, 0.05), 1)
-    before = path.clear(first[:, None], poses[0][:, None], bodies, model)[0, 0, :3, 3]
+    before = increments.clear(first[:, None], poses[0][:, None], bodies, model)[0, 0, :3, 3]
     assert -0.03 < before[0] < -0.009, "the ball touches at -9 mm"
     past, first = way((-0.2, 0.03, 0.05), (0.2, 0.03, 0.05), 1)
-    assert np.array_equal(path.clear(first[:, None], past[0][:, None], bodies, model), past[0][:, None])
+    assert np.array_equal(increments.clear(first[:, None], past[0][:, None], bodies, model), past[0][:, None])
 
 
 def test_the_thinnest_part_in_the_way_counts(block):
     """Of a plate the thickness under its faces, not twice the volume over the surface."""
     model = block((0.08, 0.02, 0.004), 0.01)
-    assert path.thinnest(model, [np.arange(len(model.mesh.faces))]) == pytest.approx(0.004, rel=1e-6)
-    assert path.thinnest(model, [np.zeros(0, int)]) == np.inf
+    assert increments.thinnest(model, [np.arange(len(model.mesh.faces))]) == pytest.approx(0.004, rel=1e-6)
+    assert increments.thinnest(model, [np.zeros(0, int)]) == np.inf
 
 
 def test_a_way_that_cannot_be_cut_finely_enough_is_marked(block, monkeypatch):
     model = block(POST, 0.01, young_modulus=1e5)
-    monkeypatch.setattr(path, "_MOST", 1)
+    monkeypatch.setattr(increments, "_MOST_PIECES", 1)
     frames = press(model, Sphere(0.004), (-0.012, 0.0, 0.05), (0.003, 0.0, 0.05), 1)
     assert not frames.converged.any() and np.isnan(frames.force).all()
     assert frames.reason[0, 0] != Reason.NONE

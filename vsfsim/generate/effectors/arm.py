@@ -19,7 +19,7 @@ from vsfsim.generate.plants.surface import plant_surface, triangles_of
 from vsfsim.generate.plants.touches import make_views
 from vsfsim.generate.plants.truth import segments
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
-from vsfsim.generate.presses import arm as presses
+from vsfsim.generate.presses import arm as one_press
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.memory import enter
@@ -63,11 +63,11 @@ class ArmEffector:
 
     def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
         """See `vsfsim.generate.presses.arm`."""
-        return presses.press(loaded, request)
+        return one_press.press(loaded, request)
 
     def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         """See `vsfsim.generate.presses.arm`."""
-        return presses.refine(loaded, request, meshes)
+        return one_press.refine(loaded, request, meshes)
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The plant without its pot, and the sections and moduli of its parts in words."""

@@ -19,7 +19,7 @@ from vsfsim.generate.aim import Aim, aim_probe, in_kinds, starts
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
-from vsfsim.generate.presses import probe as presses
+from vsfsim.generate.presses import probe as one_press
 from vsfsim.generate.record import audit, verdict
 from vsfsim.generate.solid import Manner, Subject, batches, draw_solid, prepare
 from vsfsim.generate.trade.audit import with_audits
@@ -97,11 +97,11 @@ class Probe:
 
     def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
         """See `vsfsim.generate.presses.probe`."""
-        return presses.press(loaded, request)
+        return one_press.press(loaded, request)
 
     def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         """See `vsfsim.generate.presses.probe`."""
-        return presses.refine(loaded, request, meshes)
+        return one_press.refine(loaded, request, meshes)
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The object."""

@@ -49,8 +49,8 @@ from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.mesh.resolved import in_words, resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
+from vsfsim.physics.solve.increments import inside
 from vsfsim.physics.solve.kernels import solver_kernels
-from vsfsim.physics.solve.path import inside
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import body_poses, pose_at, press_path
 from vsfsim.sensing.camera import fitting_camera
@@ -322,7 +322,7 @@ def overlap(model: Model, bodies: RigidBodies, pose: np.ndarray, where: str) -> 
     ``pose`` (K, 4, 4) [m]; 0 if they are apart.
 
     Raises:
-        SceneError: a rigid body begins inside the object, see `path.inside`. ``where`` is the scene file.
+        SceneError: a rigid body begins inside the object, see `increments.inside`. ``where`` is the scene file.
     """
     surface = model.mesh.points[model.mesh.surface_nodes()]
     depth = [-float(bodies.distance(k, (surface - at[:3, 3]) @ at[:3, :3]).min()) for k, at in enumerate(pose)]

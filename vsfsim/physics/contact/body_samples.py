@@ -11,7 +11,7 @@ import numpy as np
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
 
-_MOST = 20_000  # points of one body
+_MOST_POINTS = 20_000  # points of one body
 _INNER = 4000  # random points for the inner radius of a mesh
 _MOST_SHARP = 2000  # points of its edges, corners and rims
 _CREASE = np.radians(30.0)  # turn of the outward side at an edge of a mesh
@@ -43,9 +43,9 @@ def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
     """
     while True:
         points = _points(shape, spacing)
-        if len(points) <= _MOST:
+        if len(points) <= _MOST_POINTS:
             break
-        spacing *= 1.1 * np.sqrt(len(points) / _MOST)
+        spacing *= 1.1 * np.sqrt(len(points) / _MOST_POINTS)
     for _ in range(_PROJECTIONS if len(points) else 0):
         gap = sdf.distance(shape, points)
         h = 1e-4 * inner_radius(shape)

@@ -233,9 +233,9 @@ class RigidContact(PointStiffness):
             return
         if self.springs is not None and pushed is not None:
             self.springs.pushed(columns, pushed)
-        self.press(columns)
+        self.evaluate_at_mounts(columns)
 
-    def press(self, columns: torch.Tensor) -> None:
+    def evaluate_at_mounts(self, columns: torch.Tensor) -> None:
         """Evaluate the contact of ``columns`` (k,) with the bodies where springs let them."""
         if self.springs is not None:
             plan = torch.as_tensor(self._plan[..., :3, 3], device=self.device)

@@ -11,7 +11,7 @@ import numpy as np
 
 from vsfsim.core.shape import Capsule, Plane, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.solve import path
+from vsfsim.physics.solve import increments
 
 # of a ball's radius: the longest edge where it touches; see docs/physics.md for what half of it changes
 SHARE = 1.0 / 3.0
@@ -39,7 +39,7 @@ def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray
     gap = np.full((len(bodies), len(dome)), np.inf)
     before = poses[:1]
     for pose in poses:
-        for stop in path.pieces(before, pose[None], edge, bodies):
+        for stop in increments.pieces(before, pose[None], edge, bodies):
             for k in range(len(bodies)):
                 turn, at = stop[0, k, :3, :3], stop[0, k, :3, 3]
                 gap[k] = np.minimum(gap[k], bodies.distance(k, (dome - at) @ turn))

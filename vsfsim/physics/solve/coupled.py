@@ -25,7 +25,7 @@ from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve import path
+from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.prediction import Known
@@ -171,7 +171,7 @@ class CoupledSolver(Solver):
         first, meets = start.copy(), self._meets(contact, start)
         first[meets, :, :3, 3] -= self._stride * first[meets, :, :3, 2]  # a stride back where it barely touches
         self._inside = meets & self._meets(contact, first)
-        for pose in path.pieces(first, poses[0], self._stride, self.bodies):
+        for pose in increments.pieces(first, poses[0], self._stride, self.bodies):
             if self._meets(contact, pose).any():
                 break
             first = pose
@@ -286,7 +286,7 @@ def _along_the_way(poses: np.ndarray, longest: float) -> np.ndarray:
     out = [poses[:1]]
     for before, after in pairwise(poses):
         count = max(1, int(np.ceil(np.linalg.norm((after - before)[:, :3, 3], axis=1).max() / longest)))
-        out += [path.between(before, after, i / count)[None] for i in range(1, count)] + [after[None]]
+        out += [increments.between(before, after, i / count)[None] for i in range(1, count)] + [after[None]]
     return np.concatenate(out)
 
 

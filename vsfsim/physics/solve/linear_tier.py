@@ -13,7 +13,7 @@ from vsfsim.physics import clock
 from vsfsim.physics.contact import condensed
 from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.linear.rest_factor import spread
-from vsfsim.physics.solve import path
+from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.newton import Equilibrium, State
 
 # renewals of the friction limit in a frame, and the relative change that ends them (the `fem` tier's tolerance)
@@ -114,7 +114,7 @@ class LinearTier:
                     force, error = self._solve(force, deadline)
             arrived = bool((error <= self.accept).all())
             if not arrived and halvings and clock.now() <= deadline:
-                middle = path.between(before, pose, 0.5)
+                middle = increments.between(before, pose, 0.5)
                 force, *_ = self._arrive(before, middle, self._on_grown(*self._last), deadline, halvings - 1)
                 return self._arrive(middle, pose, force, deadline, halvings - 1)
             # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
@@ -176,5 +176,5 @@ def first_force(equilibria: Sequence[Any], last: torch.Tensor, pose: np.ndarray,
     if len(known) < 2:
         return last
     first, second = known[-2:]
-    ratio = torch.as_tensor(path.ratio(first.pose, second.pose, pose), device=last.device)
+    ratio = torch.as_tensor(increments.ratio(first.pose, second.pose, pose), device=last.device)
     return second.force + ratio[:, None] * (second.force - first.force)

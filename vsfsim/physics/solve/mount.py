@@ -38,7 +38,7 @@ class Pressed(Protocol):
     force: torch.Tensor
     """Contact force at each Gauss point (B, q, 3) [N]."""
 
-    def press(self, columns: torch.Tensor) -> None:
+    def evaluate_at_mounts(self, columns: torch.Tensor) -> None:
         """Evaluate the contact of ``columns`` (k,) with the bodies where the springs let them."""
 
     def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
@@ -110,7 +110,7 @@ class Springs:
         k, at = self.stiffness, columns
         low, high = (torch.full_like(self.give, bound) for bound in (-float("inf"), float("inf")))
         for trial in range(TRIALS):
-            contact.press(at)
+            contact.evaluate_at_mounts(at)
             w, along = self.give[at], self.along(at, contact.force[at].flatten(1))
             self.excess[at] = excess = along - k * w
             size = torch.maximum(along.abs(), k * w.abs())

@@ -11,7 +11,7 @@ import torch
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
-from vsfsim.physics.solve import path
+from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.newton import Equilibrium
 
 _RENEWALS = 2  # of the friction limits, after which their condensed problem is solved again
@@ -49,7 +49,7 @@ def guesses(equilibria: Sequence[Known], present: tuple[torch.Tensor, torch.Tens
     if len(equilibria) > 1:
         first, second = equilibria[-2:]
         f0, f1 = (_on_patches(known, contact) for known in (first, second))
-        ratio = torch.as_tensor(path.ratio(first.pose, second.pose, pose), device=f1.device)
+        ratio = torch.as_tensor(increments.ratio(first.pose, second.pose, pose), device=f1.device)
         out.append((second.u + (ratio * (second.u - first.u)), f1 + ratio[:, None] * (f1 - f0)))
     return out
 
@@ -128,7 +128,7 @@ class _Best:
 
     def offer(self, u: torch.Tensor, force: torch.Tensor, which: torch.Tensor, *, present: bool = False) -> None:
         """Take a state for those of ``which`` (k,) bool that it is better for. The ``present`` one wins where it is as
-        good, and is no other branch, which the others may be."""
+        good, and is no other solution branch, which the others may be."""
         balance = self._balance
         balance.u[:, self._columns] = u
         state = balance.evaluate(self._columns)

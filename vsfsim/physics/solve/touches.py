@@ -3,8 +3,8 @@
 All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
 two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
 `Equilibrium`. A touch that fails is approached again in halved steps; states that let a body through are barred, and
-equilibria to which the object snapped are not taken (`branch`). A frame in which all of this fails is marked and never
-counts as data. With friction every step remembers where points stuck.
+equilibria to which the object snapped are not taken (`solution_branch`). A frame in which all of this fails is marked
+and never counts as data. With friction every step remembers where points stuck.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.intrusion import LOST
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve import audit, path, weight
+from vsfsim.physics.solve import audit, increments, weight
 from vsfsim.physics.solve.audit import Rows
-from vsfsim.physics.solve.branch import Branch
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import LinearTier, first_force
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.prediction import Known, guesses, predict
+from vsfsim.physics.solve.solution_branch import SolutionBranch
 from vsfsim.physics.threads import torch_threads
 
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
@@ -104,7 +104,7 @@ class Solver:
             self._linear_tier = LinearTier(self._balance)
         else:
             weight.apply(self._balance, previous)
-            self._branch = Branch(self._balance)
+            self._branch = SolutionBranch(self._balance)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
@@ -126,8 +126,8 @@ class Solver:
     def _frame(self, pose: np.ndarray, deadline: float) -> Rows:
         """Bring all touches into equilibrium with the bodies at ``pose`` (B, K, 4, 4), and look at what was found."""
         balance, contact, late = self._balance, self.contact, False
-        way = list(path.pieces(self._at, pose, self._stride, self.bodies))
-        self._unknown = self._inside | path.too_far(self._at, pose, self._stride, self.bodies)
+        way = list(increments.pieces(self._at, pose, self._stride, self.bodies))
+        self._unknown = self._inside | increments.too_far(self._at, pose, self._stride, self.bodies)
         if self.linear:
             before, self._at = self._at, pose
             return self._linear_frame(before, way, deadline)
@@ -159,7 +159,7 @@ class Solver:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
                                  mount=self._mount, exact=self.linear, **self.options.indentation)
-        contact, first, self._stride, self._inside = path.begin(make, self.bodies, self.model, poses, start)
+        contact, first, self._stride, self._inside = increments.begin(make, self.bodies, self.model, poses, start)
         return contact, first
 
     def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any,
@@ -255,7 +255,7 @@ class Solver:
         # where a half step begins the bodies overlap the object by all of it, and Newton's method goes far astray
         predicts = halvings < self.options.halvings and contact.solid and not contact.has_friction
         if predicts:
-            self._contact_force = contact.remember(balance.every)  # at ``before``, where `Branch.bar` was last
+            self._contact_force = contact.remember(balance.every)  # at ``before``, where `SolutionBranch.bar` was last
             here = Known(before, begin, self._contact_force, contact.dof)
         contact.begin_step(before, begin)
         contact.move(pose, columns)
@@ -272,7 +272,7 @@ class Solver:
         if not len(failed) or halvings == 0 or clock.now() > deadline:
             return
         host, middle = failed.cpu().numpy(), pose.copy()
-        middle[host] = path.between(before[host], pose[host], 0.5)
+        middle[host] = increments.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
         if contact.solid and not contact.has_friction:  # points that the failed step met have forces where it began
             contact.begin_step(before, begin)

@@ -24,7 +24,7 @@ _DEEP = 0.1  # that depth over the smaller of both element sizes
 _SPACING = 0.4  # of the points on a face over the smaller of both element sizes
 _STEPS = (3, 16)  # least and most steps of the grid on a face
 _PLAIN = 0.999  # cosine between a normal and the way to a point above which the nearest point is not on an edge
-_MOST = 96  # faces of the other body that are kept as those that may be close to a face
+_MOST_FACES = 96  # faces of the other body that are kept as those that may be close to a face
 _BULGE = 1.2  # of the ball about a quadratic face, which bulges beyond its nodes
 
 
@@ -128,8 +128,8 @@ def kernels() -> Any:
     closest = closest_point.functions(module)
     bulge = wp.constant(real(_BULGE))
     plain = wp.constant(real(_PLAIN))
-    most = wp.constant(_MOST)
-    list_t = wp.types.vector(length=_MOST, dtype=wp.int32)
+    most = wp.constant(_MOST_FACES)
+    list_t = wp.types.vector(length=_MOST_FACES, dtype=wp.int32)
     half_turn = wp.constant(real(np.pi))
 
     @wp.kernel(module=module, enable_backward=False)

@@ -1,5 +1,5 @@
-"""Which states lie on another branch than the equilibrium that a step begins from: a body has been let through, or the
-object has snapped."""
+"""Which states lie on another solution branch than the equilibrium that a step begins from: a body has been let
+through, or the object has snapped."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAME = 1e-2  # relative difference of least det F under which two crushed equil
 _SAME_ENERGY = 1e-4  # the same of the energy that the bodies have put into the object, under two doubtful ones
 
 
-class Branch:
+class SolutionBranch:
     """The equilibria that the steps of a batch of touches begin from.
 
     Made when no body touches the object yet, at the equilibrium under its weight.

@@ -1,4 +1,4 @@
-"""The path of the rigid bodies between two poses, in pieces so short that no contact is missed."""
+"""The motion of the rigid bodies between two poses, in increments so short that no contact is missed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 
 _PART = 0.5  # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body
-_MOST = 400  # pieces of one frame
+_MOST_PIECES = 400  # pieces of one frame
 _ADVANCES, _SHORT = 50, 0.01  # most steps to the first pose that may touch; the shortest, of the whole way
 _RAYS = 200  # faces whose thickness is measured
 _DEEP = 0.2  # depth over the same radius from which on a path begins inside the object
@@ -140,7 +140,7 @@ def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
 def pieces(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> Iterator[np.ndarray]:
     """Poses (B, K, 4, 4) on the way from a to b, ending with b, none further than ``longest`` [m] from the one
     before."""
-    count = int(np.clip(np.ceil(_lengths(a, b, bodies).max() / longest - 1e-9), 1, _MOST))
+    count = int(np.clip(np.ceil(_lengths(a, b, bodies).max() / longest - 1e-9), 1, _MOST_PIECES))
     for i in range(1, count):
         yield between(a, b, i / count)
     yield b
@@ -157,7 +157,7 @@ def _lengths(a: np.ndarray, b: np.ndarray, bodies: RigidBodies) -> np.ndarray:
 def too_far(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> np.ndarray:
     """Whether `pieces` are longer than ``longest`` [m] because there would be too many (B,) bool: what a thin part does
     on such a way is not known."""
-    return (_lengths(a, b, bodies) > (_MOST + 1e-6) * longest).any(axis=1)
+    return (_lengths(a, b, bodies) > (_MOST_PIECES + 1e-6) * longest).any(axis=1)
 
 
 def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ import pytest
 from frame_checks import from_above
 
 from vsfsim.core.shape import Box, Sphere
-from vsfsim.physics.solve.branch import Branch
 from vsfsim.physics.solve.frames import Reason
+from vsfsim.physics.solve.solution_branch import SolutionBranch
 from vsfsim.physics.solve.touches import Solver
 
 
@@ -139,7 +139,7 @@ def test_a_column_that_buckles_under_friction_is_not_called_converged(block, dev
 def test_half_a_step_begins_in_equilibrium_with_the_points_of_the_failed_one(block, device, monkeypatch):
     """A step that failed has met points of the box's edges where the object was then. Where the step begins they lay
     inside the object, so that the state there had four fifths of its force too much and barred the true equilibria."""
-    bar, mark, unbalanced, marked = Branch.bar, Branch.mark, [], []
+    bar, mark, unbalanced, marked = SolutionBranch.bar, SolutionBranch.mark, [], []
 
     def barred(self, columns, before, pose):
         bar(self, columns, before, pose)
@@ -151,8 +151,8 @@ def test_half_a_step_begins_in_equilibrium_with_the_points_of_the_failed_one(blo
         if len(marked) == 2:
             self._balance.reason[:] = Reason.SNAPPED
 
-    monkeypatch.setattr(Branch, "bar", barred)
-    monkeypatch.setattr(Branch, "mark", fails_once)
+    monkeypatch.setattr(SolutionBranch, "bar", barred)
+    monkeypatch.setattr(SolutionBranch, "mark", fails_once)
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, 2, 3] = 0.046 - np.array([0.003, 0.006])
     model = block((0.04, 0.04, 0.04), 0.015, poisson_ratio=0.499)
