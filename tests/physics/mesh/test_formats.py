@@ -127,6 +127,24 @@ def test_a_block_comes_out_exactly_with_a_flat_base(tmp_path: Path) -> None:
     assert np.ptp(base[:, :2], axis=0) == pytest.approx([0.1, 0.1], abs=1e-7)
 
 
+def stl_block(attribute: int = 0) -> bytes:
+    mesh = trimesh.creation.box((1, 2, 3))
+    return bytes(80) + struct.pack("<I", 12) + b"".join(
+        struct.pack("<12fH", 0, 0, 0, *corner.ravel(), attribute) for corner in mesh.vertices[mesh.faces])
+
+
+@pytest.mark.parametrize(("name", "content", "told"), [
+    ("a.stl", stl_block(0x8FFF), "colours of the file's faces"), ("a.stl", stl_block(), None),
+    ("a.off", "OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1 255 0 0\n3 0 1 3\n3 1 2 3\n3 2 0 3\n",
+     "colours of the file's faces"),
+    ("a.obj", "usemtl red\n" + obj_block((0, 0, 0), (1, 1, 1)), "1 materials"),
+    ("a.obj", "vt 0 0\n" + obj_block((0, 0, 0), (1, 1, 1)), "texture coordinates"),
+    ("a.obj", obj_block((0, 0, 0), (1, 1, 1)) + "curv 0 1 1 2\nl 1 2\n", "curved surfaces (curv, l)")])
+def test_what_of_a_file_is_not_used_is_told(name: str, content: str | bytes, told: str | None) -> None:
+    notes = parse(content.encode() if isinstance(content, str) else content, Path(name)).notes
+    assert len(notes) == (told is not None) and all(str(told) in note for note in notes)
+
+
 def test_up_and_colours(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
     box.visual.vertex_colors = np.tile([[255, 0, 0, 255]], (8, 1))

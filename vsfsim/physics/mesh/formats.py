@@ -18,6 +18,7 @@ from vsfsim.core.errors import MeshError
 
 FORMATS = (".obj", ".ply", ".stl", ".off")
 """File formats that are read."""
+_FACE_COLOURS = "The colours of the file's faces are not used: give colours to its vertices."
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def _obj(content: bytes, path: Path) -> Facets:
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     materials: set[str] = set()
-    textured = False
+    textured, others = False, set[str]()
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#", 1)[0].split()
         if not words:
@@ -80,6 +81,7 @@ def _obj(content: bytes, path: Path) -> Facets:
         elif words[0] == "usemtl":
             materials.add(" ".join(words[1:]))
         textured = textured or words[0] == "vt"
+        others |= {words[0]} & {"p", "l", "curv", "curv2", "surf"}
     points = np.array([v[:3] for v in vertices], float).reshape(-1, 3)
     _check_indices(polygons, len(points))
     # x y z r g b, or x y z w r g b; a lone fourth number is the weight of a rational curve
@@ -92,6 +94,9 @@ def _obj(content: bytes, path: Path) -> Facets:
                      "material and of one colour.")
     elif textured:
         notes.append("The file's texture coordinates are not used: a scan has one colour.")
+    if others:
+        notes.append(f"The file's points, lines and curved surfaces ({', '.join(sorted(others))}) are not used: a scan "
+                     f"is its faces.")
     return Facets(points, _triangles(points, polygons), _unit(colours), tuple(notes))
 
 
@@ -163,7 +168,7 @@ def _ply(content: bytes, path: Path) -> Facets:
         colours = _unit(np.stack([np.asarray(corner[n], float) for n in names], axis=1),
                         whole=np.asarray(corner[names[0]]).dtype.kind in "iu")
     elif {"red", "green", "blue"} <= set(rows.get("face", {})):
-        notes.append("The colours of the file's faces are not used: give colours to its vertices.")
+        notes.append(_FACE_COLOURS)
     return Facets(points, _triangles(points, polygons), colours, tuple(notes))
 
 
@@ -256,6 +261,7 @@ def _stl(content: bytes, path: Path) -> Facets:
     count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else -1
     text = content.lstrip()[:5].lower() == b"solid" and b"facet" in content[:2000].lower() and (
         84 + 50 * count != len(content))
+    notes: tuple[str, ...] = ()
     if text:
         words = content.decode("utf-8", errors="replace").lower()
         if "endsolid" not in words:
@@ -272,8 +278,11 @@ def _stl(content: bytes, path: Path) -> Facets:
         if count > have or len(content[84 + 50 * count:].strip(b"\0\r\n ")):
             raise _Bad(f"its header announces {count} triangles, and it holds {have:g}")
         row = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
-        points = np.frombuffer(content, row, count, 84)["corner"].reshape(-1, 3).astype(float)
-    return Facets(points, np.arange(len(points)).reshape(-1, 3))
+        table = np.frombuffer(content, row, count, 84)
+        points = table["corner"].reshape(-1, 3).astype(float)
+        if table["attribute"].any():
+            notes = (_FACE_COLOURS,)
+    return Facets(points, np.arange(len(points)).reshape(-1, 3), notes=notes)
 
 
 def _off(content: bytes, path: Path) -> Facets:
@@ -294,7 +303,8 @@ def _off(content: bytes, path: Path) -> Facets:
             raise _Bad(f"a face announces {row[0]} corners and has {len(row) - 1}")
         polygons.append([int(w) for w in row[1:1 + int(row[0])]])
     _check_indices(polygons, len(points))
-    return Facets(points, _triangles(points, polygons), _unit(colours))
+    coloured = any(len(row) > 1 + int(row[0]) for row in rows[1 + corners:])
+    return Facets(points, _triangles(points, polygons), _unit(colours), (_FACE_COLOURS,) if coloured else ())
 
 
 # ---------------------------------------------------------------------------------------------- polygons
