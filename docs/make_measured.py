@@ -174,7 +174,8 @@ def kept(name: str, module: str) -> str:
     found = importlib.import_module(f"measurements.{module}").stored(FOLDER / f"{name}.jsonl")
     of = dict(found.settings)
     found = dataclasses.replace(found, version=of.pop("version"), commit=of.pop("commit"))
-    words = "".join(f" --{key} {value:g}" for key, value in of.items())
+    words = "".join(f" --{key} {value if isinstance(value, str) else f'{value:g}'}" for key, value in of.items()
+                    if not isinstance(value, list))
     about = "; ".join(found.notes)
     return written(found, name + words, f"{about[0].upper()}{about[1:]}.", list(found.tables))
 
@@ -215,6 +216,7 @@ MEASURED: dict[str, Callable[[], str]] = {
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 LARGE: dict[str, Callable[[], str]] = {
+    "plant-ceilings": partial(kept, "plant-ceilings", "artificial_plants.ceilings"),
     "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
                        workers=os.cpu_count() or 1),
     "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",

@@ -139,3 +139,13 @@ def test_the_leaderboards_of_the_pages_are_those_that_ship():
         assert (module.FOLDER / f"{name}.md").read_text() == module.result(name), name
     written = {path.stem for path in module.FOLDER.glob("*.md")}
     assert written == set(module.MEASURED), "a table that no page includes, or one that was not written"
+
+
+def test_no_page_calls_a_row_the_lowest():
+    """Which row errs least changes with every row, so that a page has it from its table."""
+    claim = re.compile(r"\b(?:lowest|smallest|least) (?:errors?|rows?)\b", re.IGNORECASE)
+    assert not [(page.name, claim.findall(page.read_text())) for page in PAGES if claim.search(page.read_text())]
+    rows = dict((name, int(rank)) for rank, name in re.findall(r"^\| (\d+) \| ([\w-]+) \(tuned\)", README, re.M))
+    assert "near-springs" in rows, "the README's example is in its table"
+    assert rows["surface-gp"] == 1 and "a Gaussian process on the surface is first" in README
+    assert (rows["sbml"], rows["near-springs"]) == (2, 2) and "shares the second rank with `near-springs`" in README

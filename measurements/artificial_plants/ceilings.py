@@ -10,17 +10,22 @@ classes it is that of the classes, too.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import vsfsim
 from measurements.measurement import Column, Measurement, Progress, Table
+from measurements.stability.team import kept
 from vsfsim.bench.protocol import as_planned
+from vsfsim.core.plain_text import from_json
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
+from vsfsim.data.provenance import commit
 from vsfsim.data.records import Touch
 from vsfsim.data.streams import Stream
 from vsfsim.generate.job import jobs_of
@@ -33,6 +38,7 @@ JITTERS = (0.0, 0.002, 0.005)
 """RMS displacements of the skeleton [m]."""
 REACH = 0.05
 """Over which the displacement is alike [m]."""
+COMMAND = "vsfsim measure plant-ceilings"
 QUERIES = 15
 """Touches that are predicted, as in the plants' tasks."""
 _WAVES = 64  # of the random field
@@ -42,7 +48,7 @@ _STD = 1.0  # of log E of a class about its mean in the other plants
 
 
 def measure(*, scene: str = "plants-v4-mini", objects: int | None = None, first: int = 0, touches: int = 26,
-            shots: Sequence[int] = (5, 10), jitters: Sequence[float] = JITTERS, seed: int = 0,
+            shots: Sequence[int] = (5, 10), jitters: Sequence[float] = JITTERS, seed: int = 0, file: Path | None = None,
             progress: Progress = lambda _: None) -> Measurement:
     """Errors over that of predicting zero, for each plant and displacement of its skeleton.
 
@@ -53,34 +59,66 @@ def measure(*, scene: str = "plants-v4-mini", objects: int | None = None, first:
         shots: touches that log E of the classes is fitted to.
         jitters: RMS displacements of the skeleton [m].
         seed: of the dataset.
+        file: keeps each row, from which a later run goes on, and rows of other plants; None for none.
         progress: called with what is done of each plant.
+
+    Raises:
+        VsfsimError: the file was made with another version, commit, scene or seed, or is no such file.
     """
     loaded = load_scene(find_scene(scene))
+    settings = {"scene": loaded.name, "seed": seed, "touches": touches, "shots": list(shots)}
+    rows = [] if file is None else kept(file, {"version": vsfsim.__version__, "commit": commit(), **settings}, COMMAND)
     recipe = make_recipe(loaded, seed=seed, objects=None, views=1, touches=touches)
     jobs = jobs_of(recipe, loaded.path, Path("."), None)
     chosen = jobs[first:] if objects is None else jobs[first:first + objects]
     grown = [grow(job.scene(), job.stream(Stream.BODY), number=job.object_index) for job in jobs]
-    rows: list[dict[str, Any]] = []
     for job in chosen:
-        subject = prepare_job(job, device="cpu")
+        done = [row["jitter"] for row in rows if row["number"] == job.object_index]
+        missing = [jitter for jitter in jitters if jitter not in done]
+        if not missing:
+            continue
         others = class_means([plant for plant, one in zip(grown, jobs, strict=True) if one is not job])
-        rows += of_plant(subject, others, shots, jitters, np.random.default_rng((seed, job.object_index)), progress)
+        for row in of_plant(prepare_job(job, device="cpu"), others, shots, missing,
+                            np.random.default_rng((seed, job.object_index)), progress):
+            rows.append({"number": job.object_index, **row})
+            if file is not None:
+                with file.open("a") as out:
+                    out.write(json.dumps(rows[-1]) + "\n")
+    return report(rows, settings)
+
+
+def stored(file: Path) -> Measurement:
+    """The report of the rows in a ``file`` of `measure`.
+
+    Raises:
+        VsfsimError: it is no such file.
+    """
+    return report(kept(file, {}, COMMAND), from_json(file.read_text().partition("\n")[0]))
+
+
+def report(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> Measurement:
+    """The rows, plant by plant, and their means over the plants."""
+    values = ("true", "own", "prior", *(f"fit{n}" for n in settings["shots"]))
     columns = (Column("plant", "plant"), Column("jitter", "skeleton off by", "m", "mm", ".3g"),
                Column("true", "true moduli", "1", "", ".2f"), Column("own", "own classes", "1", "", ".2f"),
                Column("prior", "rod-map, 0 touches", "1", "", ".2f"),
-               *(Column(f"fit{n}", f"{n} touches", "1", "", ".2f") for n in shots))
-    means = [{"plant": f"mean of {len(chosen)}", "jitter": jitter,
-              **{key: float(np.mean([row[key] for row in rows if row["jitter"] == jitter]))
-                 for key in ("true", "own", "prior", *(f"fit{n}" for n in shots))}} for jitter in jitters]
-    return Measurement.of("plant-ceilings", {"scene": loaded.name, "seed": seed, "touches": touches}, [Table(
-        "RMSE of the joint torques over that of predicting zero", columns, rows + means, name="ceilings")],
-        notes=[f"The last {QUERIES} of {touches} touches of each plant are predicted along their planned paths, "
-               f"without sensor noise. The field that displaces a skeleton is alike over {1e3 * REACH:.0f} mm."])
+               *(Column(f"fit{n}", f"{n} touches", "1", "", ".2f") for n in settings["shots"]))
+    rows = sorted(rows, key=lambda row: (row["number"], row["jitter"]))
+    means = []
+    for jitter in sorted({row["jitter"] for row in rows}):
+        some = [row for row in rows if row["jitter"] == jitter]
+        means.append({"plant": f"mean of {len(some)}", "jitter": jitter,
+                      **{key: float(np.mean([row[key] for row in some])) for key in values}})
+    return Measurement.of("plant-ceilings", settings, [Table(
+        "RMSE of the joint torques over that of predicting zero", columns, [*rows, *means], name="ceilings")],
+        notes=[f"the last {QUERIES} of {settings['touches']} touches of each plant of {settings['scene']}, seed "
+               f"{settings['seed']}, are predicted along their planned paths, without sensor noise; the field that "
+               f"displaces a skeleton is alike over {1e3 * REACH:.0f} mm"])
 
 
 def of_plant(subject: Subject, others: dict[str, float], shots: Sequence[int], jitters: Sequence[float],
-             rng: np.random.Generator, progress: Progress) -> list[dict[str, Any]]:
-    """The rows of one plant.
+             rng: np.random.Generator, progress: Progress) -> Iterator[dict[str, Any]]:
+    """The rows of one plant, one by one.
 
     Args:
         subject: its true model and its touches. others: mean log E of each class in other plants. shots: numbers of
@@ -91,7 +129,6 @@ def of_plant(subject: Subject, others: dict[str, float], shots: Sequence[int], j
     field = waves(subject.plant.nodes, rng)
     mean = np.array([others.get(name, np.log(1e9)) for name in subject.plant.region_names])
     own = class_means([subject.plant])
-    rows = []
     for jitter in jitters:
         moved = displaced(subject.plant, jitter * field)
         row = {"plant": subject.plant.name or subject.job.name, "jitter": jitter,
@@ -102,8 +139,7 @@ def of_plant(subject: Subject, others: dict[str, float], shots: Sequence[int], j
         for key, found in zip(thetas, touched(guesses), strict=True):
             row[key] = error(found, [made[k] for k in asked])
         progress(f"{row['plant']}, {1e3 * jitter:.0f} mm: " + ", ".join(f"{k} {row[k]:.2f}" for k in ("true", *thetas)))
-        rows.append(row)
-    return rows
+        yield row
 
 
 def fit(subject: Subject, plant: Plant, mean: np.ndarray, made: Sequence[Touch]) -> np.ndarray:

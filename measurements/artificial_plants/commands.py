@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -22,10 +23,13 @@ def plant_ceilings(scene: Annotated[str, typer.Option(help="Scene of plants, wit
                                                                                     "[m]; may be given again. Default: "
                                                                                     "0, 0.002 and 0.005.")] = None,
                    seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0,
+                   out: Annotated[Path | None, typer.Option(help="Keeps each row, from which a later run goes on; rows "
+                                                                 "of other plants that it has are printed, too.")
+                                  ] = None,
                    json: JsonFile = None) -> None:
     """The skeleton of a plant off by 0, 2, 5 mm: with its true moduli, and with a modulus a class fitted to touches."""
     from measurements.artificial_plants.ceilings import JITTERS, measure
 
     found = measure(scene=scene, objects=objects, first=first, touches=touches, jitters=jitter or JITTERS, seed=seed,
-                    progress=step)
+                    file=out, progress=step)
     report(found.text(), found.record(), json, indent=1)
