@@ -24,6 +24,7 @@ from vsfsim.data.records import View
 from vsfsim.physics import tiers
 from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press
 from vsfsim.physics.inverse.smooth_field import smooth_basis
+from vsfsim.physics.linear.rest_factor import forget_all
 from vsfsim.physics.model import Model, build_model
 
 _POISSON_RATIO = 0.3
@@ -100,6 +101,7 @@ class FemMapSeen:
         single_number("fem-map-seen", touches)
         if not touches:
             return []
+        forget_all()
         model = self._object.model(self._prior.modulus(self._theta))
         presses = [_press(action, np.full(len(action.poses), np.nan)) for action in touches]
         forces, _, _ = press(model, presses, tiers.options(_TIER))
@@ -127,6 +129,7 @@ class FemMapSeen:
     def _adapt(self, view: View, support: Sequence[Reading]) -> None:
         assert self._learned is not None
         single_number("fem-map-seen", (one.action for one in support))
+        forget_all()
         solid = seen_solid(view, self.size)
         places = solid.vertices[solid.tets].mean(axis=1)
         height = (places[:, 2] - places[:, 2].min()) / max(float(np.ptp(places[:, 2])), 1e-9) - 0.5

@@ -72,7 +72,8 @@ def on_device(choice: Choice, device: str, observation: str) -> Choice:
 
 
 def choices(observation: str, device: str = "", answer: str = "readings", *, chosen: bool = False) -> list[Choice]:
-    """All methods with all their presets that a task can rank, the one with the papers' settings first.
+    """All methods with all their presets that a task can rank, the one with the papers' settings first, but those that
+    are too slow to be asked other than by name.
 
     Args:
         observation: name of what is read. device: that the methods use which a GPU makes faster; "" for their own.
@@ -81,7 +82,7 @@ def choices(observation: str, device: str = "", answer: str = "readings", *, cho
     """
     out = []
     for method, table in _table().items():
-        if table.get("chooses", False) and not chosen:
+        if table.get("by_name", False) or (table.get("chooses", False) and not chosen):
             continue
         if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
             out += [on_device(preset(method, name, observation, answer), device, observation)

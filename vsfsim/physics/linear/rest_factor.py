@@ -32,6 +32,12 @@ _DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
 
 
+def forget_all() -> None:
+    """Forget the factors that this process keeps, so that what follows has the bits of a new process: columns of an
+    inverse differ in their last bits by which others were made beside them."""
+    _factors.clear()
+
+
 class RestFactor:
     """Linear elasticity of the object at rest, with its supports held, factorised.
 
