@@ -18,7 +18,9 @@ import pytest
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
 from vsfsim.data import writer as writer_module
+from vsfsim.data.checks.same import compare
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.formats.export import export
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.summary import summary
 from vsfsim.data.verify import verify
@@ -335,6 +337,14 @@ def test_unconverged_frames_are_counted_not_complained_about(tmp_path):
     build(tmp_path / "d", [view, *VIEWS[1:]])
     report = verify(tmp_path / "d")
     assert report.ok and report.unconverged == 2
+
+
+def test_commands_that_read_every_view_tell_which(made, tmp_path):
+    for command in (lambda tell: verify(made, tell), lambda tell: compare(made, made, tell),
+                    lambda tell: export(made, "webdataset", tmp_path / "out", tell)):
+        told = []
+        command(lambda *given, told=told: told.append(given))
+        assert [name for *_, name in told] == list(NAMES) and all(done < among for done, among, _ in told)
 
 
 def test_summary_tells_the_main_figures(made):

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli.console import report
+from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import JsonFile
 
 app = typer.Typer()
@@ -26,12 +26,14 @@ def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder
     if against is not None:
         from vsfsim.data.checks.same import compare
 
-        alike = compare(folder, against)
+        with Progress("verify") as progress:
+            alike = compare(folder, against, progress)
         report(alike.text(), alike.table(), json)
         raise typer.Exit(0 if alike.other == 0 else 2)
     from vsfsim.data.verify import verify as run
 
-    found = run(folder)
+    with Progress("verify") as progress:
+        found = run(folder, progress)
     report(found.text(), found.table(), json)
     raise typer.Exit(0 if found.ok else 2)
 
@@ -47,7 +49,8 @@ def export(folder: Annotated[str, typer.Argument(metavar="DATASET", help="Folder
     """
     from vsfsim.data.formats.export import export as run
 
-    made = run(folder, to, out or Path(f"{Path(folder).name}-{to}"))
+    with Progress("export") as progress:
+        made = run(folder, to, out or Path(f"{Path(folder).name}-{to}"), progress)
     files = [path for path in made.rglob("*") if path.is_file()]
     size = sum(path.stat().st_size for path in files)
     report(f"{made}: {to}, {len(files)} files, {size / 1e6:.1f} MB",

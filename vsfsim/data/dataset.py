@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -33,6 +33,8 @@ from vsfsim.data.store import is_url
 if TYPE_CHECKING:
     from vsfsim.data.torch_view import TorchView
 
+Progress = Callable[[int, int, str], None]
+
 
 @dataclass(frozen=True, repr=False)
 class Dataset:
@@ -57,8 +59,11 @@ class Dataset:
     origin: str = ""
     """Address of the object store that files are fetched from when they are read; "" where `path` has them all."""
 
+    progress: Progress | None = field(default=None, compare=False)
+    """Called with (its number, of how many, name) when an object view is read, or None."""
+
     @classmethod
-    def open(cls, path: str | Path, *, blind: bool = False) -> Dataset:
+    def open(cls, path: str | Path, *, blind: bool = False, progress: Progress | None = None) -> Dataset:
         """Open the dataset in folder ``path``, or at an address of an object store. Only dataset.json is read now.
 
         Files of an object store are fetched one by one when they are read, into `fetched_folder`.
@@ -79,7 +84,7 @@ class Dataset:
                                f"generate --out` made.")
         table = read_manifest(manifest)
         return cls(path, Recipe.read(table["recipe"], str(manifest)), table["made_by"],
-                   entries_of(table["files"], manifest), blind, left_out_of(table, manifest), origin)
+                   entries_of(table["files"], manifest), blind, left_out_of(table, manifest), origin, progress)
 
     @property
     def sha256(self) -> str:
@@ -122,6 +127,8 @@ class Dataset:
             DatasetError: no such name, or the file is missing or damaged.
         """
         path = self._checked_file(name)
+        if self.progress is not None:
+            self.progress(self.names().index(name), len(self), name)
         return self._as_listed(read_view(path, blind=self.is_blind), path, name)
 
     def shown(self, name: str) -> tuple[ObjectView, np.ndarray]:

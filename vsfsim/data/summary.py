@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.data.dataset import Dataset
+from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.verify import contact_frames, unresolved_frames
 
 
@@ -20,14 +20,14 @@ def summary(path: str | Path) -> str:
     return "\n".join(f"{key:<16}{value}" for key, value in summary_rows(path))
 
 
-def summary_rows(path: str | Path) -> list[tuple[str, str]]:
+def summary_rows(path: str | Path, progress: Progress | None = None) -> list[tuple[str, str]]:
     """Objects, splits, touches, frames, forces, effort, truth and size of the dataset in folder ``path``, each with its
     name.
 
     Raises:
         DatasetError: no finished dataset there.
     """
-    dataset = Dataset.open(path)
+    dataset = Dataset.open(path, progress=progress)
     recipe = dataset.recipe
     force, change, iterations, balance, modulus = [], [], [], [], []
     regions: dict[str, Any] = {}

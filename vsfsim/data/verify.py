@@ -13,7 +13,7 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.checks.kept import audit_errors, broken, observed
-from vsfsim.data.dataset import Dataset
+from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, further_fields, in_use, read_array, read_view
 from vsfsim.data.manifest import CARD, MANIFEST, Entry
@@ -103,8 +103,9 @@ class Report:
         return "\n".join(lines)
 
 
-def verify(path: str | Path) -> Report:
-    """Check the dataset in folder ``path``: hashes, schema, finiteness, force balance.
+def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
+    """Check the dataset in folder ``path``: hashes, schema, finiteness, force balance. ``progress`` is called with
+    (files done, of how many, name).
 
     Unconverged and unresolved frames and touches that met nothing are counted, not complained about: they are marked as
     such.
@@ -129,7 +130,8 @@ def verify(path: str | Path) -> Report:
     listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
     for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
         problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
-    for entry in dataset.entries:
+    for done, entry in enumerate(dataset.entries):
+        progress(done, len(dataset.entries), entry.name)
         file = path / entry.file
         if not file.is_file():
             problems.append(Problem(entry.file, f"is missing, but {MANIFEST} lists it.",

@@ -73,7 +73,7 @@ def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[s
     progress(len(names), len(names) + 1, "contact sheet")
     contact_sheet(views, path, title=f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}")
     more = f" (the first {len(views)} of {len(data)} object views)" if len(views) < len(data) else ""
-    rows = summary_rows(folder)
+    rows = summary_rows(folder, progress)
     return ([*(f"{key:<16}{value}" for key, value in rows), f"contact sheet{more}: {path}"],
             {**{key.strip(): value for key, value in rows}, "picture": str(path)})
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.dataset import Dataset
+from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.records import Touch
 
 CLOSE = 1e-3
@@ -48,13 +48,13 @@ class Alike:
         return "\n".join([*lines, *(f"made on {kind}" for kind in self.kinds)])
 
 
-def compare(one: str | Path, other: str | Path) -> Alike:
-    """Compare two datasets touch by touch.
+def compare(one: str | Path, other: str | Path, progress: Progress | None = None) -> Alike:
+    """Compare two datasets touch by touch. ``progress`` is called with (views done, of how many, name).
 
     Raises:
         DatasetError: one of them is none, or they are of different recipes or code.
     """
-    a, b = Dataset.open(one), Dataset.open(other)
+    a, b = Dataset.open(one, progress=progress), Dataset.open(other)
     differences = a.recipe.differences(b.recipe)
     if differences:
         raise DatasetError(f"{one} and {other} are of different recipes: {'; '.join(differences)}.")

@@ -6,19 +6,20 @@ import importlib
 from pathlib import Path
 
 from vsfsim.core.errors import VsfsimError, did_you_mean
-from vsfsim.data.dataset import Dataset
+from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.formats.target import whole_folder
 
 FORMATS = ("lerobot", "croissant", "webdataset", "openvsf")
 
 
-def export(folder: str | Path, to: str, out: str | Path) -> Path:
+def export(folder: str | Path, to: str, out: str | Path, progress: Progress | None = None) -> Path:
     """Write a finished dataset in another format.
 
     Args:
         folder: of the dataset, or its address.
         to: one of `FORMATS`.
         out: the new folder.
+        progress: called with (views done, of how many, name).
 
     Returns:
         The new folder.
@@ -28,7 +29,7 @@ def export(folder: str | Path, to: str, out: str | Path) -> Path:
     """
     if to not in FORMATS:
         raise VsfsimError(f"--to is '{to}'. {did_you_mean(to, FORMATS)}")
-    dataset, path = Dataset.open(folder), Path(out)
+    dataset, path = Dataset.open(folder, progress=progress), Path(out)
     with whole_folder(path) as part:
         importlib.import_module(f"vsfsim.data.formats.{to}").export(dataset, part)
     return path
