@@ -21,6 +21,8 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.press_result import PressRequest, PressResult
 from vsfsim.physics import tiers
 
+HOPELESS = 2.0
+"""A press ends when the time that its frames will take, by those done, is this many times its limit."""
 LATE = "took too long"
 """The last words on a cell that came to its limit."""
 FINER = 0.7
@@ -122,8 +124,15 @@ def _judge(number: int, cell: Press, folder: Path, limit: float) -> Verdict:
 
 
 def _press(scene: SceneFile, tier: str, folder: Path, limit: float) -> PressResult:
+    began = time.process_time()
+
+    def hopeless(done: int, total: int, what: str) -> None:
+        if what == "frames" and (time.process_time() - began) * total > HOPELESS * limit * max(done, 1):
+            raise Late
+
     with processor_time(limit):
-        return effector_of(scene.sample(0)).press(scene, PressRequest(tier=tier, cache=folder, seconds=limit))
+        return effector_of(scene.sample(0)).press(scene, PressRequest(tier=tier, cache=folder, seconds=limit,
+                                                                      progress=hopeless))
 
 
 def _trusted(own: PressResult) -> np.ndarray:
