@@ -7,6 +7,7 @@ import pytest
 
 from vsfsim.baselines.fem.seen import FemMapSeen
 from vsfsim.baselines.fem.seen_solid import seen_solid
+from vsfsim.bench.check import check
 from vsfsim.bench.mock import BLOCK, mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import load_task
@@ -58,6 +59,12 @@ def test_touches_tell_the_moduli(task, tmp_path):
     other.adapt(view.view, [])
     found = other.stiffness(np.array([[0.0, 0.0, 0.03]]))
     assert found.mean[0] > 0.0 and found.std[0] > 0.0 and other.predict([]) == []
+
+
+@pytest.mark.slow
+def test_what_was_fitted_before_decides_no_bit():
+    findings = check("fem-map-seen", parameters={"steps": 1}, brief=True)
+    assert [(one.clause, one.detail) for one in findings if one.outcome == "failed"] == []
 
 
 def test_settings_must_be_positive():
