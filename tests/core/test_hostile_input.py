@@ -1,5 +1,6 @@
 """Input that used to end in a traceback: an error that names it instead."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,13 +31,16 @@ def test_lengths_have_a_lower_limit(table: dict) -> None:
             parse(table, "s.toml")
 
 
-def test_two_copies_are_not_mixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("vsfsim/core", "scenes"):
-        (tmp_path / name).mkdir(parents=True)
+@pytest.mark.parametrize(("name", "ask"), [("scenes", shelf.scenes), ("tasks", shelf.tasks),
+                                           ("baselines", shelf.methods)])
+def test_two_copies_are_not_mixed(name: str, ask: Callable[[], object], tmp_path: Path,
+                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    for part in ("vsfsim/core", name):
+        (tmp_path / part).mkdir(parents=True)
     (tmp_path / "pyproject.toml").touch()
     monkeypatch.setattr(shelf, "__file__", str(tmp_path / "vsfsim" / "core" / "shelf.py"))
-    with pytest.raises(VsfsimError, match="two copies of vsfsim are mixed"):
-        shelf.scenes()
+    with pytest.raises(VsfsimError, match=f"two copies of vsfsim are mixed.*its {name} are those"):
+        ask()
 
 
 def test_the_advice_names_the_checkout() -> None:

@@ -150,6 +150,7 @@ def find_task(given: str) -> Path:
 
 def methods() -> dict[str, importlib.metadata.EntryPoint]:
     """Installed methods by name: entry points of the group ``vsfsim.methods``."""
+    folder("baselines")  # those that ship are of this copy
     return {ep.name: ep for ep in importlib.metadata.entry_points(group=METHOD_GROUP)}
 
 

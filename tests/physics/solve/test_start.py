@@ -41,7 +41,7 @@ def test_a_post_is_pushed_away_by_a_ball_that_comes_from_the_side(block):
         assert few.force[-1, 0] == pytest.approx(many.force[-1, 0], rel=0.02, abs=0.02 * np.abs(many.force[-1]).max())
 
 
-@pytest.mark.slow  # a ball and a sheet: tests/physics/test_path.py
+@pytest.mark.slow  # a ball and a sheet: tests/physics/test_increments.py
 def test_a_capsule_does_not_pass_through_a_cantilever_in_one_frame(block):
     """12 mm down onto a plate of 4 mm it ended below, and read 0 N."""
     model = block((0.08, 0.02, 0.004), 0.01, young_modulus=1e6, fixed=(-0.041, -1, -1, -0.039, 1, 1))

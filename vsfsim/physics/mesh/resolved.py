@@ -99,8 +99,8 @@ def in_words(error: np.ndarray, corner: np.ndarray, converged: np.ndarray) -> st
     if small.any():
         most = float(error[small].max())
         words.append(f"The mesh does NOT resolve the contact in {int(small.sum())} of {len(error)} frames: it is small "
-                     f"against the elements, and the force is off there by about "
-                     f"{100 * most:.0f} % at most.")
+                     f"against the elements, and the force is off there by "
+                     f"{'more than 100' if most > 1.0 else f'about {100 * most:.0f}'} % at most.")
     if folded.any():
         words.append(f"In {int(folded.sum())} of {len(error)} frames a corner of an element is inside out (det F "
                      f"{float(corner[folded].min()):.2f}).")
