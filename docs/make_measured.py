@@ -174,8 +174,8 @@ def kept(name: str, module: str) -> str:
     found = importlib.import_module(f"measurements.{module}").stored(FOLDER / f"{name}.jsonl")
     of = dict(found.settings)
     found = dataclasses.replace(found, version=of.pop("version"), commit=of.pop("commit"))
-    words = "".join(f" --{key} {value if isinstance(value, str) else f'{value:g}'}" for key, value in of.items()
-                    if not isinstance(value, list))
+    words = "".join(f" --{key} {one if isinstance(one, str) else f'{one:g}'}" for key, value in of.items()
+                    for one in (value if isinstance(value, list) else [value]))
     about = "; ".join(found.notes)
     return written(found, name + words, f"{about[0].upper()}{about[1:]}.", list(found.tables))
 

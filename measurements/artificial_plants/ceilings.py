@@ -36,6 +36,8 @@ from vsfsim.generate.recipe import make_recipe
 
 JITTERS = (0.0, 0.002, 0.005)
 """RMS displacements of the skeleton [m]."""
+SHOTS = (5, 10)
+"""Touches that the moduli are fitted to."""
 REACH = 0.05
 """Over which the displacement is alike [m]."""
 COMMAND = "vsfsim measure plant-ceilings"
@@ -48,7 +50,7 @@ _STD = 1.0  # of log E of a class about its mean in the other plants
 
 
 def measure(*, scene: str = "plants-v4-mini", objects: int | None = None, first: int = 0, touches: int = 26,
-            shots: Sequence[int] = (5, 10), jitters: Sequence[float] = JITTERS, seed: int = 0, file: Path | None = None,
+            shots: Sequence[int] = SHOTS, jitters: Sequence[float] = JITTERS, seed: int = 0, file: Path | None = None,
             progress: Progress = lambda _: None) -> Measurement:
     """Errors over that of predicting zero, for each plant and displacement of its skeleton.
 
