@@ -1,7 +1,8 @@
 """S1 and S2 pressed in other simulators, on our tetrahedra: `vsfsim measure peers`.
 
 Each peer is a script of this folder that imports nothing of vsfsim, run by a Python of its own: a venv is made in the
-folder that is given, and filled from the package registry. Errors are against the curves of `references/`.
+folder that is given, and filled from the package registry. A peer of linear tetrahedra alone also presses a second
+mesh, on which each of ours is cut into eight at the nodes of its edges. Errors are against the curves of `references/`.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from typing import Any
 import numpy as np
 
 import references
+from measurements.indent.pressing import key_of
 from measurements.measurement import Column, Measurement, Progress, Table
-from vsfsim.core.errors import VsfsimError
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
@@ -29,10 +30,15 @@ from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
 
 CASES = {"S1": ("indent-homogeneous", "s1"), "S2": ("indent", "s2")}
-PEERS = {"scikit-fem": ("skfem_peer.py", "scikit-fem"), "mujoco": ("mujoco_peer.py", "mujoco")}
-"""Script of this folder and requirement by peer."""
+PEERS = {"scikit-fem": ("skfem_peer.py", "scikit-fem", False), "mujoco": ("mujoco_peer.py", "mujoco", True),
+         "newton": ("newton_peer.py", "newton", True)}
+"""Script of this folder, requirement, and whether its tetrahedra are linear, by peer."""
+SHOWN = (0.0005, 0.001, 0.0025, 0.005)
+"""Depths whose errors have a column [m]."""
 LIMIT = 3600.0
-"""A peer that takes longer for one case is stopped [s]."""
+"""A peer that takes longer for one case is stopped, and its line has the depths that it reached [s]."""
+EIGHT = ((0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3), (4, 5, 6, 8), (4, 6, 7, 8), (6, 7, 8, 9), (5, 6, 8, 9))
+"""Nodes of the linear tetrahedra into which one of ten nodes is cut; the middle is cut along its edge from 6 to 8."""
 
 
 class Skipped(Exception):
@@ -62,35 +68,47 @@ def python_of(peer: str, folder: Path | None) -> Path:
 
 
 def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
-    """What the script of a peer wrote.
+    """What the script of a peer wrote, or had written before.
 
     Raises:
         Skipped: it cannot run, with the last line that it printed.
     """
-    out = case.with_name(f"{case.stem}-{peer}.json")
-    script = Path(__file__).parent / PEERS[peer][0]
-    try:
-        found = subprocess.run([str(python_of(peer, folder)), str(script), str(case), str(out)], capture_output=True,
-                               text=True, timeout=LIMIT)
-    except subprocess.TimeoutExpired:
-        raise Skipped(f"it took longer than {LIMIT:g} s") from None
-    if found.returncode:
-        raise Skipped(f"its script ended with {(found.stderr.strip().splitlines() or ['no word'])[-1]}")
-    made = from_json(out.read_text())
+    out, script = case.with_name(f"{case.stem}-{peer}.json"), Path(__file__).parent / PEERS[peer][0]
+    given, why = dict(np.load(case)), ""
+    made = from_json(out.read_text()) if out.exists() else {}
+    if made.get("key") != key_of(given, script) or len(made["forces"]) < len(given["depths"]):
+        out.unlink(missing_ok=True)
+        try:
+            runner = Path(__file__).parent / "pressing.py"
+            found = subprocess.run([str(python_of(peer, folder)), *map(str, (runner, script, case, out))],
+                                   capture_output=True, text=True, timeout=LIMIT)
+            if found.returncode:
+                why = f"its script ended with {(found.stderr.strip().splitlines() or ['no word'])[-1]}"
+        except subprocess.TimeoutExpired:
+            why = f"it took longer than {LIMIT:g} s"
+        if not out.exists():
+            raise Skipped(why)
+        made = from_json(out.read_text())
     if "skipped" in made:
         raise Skipped(made["skipped"])
-    return made
+    return {**made, "said": why}
 
 
-def ours(name: str, tier: str, depths: np.ndarray, file: Path) -> dict[str, Any]:
-    """The press by this solver, on the mesh that it leaves in ``file`` for the others."""
+def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dict[str, Any]:
+    """The press by this solver, on the mesh that it leaves in the first of two files for the others, cut into eight in
+    the second."""
     scene = load_scene(find_scene(name)).sample(0)
     model = prepare(scene, PressRequest(tier=tier)).model
     assert isinstance(scene.probe, Sphere)
     mesh, corners = model.mesh, int(model.mesh.tets[:, :4].max()) + 1
-    np.savez(file, points=mesh.points[:corners], tets=mesh.tets[:, :4], young=model.young_modulus.mean(axis=1),
-             ratio=scene.required_object.poisson_ratio, radius=scene.probe.radius, edge=model.element_size,
-             depths=depths, at=np.zeros(2))
+    eight = mesh.tets[:, EIGHT].reshape(-1, 4)
+    sides = mesh.points[eight[:, 1:]] - mesh.points[eight[:, :1]]
+    eight[np.linalg.det(sides) < 0.0] = eight[np.linalg.det(sides) < 0.0][:, [0, 2, 1, 3]]
+    young, own = model.young_modulus.mean(axis=1), (mesh.points[:corners], mesh.tets[:, :4], 1)
+    for file, (points, tets, parts) in zip(files, (own, (mesh.points, eight, 8)), strict=True):
+        np.savez(file, points=points, tets=tets, young=np.repeat(young, parts), radius=scene.probe.radius,
+                 ratio=scene.required_object.poisson_ratio, edge=model.element_size / np.cbrt(parts), depths=depths,
+                 at=np.zeros(2))
     poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
     poses[:, 0, 2, 3] = mesh.points[:, 2].max() + scene.probe.radius - depths
     solver = Solver(model, scene.probe, options=tiers.options(tier))
@@ -99,15 +117,17 @@ def ours(name: str, tier: str, depths: np.ndarray, file: Path) -> dict[str, Any]
     frames = solver.run(poses)
     spent = time.process_time() - began
     return {"forces": frames.force[:, 0, 2].tolist(), "balance": frames.force_balance[:, 0].tolist(),
-            "seconds": [spent / len(depths)] * len(depths), "tets": len(mesh.tets)}
+            "seconds": [spent / len(depths)] * len(depths), "tets": len(mesh.tets), "said": ""}
 
 
-def compared(made: Mapping[str, Any], exact: np.ndarray) -> dict[str, float]:
-    """Errors of a curve of forces, each over the reference at its depth [-]."""
-    error = np.array(made["forces"]) / exact - 1.0
-    return {"full": float(error[-1]), "rms": float(np.sqrt(np.mean(error**2))),
-            "worst": float(error[np.abs(error).argmax()]), "balance": float(np.max(made["balance"])),
-            "seconds": float(np.mean(made["seconds"]))}
+def compared(made: Mapping[str, Any], depths: np.ndarray, exact: np.ndarray) -> dict[str, Any]:
+    """Errors of a curve of forces, each over the reference at its depth [-], as far as the curve goes."""
+    error = np.array(made["forces"]) / exact[:len(made["forces"])] - 1.0
+    at = {f"at_{1e3 * depth:g}".replace(".", "_"): float(error[k]) for depth in SHOWN
+          for k in np.flatnonzero(np.isclose(depths[:len(error)], depth))}
+    return {**at, "rms": float(np.sqrt(np.mean(error**2))), "worst": float(error[np.abs(error).argmax()]),
+            "balance": float(np.max(made["balance"])), "seconds": float(np.mean(made["seconds"])),
+            "tets": made["tets"], "said": made["said"]}
 
 
 def measure(peers: Sequence[str] = (), cases: Sequence[str] = (), *, tier: str = "fem", folder: Path = Path("peers"),
@@ -117,34 +137,36 @@ def measure(peers: Sequence[str] = (), cases: Sequence[str] = (), *, tier: str =
     Args:
         peers: keys of `PEERS`; empty for all. cases: of `CASES`; empty for all.
         tier: whose mesh all press.
-        folder: of the venvs and of what was made.
+        folder: of the venvs and of what was made; a later run goes on with it.
         here: use this Python, which has the packages, in place of venvs.
         progress: called with what is going on.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
+    settings: dict[str, str] = {}
     for case in cases or CASES:
         name, reference = CASES[case]
         curve = references.load(reference)
         depths, exact = np.array(curve["depth_m"]), np.array(curve["force_N"])
-        file = (folder / f"{case}-{tier}.npz").absolute()
+        files = [(folder / f"{case}-{tier}{end}.npz").absolute() for end in ("", "-eighths")]
         progress(f"{case}: ours")
-        own = ours(name, tier, depths, file)
-        rows.append({"case": case, "peer": f"vsfsim, {tier}", "tets": own["tets"], **compared(own, exact), "said": ""})
+        own = ours(name, tier, depths, files)
+        rows.append({"case": case, "peer": f"vsfsim, {tier}", **compared(own, depths, exact)})
         for peer in peers or PEERS:
-            progress(f"{case}: {peer}")
-            try:
-                made = pressed(peer, file, None if here else folder)
-            except Skipped as skipped:
-                rows.append({"case": case, "peer": peer, "said": f"skipped: {skipped}"})
-                continue
-            rows.append({"case": case, "peer": f"{peer} {made['version']}", "tets": own["tets"],
-                         **compared(made, exact), "said": ""})
-    if not rows:
-        raise VsfsimError("no case was asked for.")
+            for file in files[:1 + PEERS[peer][2]]:
+                progress(f"{case}: {peer}, {file.stem}")
+                try:
+                    made = pressed(peer, file, None if here else folder)
+                except Skipped as skipped:
+                    rows.append({"case": case, "peer": peer, "said": f"skipped: {skipped}"})
+                    break
+                settings[f"{peer} {made['version']}"] = made["settings"]
+                rows.append({"case": case, "peer": f"{peer} {made['version']}", **compared(made, depths, exact)})
     columns = [Column("case", "case"), Column("peer", "simulator"), Column("tets", "tetrahedra", "1", "", "d"),
-               Column("full", "error at full depth", "1", "%", "+.1f"), Column("rms", "rms", "1", "%", ".1f"),
-               Column("worst", "worst", "1", "%", "+.1f"), Column("balance", "unbalanced", "1", "", ".0e"),
-               Column("seconds", "CPU s a frame", "1", "", ".2g"), Column("said", "")]
+               *(Column(f"at_{1e3 * d:g}".replace(".", "_"), f"{1e3 * d:g} mm", "1", "%", "+.1f") for d in SHOWN),
+               Column("rms", "rms", "1", "%", ".1f"), Column("worst", "worst", "1", "%", "+.1f"),
+               Column("balance", "unbalanced", "1", "", ".0e"), Column("seconds", "CPU s a frame", "1", "", ".2g"),
+               Column("said", "")]
     return Measurement.of("peers", {"peers": list(peers), "tier": tier}, [
-        Table("Force along the depths of references/, on the same tetrahedra", columns, rows, name="peers")])
+        Table("Error of the force along the depths of references/, at four of them and over all", columns, rows,
+              name="peers")], notes=[f"{peer}: {said}" for peer, said in settings.items()])

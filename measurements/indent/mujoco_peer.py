@@ -1,15 +1,9 @@
 """The press in MuJoCo: a flex of the same tetrahedra (linear, St Venant-Kirchhoff), pressed by a sphere that moves.
 
-    python mujoco_peer.py CASE.npz OUT.json
-
 Runs in a venv of its own with mujoco; nothing of vsfsim is imported. A flex is dynamic: the sphere goes to each depth
 at `SPEED` and stands for `REST`, with damping.
 The flex has one Young's modulus, so that a body with a part inside cannot be made.
 """
-
-import json
-import sys
-import time
 
 import mujoco
 import numpy as np
@@ -44,14 +38,11 @@ def words(values: np.ndarray) -> str:
     return " ".join(f"{v:.9g}" for v in np.asarray(values).ravel())
 
 
-def main(case: str, out: str) -> None:
-    """Press along the depths of the case and write the forces."""
-    given = np.load(case)
+def make(given):
+    """See `measurements.indent.pressing`."""
     points, tets = given["points"], given["tets"]
     if np.ptp(given["young"]) > 1e-6 * given["young"].max():
-        with open(out, "w") as file:
-            json.dump({"skipped": "a flex has one Young's modulus, and the block has a stiff part inside"}, file)
-        return
+        return "a flex has one Young's modulus, and the block has a stiff part inside"
     radius, high = float(given["radius"]), points[:, 2].max()
     start = high + radius + SHELL
     model = mujoco.MjModel.from_xml_string(XML.format(
@@ -60,9 +51,8 @@ def main(case: str, out: str) -> None:
         young=float(given["young"].max()), ratio=float(given["ratio"]), damping=DAMPING,
         pins=words(np.flatnonzero(points[:, 2] < 1e-9))))
     data = mujoco.MjData(model)
-    forces, seconds, balance = [], [], []
-    for depth in given["depths"]:
-        began = time.process_time()
+
+    def press(depth: float) -> tuple[float, float]:
         stop = start - depth
         while data.mocap_pos[0, 2] > stop:
             data.mocap_pos[0, 2] = max(stop, data.mocap_pos[0, 2] - SPEED * STEP)
@@ -73,14 +63,10 @@ def main(case: str, out: str) -> None:
         for k in range(data.ncon):
             mujoco.mj_contactForce(model, data, k, one)
             found += abs(one[0] * data.contact[k].frame[2])
-        forces.append(float(found))
         # what is left of the motion: mass times acceleration of all nodes over the contact force
         moving = model.body_mass[1:].sum() / max(model.nbody - 2, 1) * np.abs(data.qacc).sum()
-        balance.append(float(moving / max(found, 1e-9)))
-        seconds.append(time.process_time() - began)
-    with open(out, "w") as file:
-        json.dump({"version": mujoco.__version__, "forces": forces, "balance": balance, "seconds": seconds}, file)
+        return float(found), float(moving / max(found, 1e-9))
 
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+    settings = (f"flex of linear tetrahedra, St Venant-Kirchhoff, steps of {1e3 * STEP:g} ms, {1e3 * REST:g} ms of "
+                f"rest a frame, damping {DAMPING:g} s")
+    return mujoco.__version__, settings, press

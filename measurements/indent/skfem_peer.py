@@ -1,14 +1,8 @@
 """The press in scikit-fem: quadratic tetrahedra, the same law, a penalty at the quadrature points of the top.
 
-    python skfem_peer.py CASE.npz OUT.json
-
 Runs in a venv of its own with scikit-fem; nothing of vsfsim is imported. Newton's method with SuperLU and a line search
 on the energy. The penalty is `STIFF` times the modulus over an edge.
 """
-
-import json
-import sys
-import time
 
 import numpy as np
 import skfem
@@ -18,11 +12,11 @@ from skfem.helpers import ddot, det, grad, inv, transpose
 STIFF = 300.0  # penalty over E / edge [-]
 MOST = 40  # Newton iterations of a frame
 TOLERANCE = 1e-6  # unbalanced force over the contact force [-]
+LONGEST = 0.0005  # way from one equilibrium to the next [m]
 
 
-def main(case: str, out: str) -> None:
-    """Press along the depths of the case and write the forces."""
-    given = np.load(case)
+def make(given):
+    """See `measurements.indent.pressing`."""
     mesh = skfem.MeshTet(given["points"].T.copy(), given["tets"].T.astype(np.int64).copy())
     radius, edge, ratio = float(given["radius"]), float(given["edge"]), float(given["ratio"])
     element = skfem.ElementVector(skfem.ElementTetP2())
@@ -89,9 +83,10 @@ def main(case: str, out: str) -> None:
         return (energy.assemble(basis, u=basis.interpolate(u), mu=mu, lam=lam)
                 + push_energy.assemble(face, u=face.interpolate(u)))
 
-    u, forces, balance, seconds = basis.zeros(), [], [], []
-    for depth in given["depths"]:
-        began = time.process_time()
+    u, reached = basis.zeros(), 0.0
+
+    def settled(depth: float) -> tuple[float, float]:
+        nonlocal u
         centre[:] = [*given["at"], high + radius - depth]
         for _ in range(MOST):
             there, on = basis.interpolate(u), face.interpolate(u)
@@ -110,12 +105,15 @@ def main(case: str, out: str) -> None:
             while part > 1e-3 and not stored(u + part * step) <= now + 1e-4 * part * (rest @ step[free]):
                 part *= 0.5
             u = u + part * step
-        forces.append(-float(lift.assemble(face, u=face.interpolate(u))))
-        balance.append(float(np.abs(rest).sum() / size))
-        seconds.append(time.process_time() - began)
-    with open(out, "w") as file:
-        json.dump({"version": skfem.__version__, "forces": forces, "balance": balance, "seconds": seconds}, file)
+        return -float(lift.assemble(face, u=face.interpolate(u))), float(np.abs(rest).sum() / size)
 
+    def press(depth: float) -> tuple[float, float]:
+        nonlocal reached
+        ways = np.linspace(reached, depth, max(1, round((depth - reached) / LONGEST)) + 1)[1:]
+        reached = depth
+        return [settled(float(way)) for way in ways][-1]
 
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+    settings = (f"quadratic tetrahedra, the law of the reference, Newton's method with a direct solver until "
+                f"{TOLERANCE:g} of the force is unbalanced, steps of {1e3 * LONGEST:g} mm, penalty of {STIFF:g} times "
+                f"the modulus over an edge")
+    return skfem.__version__, settings, press

@@ -1,9 +1,9 @@
 """Is an accuracy that is bought also kept, and at what price? `vsfsim measure promise`.
 
-The pilot of `vsfsim generate --accuracy` chooses on the first objects of a scene; the objects after them, which it has
-not seen, are held out. Their touches are made at the setting that it chose, at the cheaper ones, and again one level
-finer, as an audit is. The regret is what the chosen setting costs over what the cheapest setting costs that also keeps
-the accuracy on 95 % of the held-out touches, with no more of its frames marked.
+The pilot of `vsfsim generate --accuracy` chooses on the first objects of each class of a scene; objects after them,
+which it has not seen, are held out. Their touches are made at the setting that it chose, at the cheaper ones, and again
+one level finer, as an audit is. The regret is what the chosen setting costs over what the cheapest setting costs that
+also keeps the accuracy on 95 % of the held-out touches, with no more of its frames marked.
 """
 
 from __future__ import annotations
@@ -26,7 +26,17 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.checks.kept import ENOUGH, error_against
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade import front
-from vsfsim.generate.trade.buy import MARKED, OBJECTS, TOUCHES, candidates, choose, too_much
+from vsfsim.generate.trade.buy import (
+    MARKED,
+    OBJECTS,
+    TOUCHES,
+    Choice,
+    candidates,
+    choose,
+    classes,
+    dearest,
+    too_much,
+)
 from vsfsim.generate.trade.curve import Curve
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.made import Run, limits, together
@@ -34,6 +44,7 @@ from vsfsim.generate.trade.runs import touched
 from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Ground, Setting
 from vsfsim.physics.convergence import Limit
 
+UNKNOWN = "refused: of no touch of the pilot is the limit known"
 COLUMN = Path(__file__).parent / "column.toml"
 SCENES = ("foam-block", "shoes-v3-mini", "column", "shoes-v2-punyo-mini", "plants-mini")
 """An even body, a shell of many parts, layers, a bubble on a shell, a plant under an arm."""
@@ -48,6 +59,8 @@ class Trial:
 
     loaded: SceneFile
     ground: Ground
+    name: str
+    """Of the class of these objects; empty where there is one."""
     pilot: range
     held: range
     touches: int
@@ -108,11 +121,40 @@ def audit_error(curve: Curve, finer: Curve) -> float:
     return float("nan") if found is None else found
 
 
-def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:
-    """One an accuracy: what was chosen, kept and paid."""
-    if trial.pieces.workers > EAGER:
-        costly = [trial.piece(n, s) for s in reversed(trial.settings) for n in trial.pilot]
-        trial.pieces.ask(costly + [p for ladder in trial.ladders() for p in reversed(ladder)])
+def rows(trials: Sequence[Trial], accuracies: Sequence[float]) -> list[dict[str, Any]]:
+    """One a class and accuracy: what was chosen, kept and paid. The classes' pieces are made side by side."""
+    pieces = trials[0].pieces
+    if pieces.workers > EAGER:
+        pieces.ask([p for t in trials for p in [*(t.piece(n, s) for s in reversed(t.settings) for n in t.pilot),
+                                                *(p for ladder in t.ladders() for p in reversed(ladder))]])
+    pilots = [_pilot(trial, accuracies) for trial in trials]
+    others = [found for found in pilots if isinstance(found, dict)]
+    pilots = [{asked: dearest([found[asked] for found in others]) for asked in accuracies}
+              if found == UNKNOWN and others else found for found in pilots]
+    held = [[trial.piece(n, chosen) for n in trial.held]
+            for trial, found in zip(trials, pilots, strict=True) if not isinstance(found, str)
+            for chosen in _chosen(found)]
+    audits = [trial.audits(chosen) for trial, found in zip(trials, pilots, strict=True) if not isinstance(found, str)
+              for chosen in _chosen(found)]
+    cheaper = [trial.piece(n, s) for trial, found in zip(trials, pilots, strict=True)
+               if not isinstance(found, str) and (some := _chosen(found))
+               for s in trial.settings[max(map(trial.settings.index, some))::-1] for n in trial.held]
+    pieces.ask([*(p for own in (*held, *audits) for p in own), *cheaper])
+    return [{"class": trial.name, **row} for trial, found in zip(trials, pilots, strict=True)
+            for row in ([{"said": found}] if isinstance(found, str) else
+                        [{"asked": asked, **_row(trial, asked, *found[asked])} for asked in accuracies])]
+
+
+Choices = dict[float, Choice]
+"""What `choose` says of each accuracy."""
+
+
+def _chosen(found: Choices) -> list[Setting]:
+    return list(dict.fromkeys(chosen[0] for chosen, _ in found.values() if chosen))
+
+
+def _pilot(trial: Trial, accuracies: Sequence[float]) -> Choices | str:
+    """What is chosen for each accuracy, or why nothing is."""
     ladders = trial.ladders()
     found = iter(trial.pieces.ask(p for ladder in ladders for p in ladder))
     bounds, shares = [], []
@@ -124,15 +166,10 @@ def rows(trial: Trial, accuracies: Sequence[float]) -> list[dict[str, Any]]:
             bounds.append(bound)
             shares.append(share)
     if len(bounds) < len(ladders):
-        return [{"said": "the time was over in the pilot"}]
+        return "the time was over in the pilot"
     if not any(own["force"].known for own in bounds):
-        return [{"said": f"refused: of no touch of the pilot is the limit known; {bounds[0]['force'].why}"}]
-    choices = {asked: choose(trial.points(bounds, shares), asked) for asked in accuracies}
-    dearest = max((trial.settings.index(chosen[0]) for chosen, _ in choices.values() if chosen), default=-1)
-    audits = [p for chosen, _ in choices.values() if chosen for p in trial.audits(chosen[0])]
-    trial.pieces.ask([*audits, *(trial.piece(n, s) for s in trial.settings[dearest::-1] for n in trial.held)]
-                     if dearest >= 0 else [])
-    return [{"asked": asked, **_row(trial, asked, *choices[asked])} for asked in accuracies]
+        return UNKNOWN
+    return {asked: choose(trial.points(bounds, shares), asked) for asked in accuracies}
 
 
 def _row(trial: Trial, asked: float, chosen: tuple[Setting, Point] | None, best: Point | None) -> dict[str, Any]:
@@ -190,13 +227,27 @@ def measure(scenes: Sequence[str] = (), *, accuracies: Sequence[float] = ACCURAC
             continue
         with Pieces(out / f"{loaded.name}.jsonl", circumstances, workers=workers, until=until,
                     progress=progress) as pieces:
-            trial = Trial(loaded, ground, range(OBJECTS), range(OBJECTS, OBJECTS + objects), touches, pieces)
-            found += [{"scene": loaded.name, **row} for row in rows(trial, accuracies)]
-    columns = [Column("scene", "scene"), Column("asked", "asked", "1", "%", "g"), Column("setting", "chosen"),
-               Column("expected", "expected", "1", "%", ".2g"), Column("audits", "audits", "1", "", "d"),
-               Column("within", "kept", "1", "%", ".0f"), Column("worst", "worst", "1", "%", ".2g"),
-               Column("marked", "marked", "1", "%", ".0f"), Column("cost", "CPU s a touch", "1", "", ".2g"),
-               Column("regret", "regret", "1", "", ".2f"), Column("said", "")]
+            names = classes(loaded)
+            n, first = len(names), (OBJECTS if len(names) == 1 else 1)
+            own = -(-objects // n)  # held out of each class
+            trials = [Trial(loaded, ground, name, range(k, k + n * first, n),
+                            range(k + n * first, k + n * (first + own), n), touches, pieces)
+                      for k, name in enumerate(names)]
+            found += [{"scene": loaded.name, **row} for row in rows(trials, accuracies)]
+    columns = [Column("scene", "scene"), Column("class", "class"), Column("asked", "asked", "1", "%", "g"),
+               Column("setting", "chosen"), Column("expected", "expected", "1", "%", ".2g"),
+               Column("audits", "audits", "1", "", "d"), Column("within", "kept", "1", "%", ".0f"),
+               Column("worst", "worst", "1", "%", ".2g"), Column("marked", "marked", "1", "%", ".0f"),
+               Column("cost", "CPU s a touch", "1", "", ".2g"), Column("regret", "regret", "1", "", ".2f"),
+               Column("said", "")]
+    notes = []
+    for asked in accuracies:
+        some = [row for row in found if row.get("asked") == asked and "audits" in row]
+        total, most = sum(row["audits"] for row in some), [row["regret"] for row in some if row["regret"] is not None]
+        if total:
+            kept = sum(round(row["within"] * row["audits"]) for row in some)
+            notes.append(f"{100 * asked:g} %: {kept} of {total} audits within ({100 * kept / total:.0f} %)"
+                         + (f"; largest regret {max(most):.2f}" if most else ""))
     return Measurement.of("promise", {"scenes": list(scenes), "objects": objects, "touches": touches}, [
         Table("Accuracies that were bought, on touches of other objects than the pilot's, against one level finer",
-              columns, found, name="promise")])
+              columns, found, name="promise")], notes=notes)

@@ -122,8 +122,8 @@ def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int |
 
 def _here(jobs: Sequence[Job], scene: Scene, device: str, workers: int | None,
           progress: Callable[[int, int, str], None] | None) -> Iterator[tuple[int, str]]:
-    recipe = jobs[0].recipe
-    compile_kernels(kernels_of(scene, recipe.tier), device, progress=progress)
+    kernels = [one for tier in dict.fromkeys(job.recipe.tier for job in jobs) for one in kernels_of(scene, tier)]
+    compile_kernels(kernels, device, progress=progress)
     yield from effector_of(scene).make_all(jobs, device=device, workers=workers)
 
 

@@ -39,17 +39,17 @@ class Imagined:
 
 
 def trial(times: float) -> promise.Trial:
-    return promise.Trial(load_scene(promise.COLUMN), GROUND, range(2), range(2, 5), 4, Imagined(times))
+    return promise.Trial(load_scene(promise.COLUMN), GROUND, "", range(2), range(2, 5), 4, Imagined(times))
 
 
 def test_what_is_bought_is_audited_on_other_objects():
-    kept, tight, no = promise.rows(trial(1.0), (0.06, 0.03, 0.003))
+    kept, tight, no = promise.rows([trial(1.0)], (0.06, 0.03, 0.003))
     assert kept["setting"] == "fem-coarse, 20 mm" and kept["audits"] == 12 and kept["within"] == 1.0
     # 26 mm is off by 5.3 % over the way in, which 70 % of 6 % do not allow and 6 % do: the regret of the margin
     assert kept["regret"] == pytest.approx(1.3) and kept["worst"] == pytest.approx(0.032, abs=0.002)
     assert tight["setting"] == "fem-coarse, 15.4 mm" and tight["regret"] == 1.0
     assert no["said"].startswith("refused: the most exact setting of the pilot, fem, 11.8 mm, is off by 1.1 %")
-    broken, = promise.rows(trial(3.0), (0.06,))
+    broken, = promise.rows([trial(3.0)], (0.06,))
     assert broken["within"] == 0.0 and broken["regret"] is None
 
 

@@ -54,7 +54,8 @@ def observed(options: Mapping[str, Any], tier: str, errors: Sequence[float]) -> 
         return None
     all_ = np.asarray(errors, float)
     within = float((all_ <= promise["asked"]).mean()) if len(all_) else 0.0
-    return {"asked": promise["asked"], "chosen": {"tier": tier, "resolution": options.get("resolution")},
+    chosen = options.get("classes") or {"tier": tier, "resolution": options.get("resolution")}
+    return {"asked": promise["asked"], "chosen": chosen,
             "expected": promise["expected"],
             "observed": {"audits": len(all_), "within": within,
                          "rms": float(np.sqrt(np.mean(all_**2))) if len(all_) else None,
