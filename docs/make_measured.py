@@ -1,17 +1,20 @@
-"""Writes the tables of figures that the pages include: `python docs/make_measured.py [NAME ...]`.
+"""Writes the tables of figures that the pages include: `python docs/make_measured.py [NAME[=FILE,...] ...]`.
 
 Every table comes from the output of a command, which stands above it in the file. `measured/NAME.md` is included by a
 page; the README's table stands between two marks, since GitHub includes nothing. The leaderboards take seconds and a
-test compares them with what ships; the others measure, for minutes, on the machine that they name.
+test compares them with what ships; the others measure, for minutes, on the machine that they name. What another machine
+measured is in the FILEs that `vsfsim tradeoff`, or `vsfsim measure`, wrote there with --json.
 """
 
 import dataclasses
 import functools
 import importlib.util
+import json
+import math
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,8 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
 NOT = "not measured"
+DRAWN = {"foam-block": "accuracy", "shoes-v3-mini": "accuracy-shoe"}
+"""Pictures of fronts, by scene."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
 
@@ -154,8 +159,25 @@ def measurement(name: str, tables: int, first: int = 0, dataset: str = "", modul
     found = script.measure(*operands, progress=print, **settings)
     words = f"{name} datasets/{dataset}" if dataset else name
     words += f" --tier {settings['tier']}" if "tier" in settings else ""
-    text = written(found, words, f"{found.machine}, {found.date}.", found.tables[first:first + tables])
+    return with_notes(found, words, found.tables[first:first + tables])
+
+
+def with_notes(found: Any, words: str, tables: list) -> str:
+    """Tables of a measurement with the machine, the day and the notes."""
+    text = written(found, words, f"{found.machine}, {found.date}.", tables)
     return text + "\n" * bool(found.notes) + "".join(f"- {note[0].upper()}{note[1:]}.\n" for note in found.notes)
+
+
+def recorded(name: str, files: list[Path]) -> str:
+    """The table NAME from what commands wrote with --json; the rows of several files, of one machine, stand in one."""
+    sys.path.insert(0, str(ROOT))
+    records = [json.loads(file.read_text()) for file in files]
+    if name.startswith("tradeoff-"):
+        return tradeoff_table(name.removeprefix("tradeoff-"), MEASURED[name].keywords, records[0])
+    module = importlib.import_module(f"benchmarks.{MODULES[name]}")
+    found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
+    of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
+    return with_notes(dataclasses.replace(found, **of), name, list(found.tables))
 
 
 def written(found: Any, words: str, about: str, tables: list) -> str:
@@ -185,34 +207,46 @@ def tradeoff(scene: str, **options: Any) -> str:
     already is not measured again."""
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.generate.trade import front
     from vsfsim.generate.trade.command import tradeoff as run
 
     found, _ = run(load_scene(find_scene(scene)), ROOT / "tradeoff" / scene,
                    progress=lambda done, total, what: print(f"{done}/{total} {what}"), **options)
-    words = "".join(f" --{name.removesuffix('s_only')} {one}" for name, value in options.items()
-                    for one in (value if isinstance(value, tuple) else (value,)))
-    head, rows = front.cells(found.points)
+    return tradeoff_table(scene, options, found.table())
+
+
+def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, Any]) -> str:
+    """The front of a scene and what each goal costs, from the JSON of `vsfsim tradeoff` with these options; its picture, too."""
+    from vsfsim.generate.trade import front
+
+    from vsfsim.generate.trade.plot import draw
+
+    points = [front.Point(**{**p, "error": math.nan if p["error"] is None else p["error"]}) for p in table["points"]]
+    if scene in DRAWN:
+        draw(points, f"{scene}: {table['what']}", ROOT / "docs" / "pictures" / f"{DRAWN[scene]}.png")
+    head, rows = front.cells(points)
     kept = [k for k, name in enumerate(head) if name not in ("clock s/touch", "MiB", "worst %")]
-    about = [f"- {line}." for line in found.limit]
-    return (f"<!-- vsfsim tradeoff {scene}{words} -->\n{found.what[0].upper()}{found.what[1:]}, on {found.machine}:\n\n"
+    said = [front.sentence(goal, points) for goal in front.GOALS]
+    left = [f"{table['left']} settings were not reached in the time"] * bool(table["left"])
+    about = "\n".join(f"- {line[0].upper()}{line[1:]}." for line in (*table["limit"], *said, *left))
+    words = scene + "".join(f" --{name} {value}" for name, value in options.items())
+    what = f"{table['what'][0].upper()}{table['what'][1:]}, on {table['machine']}"
+    return (f"<!-- vsfsim tradeoff {words} -->\n{what}:\n\n"
             + piped([head[k] for k in kept], [[row[k].replace("*", "\\*").replace("~", "\\~") for k in kept]
                                               for row in rows])
             + "\n\\* on the front; \\~ error below that of the limit, not ranked; x the tier does not show the scene's "
-              "needs.\n\n" + "\n".join([*about, *(f"- {line}." for line in found.sentences())]) + "\n")
+              f"needs.\n\n{about}\n")
 
 
-MEASURED: dict[str, Callable[[], str]] = {
+MEASURED: dict[str, partial[str]] = {
     **{name: partial(result, name) for name in included()},
     "trust": partial(kept, "trust", "trust"),
     "indentation": partial(kept, "indentation", "trust.indentation"),
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
-    "tradeoff-foam-block": partial(tradeoff, "foam-block", touches=2),
+    **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini", "plants-mini")},
+    "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
     "built": partial(measurement, "built", 1),
     "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
-    "tradeoff-shoes-v3-mini": partial(tradeoff, "shoes-v3-mini", touches=2,
-                                      tiers_only=("vsf", "linear", "fem-coarse", "fem")),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 LARGE: dict[str, Callable[[], str]] = {
@@ -223,7 +257,9 @@ LARGE: dict[str, Callable[[], str]] = {
                        workers=os.cpu_count() or 1),
     "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None)}
-"""Tables that take a large machine or another package, made by their names alone; no page has them yet."""
+"""Tables that take a large machine or another package, made by their names alone."""
+MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent"}
+"""Of benchmarks/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
 
 
 def readme(text: str) -> str:
@@ -237,7 +273,8 @@ def readme(text: str) -> str:
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for name in sys.argv[1:] or MEASURED:
-        (FOLDER / f"{name}.md").write_text({**MEASURED, **LARGE}[name]())
+    for name, _, files in (word.partition("=") for word in sys.argv[1:] or MEASURED):
+        text = recorded(name, [Path(file) for file in files.split(",")]) if files else {**MEASURED, **LARGE}[name]()
+        (FOLDER / f"{name}.md").write_text(text)
     page = ROOT / "README.md"
     page.write_text(readme(page.read_text()))

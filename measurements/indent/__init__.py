@@ -162,11 +162,16 @@ def measure(peers: Sequence[str] = (), cases: Sequence[str] = (), *, tier: str =
                     break
                 settings[f"{peer} {made['version']}"] = made["settings"]
                 rows.append({"case": case, "peer": f"{peer} {made['version']}", **compared(made, depths, exact)})
+    return found_of(rows, {"peers": list(peers), "tier": tier, "settings": settings})
+
+
+def found_of(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> Measurement:
+    """The measurement of these rows."""
     columns = [Column("case", "case"), Column("peer", "simulator"), Column("tets", "tetrahedra", "1", "", "d"),
                *(Column(f"at_{1e3 * d:g}".replace(".", "_"), f"{1e3 * d:g} mm", "1", "%", "+.1f") for d in SHOWN),
                Column("rms", "rms", "1", "%", ".1f"), Column("worst", "worst", "1", "%", "+.1f"),
                Column("balance", "unbalanced", "1", "", ".0e"), Column("seconds", "CPU s a frame", "1", "", ".2g"),
                Column("said", "")]
-    return Measurement.of("peers", {"peers": list(peers), "tier": tier}, [
+    return Measurement.of("peers", settings, [
         Table("Error of the force along the depths of references/, at four of them and over all", columns, rows,
-              name="peers")], notes=[f"{peer}: {said}" for peer, said in settings.items()])
+              name="peers")], notes=[f"{peer}: {said}" for peer, said in settings["settings"].items()])

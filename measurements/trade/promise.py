@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +234,12 @@ def measure(scenes: Sequence[str] = (), *, accuracies: Sequence[float] = ACCURAC
                             range(k + n * first, k + n * (first + own), n), touches, pieces)
                       for k, name in enumerate(names)]
             found += [{"scene": loaded.name, **row} for row in rows(trials, accuracies)]
+    return found_of(found, {"scenes": list(scenes), "accuracies": list(accuracies), "objects": objects,
+                            "touches": touches})
+
+
+def found_of(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> Measurement:
+    """The measurement of these rows."""
     columns = [Column("scene", "scene"), Column("class", "class"), Column("asked", "asked", "1", "%", "g"),
                Column("setting", "chosen"), Column("expected", "expected", "1", "%", ".2g"),
                Column("audits", "audits", "1", "", "d"), Column("within", "kept", "1", "%", ".0f"),
@@ -241,13 +247,13 @@ def measure(scenes: Sequence[str] = (), *, accuracies: Sequence[float] = ACCURAC
                Column("cost", "CPU s a touch", "1", "", ".2g"), Column("regret", "regret", "1", "", ".2f"),
                Column("said", "")]
     notes = []
-    for asked in accuracies:
-        some = [row for row in found if row.get("asked") == asked and "audits" in row]
+    for asked in sorted({row["asked"] for row in rows if "asked" in row}, reverse=True):
+        some = [row for row in rows if row.get("asked") == asked and "audits" in row]
         total, most = sum(row["audits"] for row in some), [row["regret"] for row in some if row["regret"] is not None]
         if total:
             kept = sum(round(row["within"] * row["audits"]) for row in some)
             notes.append(f"{100 * asked:g} %: {kept} of {total} audits within ({100 * kept / total:.0f} %)"
                          + (f"; largest regret {max(most):.2f}" if most else ""))
-    return Measurement.of("promise", {"scenes": list(scenes), "objects": objects, "touches": touches}, [
+    return Measurement.of("promise", settings, [
         Table("Accuracies that were bought, on touches of other objects than the pilot's, against one level finer",
-              columns, found, name="promise")], notes=notes)
+              columns, rows, name="promise")], notes=notes)

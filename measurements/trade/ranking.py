@@ -4,6 +4,9 @@ One small task is made at several fidelities, with the same objects and touches.
 data of that fidelity alone, and on the finest data after they have learned from the training objects of the cheap ones.
 Kendall's tau compares each ranking with that of the finest data; its interval is from draws of the test objects with
 replacement.
+
+The error on the finest data is also split: what falls away without the sensor's noise is of the noise, what falls away
+with all the touches that are not asked is of too few touches, and the rest is of the method's model.
 """
 
 from __future__ import annotations
@@ -43,22 +46,25 @@ tier = "auto"
 [protocol]
 train = "train"
 test = "test"
-shots = [4]
+shots = [{shots}]
 seeds = 2
-query = 4
+query = {query}
 seed = 0
 [observation]
 kind = "normal-force"
 [noise]
-force_std = 0.05
-offset_std = 0.05
-drift_std = 0.01
+force_std = {force}
+offset_std = {force}
+drift_std = {drift}
 tare_frames = 2
 seed = 0
 [metrics]
 primary = "rmse_ratio"
-ranking_shot = 4
+ranking_shot = {shots}
 """
+SHOTS, QUERY = 4, 4
+"""Touches that are learned from, and that are asked."""
+NOISE, QUIET = {"force": 0.05, "drift": 0.01}, {"force": 0.0, "drift": 0.0}
 METHODS = ("gaussian", "gaussian-zero", "near-springs", "surface-gp", "contact-points")
 _NO_VIEW = 99  # number of a view that no object has: nothing is learned from the finest data
 _DRAWS = 2000
@@ -120,7 +126,9 @@ def measure(*, fidelities: Sequence[str] = (), methods: Sequence[str] = METHODS,
         out: folder of the data and of what was scored; a later run goes on with it.
         progress: called with what is going on.
     """
-    task = parse_task(TASK.format(objects=objects, touches=touches), SCENE)
+    task, quiet, many = (
+        parse_task(TASK.format(objects=objects, touches=touches, shots=shots, query=QUERY, **noise), SCENE)
+        for noise, shots in ((NOISE, SHOTS), (QUIET, SHOTS), (QUIET, touches - QUERY)))
     data: dict[str, Dataset] = {}
     for one in FIDELITIES:
         if not fidelities or one.name in fidelities or one is FINEST:
@@ -137,15 +145,33 @@ def measure(*, fidelities: Sequence[str] = (), methods: Sequence[str] = METHODS,
                     **{f"{key}.{m}": float(v) for m, v in zip(methods, values.mean(axis=1), strict=True)}}
         rows.append(row)
     flat = [{**row, **{f"{key}_{m}": row[f"{key}.{m}"] for key in ("own", "fine") for m in methods}} for row in rows]
+    finest = {FINEST.name: data[FINEST.name]}
+    silent, all_ = (_scored(one, finest, methods, out / "scores.jsonl", workers, progress)[FINEST.name, FINEST.name]
+                    for one in (quiet, many))
+    parts = zip(methods, best.mean(axis=1).tolist(), silent.mean(axis=1).tolist(), all_.mean(axis=1).tolist(),
+                strict=True)
+    return found_of(flat, {"objects": objects, "touches": touches, "methods": list(methods)}, [
+        {"method": m, "error": e, "noise": e - s, "touches": s - a, "model": a} for m, e, s, a in parts])
+
+
+def found_of(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any],
+             split: Sequence[Mapping[str, Any]] = ()) -> Measurement:
+    """The measurement of these rows, and of those of the parts of the error."""
+    methods = settings["methods"]
     columns = [Column("fidelity", "fidelity"),
                *(Column(f"own_{m}", m, "1", "", ".3f") for m in methods),
                Column("own_tau", "tau", "1", "", ".2f"), Column("own_interval", "95 %"),
                *(Column(f"fine_{m}", f"{m}, tested on fem", "1", "", ".3f") for m in methods),
                Column("fine_tau", "tau, tested on fem", "1", "", ".2f"), Column("fine_interval", "95 %")]
-    return Measurement.of("ranking", {"objects": objects, "touches": touches, "methods": list(methods)}, [
+    return Measurement.of("ranking", settings, [
         Table("Error over that of predicting zero, after four touches, of methods trained and tested on one fidelity, "
-              "and trained on it and tested on fem; Kendall's tau against the ranking on fem", columns, flat,
-              name="ranking")])
+              "and trained on it and tested on fem; Kendall's tau against the ranking on fem", columns, rows,
+              name="ranking"),
+        Table(f"Parts of that error on fem: of the sensor's noise, of {SHOTS} touches in place of "
+              f"{settings['touches'] - QUERY}, and what the model leaves",
+              [Column("method", "method"), *(Column(key, words, "1", "", ".3f") for key, words in (
+                  ("error", "error"), ("noise", "noise"), ("touches", "too few touches"), ("model", "model")))],
+              split, name="split")])
 
 
 def _scored(task: Task, data: Mapping[str, Dataset], methods: Sequence[str], file: Path, workers: int,

@@ -235,8 +235,8 @@ MANIFEST_KEYS: Mapping[str, str] = {
     "recipe": "what the files were made from: scene and its text, seed, counts, splits, device, tier, "
               "precision, renderer",
     "left_out": "only where object views could not be made: their names, each with the reason",
-    "accuracy": "only with --accuracy: error of the force asked for, tier and element size chosen for it, the error "
-                "expected, and that of the audited touches",
+    "accuracy": "only with --accuracy: error of the force asked for, tier and element size chosen for it (or a list "
+                "of them, one a class of objects), the error expected, and that of the audited touches",
     "files": "one entry a file: name, split, indices, counts, bytes, sha256, and the kind of CPU or GPU that made it",
 }
 """Keys of dataset.json and their meaning."""

@@ -77,17 +77,20 @@ def test_what_is_trained_cheaply_is_also_tested_on_the_finest_data(tmp_path, mon
     def evaluate(method, task, dataset, *, training, check):
         learned = training.extra[0].dataset.sha256 if training.extra else dataset.sha256
         asked.append((method, learned, dataset.sha256))
-        return f"{method} {learned}"
+        return f"{method} {learned}{'!' * (task.noise.force_std > 0.0)}"  # a letter more for the noise
 
     monkeypatch.setattr(ranking, "evaluate", evaluate)
-    monkeypatch.setattr(ranking, "by_object", lambda result, *_: {"b": 1.0 + len(result), "a": 2.0})
+    monkeypatch.setattr(ranking, "by_object", lambda result, metric, shot: {
+        "b": 1.0 + len(result) + (shot == "4"), "a": 2.0})
     entries = tuple(SimpleNamespace(object_index=k, name=str(k)) for k in range(4))
     monkeypatch.setattr(ranking, "made", lambda one, *_, **__: SimpleNamespace(sha256=one.name, entries=entries))
     given = {"fidelities": ["linear"], "methods": ("gaussian", "sbml"), "out": tmp_path}
-    (cheap, fine) = ranking.measure(**given).record()["ranking"]
-    assert ("sbml", "linear", "linear") in asked and ("sbml", "linear", "fem") in asked and len(asked) == 6
+    found = ranking.measure(**given).record()
+    (cheap, fine), (part, _) = found["ranking"], found["split"]
+    assert ("sbml", "linear", "linear") in asked and ("sbml", "linear", "fem") in asked and len(asked) == 10
+    assert part == {"method": "gaussian", "error": 8.5, "noise": 0.5, "touches": 0.5, "model": 7.5}
     assert cheap["fidelity"] == "linear" and cheap["own_tau"] == fine["own_tau"] == 1.0
     (tmp_path / "scores.jsonl").open("a").write('{"key": "half')  # a run that was killed
     for _ in range(2):
         assert ranking.measure(**given | {"methods": ("gaussian", "sbml", "cnp")}).record()["ranking"]
-        assert len(asked) == 9, "what is scored is not scored again"
+        assert len(asked) == 15, "what is scored is not scored again"

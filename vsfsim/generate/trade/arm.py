@@ -60,7 +60,8 @@ class ArmTouches:
                 self._alone.append(dataclasses.replace(whole, aims=[own], poses=whole.poses[:, k:k + 1],
                                                        scene=_without_limit(whole.scene)))
         self.count = len(self._alone)
-        self.what = f"{self.count} touches of {objects} plant{'s' * (objects > 1)} along straight lines"
+        self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} plant{'s' * (objects > 1)} along "
+                     f"straight lines")
 
     def run(self, setting: Setting) -> Run:
         """All touches."""

@@ -123,7 +123,7 @@ def sentence(goal: float, points: Sequence[Point]) -> str:
         marked = f", {100 * best.marked:.0f} % of the frames marked" if best.marked else ""
         return (f"{said}: {best.key}, {best.frame:.2g} s a frame (error {100 * best.error:.2g} %, limit known to "
                 f"{100 * best.bar:.2g} %{marked})")
-    bar = min((p.bar for p in points), default=math.nan)
+    bar = min((p.bar for p in points if math.isfinite(p.error)), default=math.nan)
     if bar > goal:
         return f"{said}: cannot be told on this scene, the limit itself is known to {100 * bar:.2g} % only"
     known = [p for p in points if p.shows and math.isfinite(p.error)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import re
 from collections.abc import Sequence
 
 from vsfsim.generate.trade import front
@@ -62,9 +63,13 @@ def by_tier(points: Sequence[Point]) -> dict[str, tuple[str, list[Point]]]:
             for tier in dict.fromkeys(p.tier for p in shown)}
 
 
+_SIZE = re.compile(r"[\w-]+|[\w-]+, [\d.]+ mm|rod, \d+ beams? a segment|bubble, \d+ nodes")
+"""Keys of settings that say a tier and the size of its elements alone, see `Setting.key`."""
+
+
 def by_size(own: Sequence[Point]) -> list[Point]:
     """Those of a tier's points that differ in the size of their elements alone."""
-    return [p for p in own if p.key.count(",") <= 1]
+    return [p for p in own if _SIZE.fullmatch(p.key)]
 
 
 def chart(points: Sequence[Point]) -> str:

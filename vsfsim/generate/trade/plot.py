@@ -39,8 +39,8 @@ def draw(points: Sequence[Point], title: str, file: Path) -> None:
     bar = 100.0 * max((p.bar for p in shown), default=0.0)
     if bar > 0.0:
         axes.axhline(bar, color="0.5", linestyle="--", linewidth=1.0)
-        axes.annotate("error of the limit; open marks are not ranked", (0.01, bar), (0, -4),
-                      ("axes fraction", "data"), "offset points", ha="left", va="top", fontsize=8, color="0.4")
+        axes.annotate("error of the limit; open marks are not ranked", (0.01, bar), (0, 3),
+                      ("axes fraction", "data"), "offset points", ha="left", va="bottom", fontsize=8, color="0.4")
     axes.set(xscale="log", yscale="log", xlabel="CPU time of a touch [s]", ylabel="error of the force [%], worst touch",
              title=title)
     for axis in (axes.xaxis, axes.yaxis):

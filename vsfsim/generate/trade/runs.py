@@ -68,9 +68,9 @@ class DatasetTouches:
             self.aims.append([drawn[k] for k in spread([a.depth for a in drawn], np.stack([a.target for a in drawn]),
                                                        touches)])
         self.count = sum(map(len, self.aims))
-        depths = [a.depth for own in self.aims for a in own]
-        self.what = (f"{self.count} touches of {objects} object{'s' * (objects > 1)}, {1e3 * min(depths):.1f} to "
-                     f"{1e3 * max(depths):.1f} mm deep")
+        depths = sorted({f"{1e3 * a.depth:.1f}" for own in self.aims for a in own}, key=float)
+        self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} object{'s' * (objects > 1)}, "
+                     f"{' to '.join(dict.fromkeys((depths[0], depths[-1])))} mm deep")
 
     def run(self, setting: Setting) -> Run:
         """See `Touched`."""
