@@ -215,9 +215,8 @@ def tradeoff(scene: str, **options: Any) -> str:
 
 
 def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, Any]) -> str:
-    """The front of a scene and what each goal costs, from the JSON of `vsfsim tradeoff` with these options; its picture, too."""
+    """The front of a scene and what each goal costs, from the JSON of `vsfsim tradeoff` with these options; draws it."""
     from vsfsim.generate.trade import front
-
     from vsfsim.generate.trade.plot import draw
 
     points = [front.Point(**{**p, "error": math.nan if p["error"] is None else p["error"]}) for p in table["points"]]

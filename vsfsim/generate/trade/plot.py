@@ -48,5 +48,5 @@ def draw(points: Sequence[Point], title: str, file: Path) -> None:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     axes.grid(True, which="major", color="0.88")
-    axes.legend(fontsize=8, loc="upper right", framealpha=1.0)
+    axes.legend(fontsize=8, loc="best", framealpha=1.0)
     figure.savefig(file)
