@@ -174,7 +174,7 @@ def recorded(name: str, files: list[Path]) -> str:
     records = [json.loads(file.read_text()) for file in files]
     if name.startswith("tradeoff-"):
         return tradeoff_table(name.removeprefix("tradeoff-"), MEASURED[name].keywords, records[0])
-    module = importlib.import_module(f"benchmarks.{MODULES[name]}")
+    module = importlib.import_module(f"measurements.{MODULES[name]}")
     found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
     return with_notes(dataclasses.replace(found, **of), name, list(found.tables))
@@ -215,7 +215,7 @@ def tradeoff(scene: str, **options: Any) -> str:
 
 
 def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, Any]) -> str:
-    """The front of a scene and what each goal costs, from the JSON of `vsfsim tradeoff` with these options; draws it."""
+    """The front of a scene, drawn too, and what each goal costs, from the JSON of `vsfsim tradeoff` with options."""
     from vsfsim.generate.trade import front
     from vsfsim.generate.trade.plot import draw
 
@@ -258,7 +258,7 @@ LARGE: dict[str, Callable[[], str]] = {
                      here=importlib.util.find_spec("skfem") is not None)}
 """Tables that take a large machine or another package, made by their names alone."""
 MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent"}
-"""Of benchmarks/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
+"""Of measurements/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
 
 
 def readme(text: str) -> str:
