@@ -43,6 +43,46 @@ def test_relative_indices_count_from_where_they_stand(tmp_path: Path) -> None:
     assert solid.volume() == pytest.approx(0.1 * 0.1 * 0.03 + 0.04 * 0.04 * 0.03, rel=0.02)
 
 
+def obj_faces(corner: str, head: str = "") -> str:
+    """A unit cube, each corner of a face written as ``corner`` with its number ``i``, or ``n`` counted from the end."""
+    return head + "".join("v {} {} {}\n".format(*c) for c in CUBE) + "vt 0 0\nvn 0 0 -1\n" + "".join(
+        "f " + " ".join(corner.format(i=i, n=i - 9) for i in quad) + "\n" for quad in QUADS)
+
+
+@pytest.mark.parametrize("text", [
+    obj_faces("{n}"), obj_faces("{n}/-1/-1"), obj_faces("{i}//1"), obj_faces("{i}/1"),
+    obj_faces("{i}").replace("vn 0 0 -1\n", ""), obj_faces("{i}").replace("f 4", "f \\\n4"),
+    obj_faces("{i}").replace("\n", "\r\n"), obj_faces("{i}").replace(" ", "\t"), obj_faces("{i}", "o a\ng b\ns off\n")])
+def test_a_cube_is_a_cube_however_its_corners_are_named(text: str) -> None:
+    """Normals that are wrong or missing do not matter: a face is wound by its corners."""
+    assert volume(text, "a.obj") == pytest.approx(1.0)
+
+
+def ply_block(order: str, real: str = "float", index: str = "int", *, faces: int = 12) -> bytes:
+    mesh, kind = trimesh.creation.box((1, 2, 3)), {"float": "f", "double": "d", "int": "i", "ushort": "H"}
+    head = (f"ply\nformat {order} 1.0\nelement vertex 8\n" + "".join(f"property {real} {a}\n" for a in "xyz")
+            + f"element face {faces}\nproperty list uchar {index} vertex_indices\nend_header\n").encode()
+    if order == "ascii":
+        return head + "".join(" ".join(map(str, row)) + "\n" for row in (
+            *mesh.vertices.tolist(), *([3, *face] for face in mesh.faces.tolist()))).encode()
+    sign = ">" if order == "binary_big_endian" else "<"
+    return head + b"".join(struct.pack(f"{sign}3{kind[real]}", *v) for v in mesh.vertices) + b"".join(
+        struct.pack(f"{sign}B3{kind[index]}", 3, *f) for f in mesh.faces)
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_of_every_order(order: str) -> None:
+    for real, index in (("float", "int"), ("double", "ushort")):
+        assert volume(ply_block(order, real, index), "a.ply") == pytest.approx(6.0)
+    for faces in (6, 99):
+        with pytest.raises(MeshError, match=r"announces .* (it ends after 12|counts and content do not agree)"):
+            volume(ply_block(order, faces=faces), "a.ply")
+    if order != "ascii":
+        one, other = (b"big", b"little") if "big" in order else (b"little", b"big")
+        with pytest.raises(MeshError, match="cannot be understood as PLY"):
+            volume(ply_block(order).replace(one, other, 1), "a.ply")
+
+
 def test_polygons_that_are_not_convex_are_cut_by_their_ears() -> None:
     """A prism over an L of 3/4 of a square, its two ends polygons of six corners that a fan would fold."""
     ring = [(0.5, 0.5), (0.5, 1), (0, 1), (0, 0), (1, 0), (1, 0.5)]

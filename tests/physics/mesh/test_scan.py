@@ -6,6 +6,7 @@ import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -173,6 +174,16 @@ def test_a_filler_that_dies_is_an_error_with_its_last_words(tmp_path: Path, monk
     with pytest.raises(MeshError, match="out of luck"):
         filled(hollow(0.002), tmp_path)
     assert not list((tmp_path / "cache").glob("*.npz"))
+
+
+def test_a_filler_that_does_not_end_is_stopped_with_words_of_progress(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(tetwild, "_FILLER", "import time\ntime.sleep(60.0)")
+    monkeypatch.setattr(tetwild, "TIME_LIMIT", 0.3)
+    monkeypatch.setattr(tetwild, "_TOLD", 0.1)
+    with pytest.raises(MeshError, match=r"fTetWild took more than 0\.3 s"):
+        tetwild.run(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3))), 0.01, 0.01, Path("x.stl"))
+    assert "x.stl: fTetWild fills it, 0 s of at most 0 s" in capsys.readouterr().err
 
 
 def test_only_thin_walls_need_the_filler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
