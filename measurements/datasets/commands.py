@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.console import report, step
-from vsfsim.cli.options import JsonFile
+from vsfsim.cli.options import Device, JsonFile
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -54,6 +54,23 @@ def built(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]..."
     from measurements.built import measure
 
     found = measure(scene or (), progress=step)
+    report(found.text(), found.record(), json, indent=1)
+
+
+@app.command()
+def gpu(scene: Annotated[str, typer.Argument(help="Name of a scene with [touches], or the path of its .toml file.")],
+        device: Device = "cuda:0",
+        objects: Annotated[int | None, typer.Option(min=1, help="Default: the scene's own number.")] = None,
+        touches: Annotated[int | None, typer.Option(min=1, help="Of each view; default: the scene's.")] = None,
+        workers: Annotated[int | None, typer.Option(min=1, help="Processes on the GPU; default: those of "
+                                                                "`generate`.")] = None,
+        cores: Annotated[int | None, typer.Option(min=0, help="Processes that make the same on the CPU; default: one a "
+                                                              "core, 0: none.")] = None,
+        json: JsonFile = None) -> None:
+    """Frames a second of a scene on a GPU, its load, and the ratio to CPU cores of the same machine."""
+    from measurements.datasets.card import measure
+
+    found = measure(scene, device=device, objects=objects, touches=touches, workers=workers, cores=cores, progress=step)
     report(found.text(), found.record(), json, indent=1)
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from test_generate import SCENE, command
@@ -292,3 +293,13 @@ def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
     assert asked[-2:] == [32, 17]
     with pytest.raises(RuntimeError, match="another"):
         workers.largest(lambda size: make(size, room=3, words="another"), 4096, 17, "plants", "cuda:0")
+
+
+@pytest.mark.parametrize(("gibibytes", "processes"), [(140, 8), (80, 6), (24, 2), (8, 1)])
+def test_as_many_processes_share_a_gpu_as_its_memory_holds(monkeypatch, gibibytes, processes):
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    monkeypatch.setattr("warp.get_device", lambda device: SimpleNamespace(total_memory=gibibytes * 2**30))
+    asked = []
+    monkeypatch.setattr(workers, "_make_in_pool", lambda jobs, device, count: iter(asked.append(count) or ()))
+    assert list(workers.make_each(["a view"], device="cuda:0", workers=None)) == [] and asked == [processes]
+    assert list(workers.make_each(["a view"], device="cuda:0", workers=3)) == [] and asked[1:] == [3]

@@ -24,7 +24,7 @@ VSF_SPACING = 0.005  # spacing of the particles, SBML appendix B.2 for shoes [m]
 _GRID = 8  # barycentric points along the edge of a triangle, which spread the disc's pressure over nodes
 
 
-def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray, *, device: str = "cpu") -> np.ndarray:
     """Small-strain stiffness at surface points (k,) [N/m]: force over displacement of a tip of radius `PROBE_RADIUS`.
 
     A uniform pressure acts on the disc around each point, along minus the normal; the displacement is the
@@ -35,6 +35,7 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np
         model: the body.
         points: on its surface (k, 3) [m].
         normals: outward unit normals there (k, 3) [-].
+        device: Warp device.
     """
     mesh = model.mesh
     steps = np.array([(i + 1 / 3, j + 1 / 3, _GRID - i - j - 2 / 3) for i in range(_GRID)
@@ -54,8 +55,8 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np
         nodal = np.zeros(len(mesh.points))
         np.add.at(nodal, mesh.faces[face[near]], share[:, None] * values[local[near]])
         right[:, k] = (nodal[:, None] * -normal).ravel() * model.free
-    factor = model.factor if model.soft_factor is not None else model.predictor("cpu")
-    moved = factor.solve(right)
+    factor = model.factor if model.soft_factor is not None else model.predictor(device)
+    moved = factor.solve_on(device, right)
     # of displacements that are off by e this is r . K^-1 r less e . K e: the error is the square of the factor's
     softness = ((2.0 * right - factor.stiffness @ moved) * moved).sum(axis=0)
     # where all nodes under the tip are held, there is no compliance
@@ -82,7 +83,7 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
     cloud = view.points()
     points = voxel_sample(cloud, PROBE_VOXEL)
     normals = cloud_normals(cloud, points, eye)
-    stiffness = probe_stiffness(model, points, normals)
+    stiffness = probe_stiffness(model, points, normals, device=device)
     keep = np.isfinite(stiffness)
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)

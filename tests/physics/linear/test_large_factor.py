@@ -1,5 +1,7 @@
 """The factor of large bodies: exact at any contrast, the same on any number of threads, refused where it must be."""
 
+from collections import OrderedDict
+
 import numpy as np
 import pytest
 import torch
@@ -69,3 +71,17 @@ def test_a_loose_part_is_refused(model):
     values = blocks_of(factor._held).data.astype(float)
     with pytest.raises(MeshError, match="not positive definite: a part of it can move freely"):
         LargeFactor(factor.order(model.mesh.points), -values)
+
+
+def test_the_dense_inverse_is_that_of_the_factor_and_given_back_with_the_next_body(model, monkeypatch):
+    # on a GPU it serves all touches; torch makes it on a CPU in the same way
+    monkeypatch.setattr(rest_factor, "_factors", OrderedDict())
+    nodes = model.mesh.surface_nodes()
+    factor = RestFactor.of(model.factor.stiffness, model.free, nodes)
+    loads = np.random.default_rng(4).normal(size=(factor.size, 3)) * model.free[:, None]
+    exact = factor.solve_on("cpu", loads)
+    inverse = factor.dense("cpu")
+    assert inverse is factor.dense("cpu")
+    assert factor.solve_on("cpu", loads) == pytest.approx(exact, rel=0, abs=1e-9 * abs(exact).max())
+    RestFactor.of(2.0 * model.factor.stiffness, model.free, nodes)
+    assert not factor._dense

@@ -170,7 +170,8 @@ class RigidContact(PointStiffness):
         """See `Contact`."""
         self._u_before, self._begun, self._before = u.clone(), before, self._placed(before)
         if self.springs is not None:  # where they let the bodies begin
-            self._plan, self._pose = before, self._before
+            self._plan_for(before)
+            self._pose = self._before
             self.evaluate(torch.arange(self.batch, device=self.device), self.gather(u))
             self._begun = self.springs.poses(before)
         self._relaxation.begin_step()
@@ -183,9 +184,14 @@ class RigidContact(PointStiffness):
         if (self._begun is not None and columns is not None  # the first move of a step
                 and self._body_points.add(columns, (self._begun, self._held_at(pose)), self._u_before, self.patches)):
             self._renew(pose, kept)
-        self._pose, self._begun, self._plan = self._placed(self._held_at(pose)), None, pose
+        self._pose, self._begun = self._placed(self._held_at(pose)), None
+        self._plan_for(pose)
         self._sink(pose)
         self._overlap[:, slice(None) if columns is None else columns] = 0.0
+
+    def _plan_for(self, pose: np.ndarray) -> None:
+        """The mounts, or the bodies without any, are at ``pose`` (B, K, 4, 4)."""
+        self._plan, self._mounts = pose, torch.as_tensor(pose[..., :3, 3], device=self.device)
 
     def _held_at(self, pose: np.ndarray) -> np.ndarray:
         """Poses (B, K, 4, 4) of the bodies whose mounts are at ``pose`` (B, K, 4, 4)."""
@@ -238,8 +244,7 @@ class RigidContact(PointStiffness):
     def evaluate_at_mounts(self, columns: torch.Tensor) -> None:
         """Evaluate the contact of ``columns`` (k,) with the bodies where springs let them."""
         if self.springs is not None:
-            plan = torch.as_tensor(self._plan[..., :3, 3], device=self.device)
-            wp.to_torch(self._pose[0])[columns] = self.springs.placed(plan)[columns]
+            wp.to_torch(self._pose[0])[columns] = self.springs.placed(self._mounts)[columns]
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
                       self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],

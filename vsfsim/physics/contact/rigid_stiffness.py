@@ -46,7 +46,7 @@ class PointStiffness:
     @property
     def symmetric(self) -> bool:
         """See `Contact`."""
-        return not bool(self.coulomb.any())
+        return not (self.has_friction and bool(self.coulomb.any()))
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
         """See `Contact`."""

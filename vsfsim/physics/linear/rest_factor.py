@@ -17,6 +17,7 @@ import scipy.sparse as sp
 import torch
 
 from vsfsim.physics import clock
+from vsfsim.physics.linear.dense_inverse import dense_inverse
 from vsfsim.physics.linear.elimination import Order, blocks_of
 from vsfsim.physics.linear.large_factor import LargeFactor
 from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
@@ -27,7 +28,7 @@ _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as re
 # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
 _ROWS, _SPARSE = 32, 0.4
 _LARGE = 60_000  # unknowns from which on `LargeFactor` takes a fifth of CHOLMOD's time or less
-_DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for a moment: 154 GB here
+_DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a moment: 102 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
 
@@ -125,6 +126,11 @@ class RestFactor:
             out[:, start:start + _CHUNK] = result
         return out
 
+    def solve_on(self, device: str, right: np.ndarray) -> np.ndarray:
+        """As `solve`, by the `dense` inverse if the device has it."""
+        there = self._dense.get(device)
+        return self.solve(right) if there is None else (there @ torch.as_tensor(right, device=device)).cpu().numpy()
+
     def quick(self, points: np.ndarray) -> RestFactor:
         """A factor of the same body with fewer digits, which takes a third of the time, for predictions and as a
         preconditioner; this factor itself if the quick one is not accurate enough.
@@ -172,8 +178,8 @@ class RestFactor:
 
     def forget(self) -> None:
         """Give back the memory of the columns; they are made again if they are asked for."""
-        self._columns.clear()
-        self._whole.clear()
+        for kept in (self._columns, self._whole, self._dense):
+            kept.clear()
         if self._quick is not None and self._quick is not self:
             self._quick.forget()
 
@@ -194,13 +200,9 @@ class RestFactor:
         return out.reshape(3 * len(nodes), 3 * len(pushed))
 
     def dense(self, device: str) -> torch.Tensor:
-        """The inverse (3 n, 3 n) [m/N] on a GPU, rows and columns of held degrees of freedom 0; made once and kept."""
+        """The inverse (3 n, 3 n) [m/N] on a GPU, 0 where held; made once and kept until the next body."""
         if device not in self._dense:
-            k = self._held
-            matrix = torch.sparse_coo_tensor(np.stack([k.row, k.col]), k.data, k.shape, device=device).to_dense()
-            inverse = torch.cholesky_inverse(torch.linalg.cholesky(matrix))
-            free = torch.as_tensor(self.free, device=device)
-            self._dense[device] = inverse * free * free[:, None]
+            self._dense[device] = dense_inverse(self._held, self.free, device)
         return self._dense[device]
 
     def stiffness_on(self, device: str) -> torch.Tensor:
@@ -385,10 +387,8 @@ class _Dense:
         return True
 
     def compliance(self) -> torch.Tensor:
-        mask = (self._dof >= 0).to(torch.float64)
-        index = self._dof.clamp(min=0)
-        table = self._inverse[index[:, :, None], index[:, None, :]]
-        table = table * mask[:, :, None] * mask[:, None, :]
+        mask, index = (self._dof >= 0).to(torch.float64), self._dof.clamp(min=0)
+        table = self._inverse[index[:, :, None], index[:, None, :]] * mask[:, :, None] * mask[:, None, :]
         return 0.5 * (table + table.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:

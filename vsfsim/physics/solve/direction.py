@@ -79,7 +79,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             self.local = [(j, local[k]) for j, k in enumerate(picked) if local[k] is not None]
             if touched:
                 self.stiffness = stiffness if which is None else stiffness[which]
-            self.lacks = torch.tensor([0.0 if knows[k] else 1.0 for k in picked], dtype=torch.float64)[:, None]
+            missing = [[0.0 if knows[k] else 1.0] for k in picked]
+            self.lacks = contact.mask.new_tensor(missing) if any(not knows[k] for k in picked) else None
             if block is not None:
                 self.block = block if which is None else block.pick(which)
 
@@ -110,8 +111,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             for (j, _), (_, left) in zip(own.local, begun, strict=True):
                 right[:, j] = torch.as_tensor(left)
             y = torch.empty_like(right) if len(own.factors) == right.shape[1] else response.solve(right)
-            if block is not None and bool(own.lacks.any()):
-                y = y - response.patch(own.columns, own.lacks.to(y.device) * own.block.apply(own.patch(y)))
+            if block is not None and own.lacks is not None:
+                y = y - response.patch(own.columns, own.lacks * own.block.apply(own.patch(y)))
             for j, factor in own.factors:
                 y[:, j:j + 1] = torch.as_tensor(factor.solve(right[:, j:j + 1].numpy()))
             for (j, inner), (first, _) in zip(own.local, begun, strict=True):

@@ -78,11 +78,15 @@ class TangentFactors:
 
     def of(self, touch: int) -> Multifrontal | None:
         """The factor that preconditions a touch, or None for that of the rest state."""
-        return self._own[touch] if self._softening[touch] == float(self._contact.softening[touch]) else None
+        return self._of_this_law(self._own[touch], touch)
 
     def local_of(self, touch: int) -> LocalFactor | None:
         """The local factor that corrects the factor of a touch, or None."""
-        return self._local[touch] if self._softening[touch] == float(self._contact.softening[touch]) else None
+        return self._of_this_law(self._local[touch], touch)
+
+    def _of_this_law(self, factor: Any, touch: int) -> Any:
+        """``factor``, or None if the contact is no longer as soft as when it was made."""
+        return factor if factor and self._softening[touch] == float(self._contact.softening[touch]) else None
 
     def count(self, columns: torch.Tensor, steps: torch.Tensor) -> None:
         """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,)."""
