@@ -239,6 +239,7 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
 MEASURED: dict[str, partial[str]] = {
     **{name: partial(result, name) for name in included()},
     "trust": partial(kept, "trust", "trust"),
+    "plant-ceilings": partial(kept, "plant-ceilings", "artificial_plants.ceilings"),
     "indentation": partial(kept, "indentation", "trust.indentation"),
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
@@ -249,7 +250,6 @@ MEASURED: dict[str, partial[str]] = {
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 LARGE: dict[str, Callable[[], str]] = {
-    "plant-ceilings": partial(kept, "plant-ceilings", "artificial_plants.ceilings"),
     "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
                        workers=os.cpu_count() or 1),
     "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",
