@@ -12,7 +12,7 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Sphere
-from vsfsim.generate.aim import aim_probe, clearance, probe_pose, surface_samples
+from vsfsim.generate.aim import _over_depth, aim_probe, clearance, probe_pose, surface_samples
 from vsfsim.generate.cloud import voxel_sample
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness
 from vsfsim.physics.contact import sdf
@@ -154,6 +154,12 @@ def test_a_response_that_was_not_found_tells_no_depth(model, monkeypatch):
     monkeypatch.setattr(Solver, "run", broken(slice(None)))
     with pytest.raises(SceneError, match=r"the linear response to the touch at .* was not found"):
         aims(model, view(), force_limit=0.4)
+
+
+def test_past_the_last_frame_found_the_force_rises_as_before_it():
+    found = _over_depth(np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([9.0, 1.0, np.nan, 7.0, np.nan]),
+                        np.array([False, True, False, True, False]))
+    assert found == pytest.approx([0.0, 1.0, 4.0, 7.0, 10.0])
 
 
 def test_force_limit_cuts_the_depth(model):

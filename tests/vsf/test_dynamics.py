@@ -8,9 +8,10 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
+from vsfsim.core import signed_distance
 from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.dynamics import _reach, simulate
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
 
 R = 0.02
@@ -143,6 +144,13 @@ def test_frictionless_capsule_moves_particles_to_its_nearest_surface_point():
     away = cloud - axis_point
     r = np.linalg.norm(away, axis=1, keepdims=True)
     np.testing.assert_allclose(u, np.where(r < 0.01, away * (0.01 / r - 1), 0.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("probe", [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.02, 0.004), Cylinder(0.003, 0.04),
+                                   Box((0.03, 0.02, 0.05))])
+def test_steps_go_by_the_thinnest_half_width_of_a_probe(probe):
+    """It is how deep the middle of a convex probe lies inside; particles are skipped by longer steps."""
+    assert _reach(probe)[1] == pytest.approx(-signed_distance.distance(probe, np.zeros((1, 3)))[0], rel=1e-12)
 
 
 def test_no_particle_is_skipped_at_20_mm_a_frame():

@@ -16,6 +16,7 @@ from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.data.checks.same import compare
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.lerobot import frame_rows
 from vsfsim.data.recipe import Recipe
@@ -53,6 +54,16 @@ def test_lerobot_holds_every_frame_to_the_bit(made, tmp_path):
     assert np.array(truth["young_modulus"]).tobytes() == want.young_modulus.tobytes()
     assert truth["points_shape"] == list(want.points.shape)
     assert np.array(truth["points"]).reshape(truth["points_shape"]).tobytes() == want.points.tobytes()
+
+
+def test_lerobot_names_the_file_of_every_episode_past_a_chunk(made, tmp_path, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(lerobot, "_CHUNK", 2)
+    out = export(made.path, "lerobot", tmp_path / "l")
+    for row in parquet.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist():
+        place = out / f"data/chunk-{row['data/chunk_index']:03d}/file-{row['data/file_index']:03d}.parquet"
+        assert row["episode_index"] in parquet.read_table(place)["episode_index"].to_pylist()
+    assert json.loads((out / "meta/info.json").read_text())["chunks_size"] == 2
 
 
 READ = """
@@ -133,6 +144,7 @@ def test_a_half_made_dataset_is_not_exported(tmp_path):
 SLOW = """
 import sys, time
 from vsfsim.data.formats import webdataset
+from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 real = webdataset.packed
 webdataset.packed = lambda arrays: (print("writing", flush=True), time.sleep(0.2), real(arrays))[-1]

@@ -7,7 +7,7 @@ from scipy import optimize, sparse
 from measurements.palpation import layer_with_inclusion, palpate
 from measurements.workload import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.estimate.map import map_estimate
-from vsfsim.vsf.estimate.pivoting import principal_pivoting
+from vsfsim.vsf.estimate.pivoting import _line_search, principal_pivoting
 from vsfsim.vsf.estimate.projected_cg import projected_cg
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
@@ -42,6 +42,19 @@ def test_a_poor_start_changes_nothing(start):
     expected, _ = principal_pivoting(a, b, x0, scale=np.ones(40), tolerance=1e-12)
     x, _ = projected_cg(a, b, x0, start=start * rng.uniform(size=40), tolerance=1e-12)
     np.testing.assert_allclose(x, expected, atol=1e-8 * expected.max())
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_line_search_of_the_dual_finds_its_minimum(seed):
+    rng = np.random.default_rng(seed)
+    p, q, y, d, b = (rng.standard_normal(n) for n in (30, 30, 8, 8, 8))
+
+    def dual(t):
+        return 0.5 * np.sum((y + t * d) ** 2) - b @ (y + t * d) + 0.5 * np.sum(np.maximum(p + t * q, 0.0) ** 2)
+
+    t = _line_search(p, q, y, d, b)
+    best = optimize.minimize_scalar(dual, bounds=(0.0, 100.0), method="bounded", options={"xatol": 1e-10})
+    assert t >= 0.0 and dual(t) <= best.fun + 1e-9 * (1.0 + abs(best.fun))
 
 
 def test_no_unknown_and_no_reading():

@@ -23,6 +23,7 @@ _AXES = {"observation.force": ["fx", "fy", "fz"], "observation.torque": [f"joint
          "observation.q": [f"joint_{k}" for k in range(7)],
          "observation.state": ["x", "y", "z", *(f"r{i}{j}" for i in range(3) for j in range(3))]}
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_CHUNK = 1000  # object views a folder
 
 
 def export(dataset: Dataset, folder: Path) -> None:
@@ -46,14 +47,15 @@ def export(dataset: Dataset, folder: Path) -> None:
     splits: dict[str, list[int]] = {}
     for number, view in enumerate(dataset):
         picture, columns = png(view.view.rgb), []
+        chunk, file = divmod(number, _CHUNK)
         for index, touch in enumerate(view.touches):
             episode, frames = len(which["view"]), len(touch.time)
             rows = frame_rows(touch)
             columns.append({**rows, "timestamp": (np.arange(frames) / FPS).astype(np.float32),
                             "frame_index": np.arange(frames), "episode_index": np.full(frames, episode),
                             "index": total + np.arange(frames), "task_index": np.zeros(frames, np.int64)})
-            for key, value in zip(episodes, (episode, list(names), frames, number // 1000, number % 1000, total,
-                                             total + frames, 0, 0), strict=True):
+            for key, value in zip(episodes, (episode, list(names), frames, chunk, file, total, total + frames, 0, 0),
+                                  strict=True):
                 episodes[key].append(value)
             for key, value in zip(which, (episode, view.name, index, view.split), strict=True):
                 which[key].append(value)
@@ -67,7 +69,7 @@ def export(dataset: Dataset, folder: Path) -> None:
                                               "names": ["height", "width", "channels"]}
         count = len(table["index"])
         image = [{"bytes": picture, "path": f"{view.name}.png"}] * count
-        write_table(folder / _DATA.format(chunk_index=number // 1000, file_index=number % 1000),
+        write_table(folder / _DATA.format(chunk_index=chunk, file_index=file),
                     {**{key: fixed(value) for key, value in table.items()},
                      "observation.images.rgb": arrow().array(image)})
         truths.append(folder / "sidecar" / "truth" / f"{view.name}.parquet")
@@ -78,7 +80,8 @@ def export(dataset: Dataset, folder: Path) -> None:
     (folder / "meta/stats.json").write_text(json.dumps(sums.table(), indent=1))
     (folder / "meta/info.json").write_text(json.dumps({
         "codebase_version": "v3.0", "robot_type": "vsfsim", "total_episodes": len(which["view"]), "total_frames": total,
-        "total_tasks": 1, "chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "fps": FPS,
+        "total_tasks": 1, "chunks_size": _CHUNK, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200,
+        "fps": FPS,
         "splits": {name: f"{min(e)}:{max(e) + 1}" for name, e in splits.items()}, "data_path": _DATA,
         "video_path": None, "features": features}, indent=1))
     (folder / "sidecar/README.md").write_text(
