@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -14,7 +15,7 @@ from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import file_stem, markdown, plain
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import file_sha256
+from vsfsim.data.disk import file_sha256, write_atomic
 from vsfsim.data.hdf5 import read_view
 from vsfsim.data.manifest import manifest_bytes
 from vsfsim.data.recipe import Recipe
@@ -179,3 +180,11 @@ def test_a_view_whose_name_is_a_path_is_not_written(folder):
         writer.add(view)
         writer.finish()
     assert not (folder.parent / "x.h5").exists()
+
+
+def test_a_device_is_written_into_and_not_replaced() -> None:
+    """`--json /dev/null` by root put a file in its place."""
+    if not os.access("/dev/null", os.W_OK):
+        pytest.skip("there is no /dev/null")
+    write_atomic(Path("/dev/null"), b"numbers")
+    assert Path("/dev/null").is_char_device()

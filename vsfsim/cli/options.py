@@ -13,6 +13,8 @@ import typer
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 from vsfsim.core.plain_text import file_stem
 
+PICTURES = (".png", ".jpg", ".jpeg", ".pdf", ".svg", "")
+"""Endings of a picture to write; without one it is a PNG."""
 LONGEST_NAME = 200
 """Bytes of a name of a result: what is kept beside it has a longer one, and file systems allow 255."""
 
@@ -44,22 +46,26 @@ def _writable(param: typer.CallbackParam, path: Path | None) -> Path | None:
                           f"another place.")
     if path.is_dir():
         raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
+    if path.suffix in (".toml", ".py"):
+        raise VsfsimError(f"{option} is '{path}', which has the ending of a file that is read, not written. Choose "
+                          f"another name.")
     return path
 
 
-def _ends_in(suffix: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """A file that can be written after the work and has the name of its format."""
+def _ends_in(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
+    """A file that can be written after the work and has the name of its format, one of several."""
     def check(param: typer.CallbackParam, path: Path | None) -> Path | None:
-        if path is not None and path.suffix != suffix:
-            raise VsfsimError(f"{param.opts[0]} is '{path}'; it must end in {suffix}, the format that is written.")
+        if path is not None and path.suffix.lower() not in suffixes:
+            raise VsfsimError(f"{param.opts[0]} is '{path}'; it must end in {' or '.join(filter(None, suffixes))}, "
+                              f"the format that is written.")
         return _writable(param, path)
 
     return check
 
 
-def picture_option(help: str, *names: str) -> Any:
-    """An option for a PNG to write."""
-    return typer.Option(*names, metavar="PNG", help=help, callback=_writable)
+def picture_option(help: str, *names: str, more: Iterable[str] = ()) -> Any:
+    """An option for a picture to write, or for a file with one of ``more`` endings."""
+    return typer.Option(*names, metavar="PNG", help=help, callback=_ends_in(*PICTURES, *more))
 
 
 def _names(of: str) -> Callable[[str], list[str]]:
@@ -135,7 +141,7 @@ def parameters_of(words: list[str] | None) -> dict[str, Any]:
     """Values of ``--set key=value``: TOML where it is TOML, else text.
 
     Raises:
-        MethodError: a word without key or equals sign.
+        MethodError: a word without key or equals sign, or with a value that is nested too deep.
     """
     import tomllib
 
@@ -148,6 +154,8 @@ def parameters_of(words: list[str] | None) -> dict[str, Any]:
             out[key.strip()] = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
             out[key.strip()] = text
+        except RecursionError:
+            raise MethodError(f"--set {key.strip()}: its value is nested too deep.") from None
     return out
 
 

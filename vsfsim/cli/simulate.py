@@ -90,7 +90,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", seed: See
 def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE|RESULT",
                                                 help="Folder of a dataset, a scene, or a result file (.json).")],
             out: Annotated[Path | None, picture_option("File to write; default: NAME.png here, and of a result an "
-                                                       "HTML page beside it.", "--out")] = None,
+                                                       "HTML page beside it.", "--out", more=[".html"])] = None,
             seed: Seed = 0, device: Device = "cpu",
             shot: Annotated[str, typer.Option(help="Number of touches at which a result's errors are sorted; default: "
                                                    "the one that ranks.")] = "",

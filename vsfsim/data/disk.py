@@ -18,13 +18,17 @@ def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = Datas
 
     The bytes go to ``<name>.<number>.part`` beside it, are synced, and renamed; then the folder is synced, because
     a rename is only as durable as the folder that holds it. The number is that of `own_number`, so that neither a
-    worker orphaned by a killed run nor another machine writes into this part.
+    worker orphaned by a killed run nor another machine writes into this part. What is there and no file, a device or a
+    pipe, is written into.
 
     Raises:
         VsfsimError: of class ``error``; the disk is full or refuses to be written. The part is removed.
     """
     part = path.with_name(f"{path.name}.{own_number()}.part")
     try:
+        if path.exists() and not path.is_file():  # a folder is refused here
+            path.write_bytes(content)
+            return
         with open(part, "wb") as file:
             file.write(content)
             file.flush()
