@@ -177,7 +177,8 @@ def recorded(name: str, files: list[Path]) -> str:
     module = importlib.import_module(f"measurements.{MODULES[name]}")
     found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
-    return with_notes(dataclasses.replace(found, **of), name, list(found.tables))
+    tier = records[0]["settings"].get("tier")
+    return with_notes(dataclasses.replace(found, **of), name + (f" --tier {tier}" if tier else ""), list(found.tables))
 
 
 def written(found: Any, words: str, about: str, tables: list) -> str:
@@ -247,17 +248,17 @@ MEASURED: dict[str, partial[str]] = {
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
     "built": partial(measurement, "built", 1),
     "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
+    "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
+                     here=importlib.util.find_spec("skfem") is not None),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 LARGE: dict[str, Callable[[], str]] = {
     "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
                        workers=os.cpu_count() or 1),
     "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",
-                       workers=os.cpu_count() or 1),
-    "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
-                     here=importlib.util.find_spec("skfem") is not None)}
-"""Tables that take a large machine or another package, made by their names alone."""
-MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent"}
+                       workers=os.cpu_count() or 1)}
+"""Tables that take a large machine, made by their names alone."""
+MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent", "built": "built"}
 """Of measurements/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
 
 

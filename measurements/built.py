@@ -7,6 +7,7 @@ with their bytes, the kernels that its effector launches, and the heavy packages
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -125,11 +126,16 @@ def measure(scenes: Sequence[str] = (), *, progress: Progress = lambda said: Non
             notes.append(f"{name} is left out: {why}")
             continue
         rows.append(json.loads(found.stdout.splitlines()[-1]))
+    return dataclasses.replace(found_of(rows, {"scenes": list(scenes)}), notes=notes)
+
+
+def found_of(rows: Sequence[Mapping[str, Any]], settings: Mapping[str, Any]) -> Measurement:
+    """The measurement of these rows."""
     columns = [Column("scene", "scene"), Column("effector", "effector"), Column("tier", "tier"),
                Column("elements", "elements"), Column("pictures", "pictures"), Column("friction", "friction"),
                Column("modules", "packages"), Column("bodies", "rigid bodies", "1", "", "d"),
                Column("arrays", "arrays", "1", "", "d"), Column("bytes", "arrays", "B", "MB", ".1f"),
                Column("kernels", "kernels", "1", "", "d")]
-    return Measurement.of("built", {"scenes": list(scenes)}, [
-        Table("What each scene builds for its first object", columns, rows, name="built")], notes=notes)
+    return Measurement.of("built", settings, [
+        Table("What each scene builds for its first object", columns, rows, name="built")])
 

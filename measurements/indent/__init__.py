@@ -68,7 +68,7 @@ def python_of(peer: str, folder: Path | None) -> Path:
 
 
 def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
-    """What the script of a peer wrote, or had written before.
+    """What the script of a peer wrote, or had written before: what is there is not pressed again, however deep.
 
     Raises:
         Skipped: it cannot run, with the last line that it printed.
@@ -76,7 +76,7 @@ def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
     out, script = case.with_name(f"{case.stem}-{peer}.json"), Path(__file__).parent / PEERS[peer][0]
     given, why = dict(np.load(case)), ""
     made = from_json(out.read_text()) if out.exists() else {}
-    if made.get("key") != key_of(given, script) or len(made["forces"]) < len(given["depths"]):
+    if made.get("key") != key_of(given, script):
         out.unlink(missing_ok=True)
         try:
             runner = Path(__file__).parent / "pressing.py"
@@ -91,7 +91,9 @@ def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
         made = from_json(out.read_text())
     if "skipped" in made:
         raise Skipped(made["skipped"])
-    return {**made, "said": why}
+    reached = len(made["forces"])
+    stopped = f"stopped at {1e3 * given['depths'][reached - 1]:g} mm after {sum(made['seconds']):.0f} s of CPU time"
+    return {**made, "said": stopped if reached < len(given["depths"]) else ""}
 
 
 def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dict[str, Any]:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from measurements.built import arrays_of, measure
-from vsfsim.core.scene import parse_scene
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.effector import effector_of
 from vsfsim.press.command import press
 
 SCENE = """
@@ -41,6 +43,11 @@ def test_a_need_that_is_dropped_is_missed_and_one_that_is_added_is_not(stuff):
           f"deformation")
     assert abs(flat - whole) > NOISE and abs(bare - whole) > NOISE and abs(large - whole) < NOISE
     assert force(stuff, *NEEDS, "appearance", "contact", "coupling") == whole, "what is unused changes nothing"
+
+
+def test_a_bubble_without_an_object_needs_kernels_too():
+    scene = load_scene(find_scene("punyo")).sample(0)
+    assert scene.object is None and effector_of(scene).kernels(scene)
 
 
 def test_arrays_are_counted_once():

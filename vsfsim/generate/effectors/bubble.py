@@ -93,7 +93,7 @@ class BubbleEffector:
         from vsfsim.sensing import render_bubble
 
         camera = [render_bubble.inside_kernel] if scene.required_sensor.camera else []
-        own = tiers.elements(scene, tier_for(scene, None))
+        own = [] if scene.object is None else tiers.elements(scene, tier_for(scene, None))
         return [*coupled_kernels([*own, ("triangle", ""), ("hinge", ""), ("gas", "")]), *camera]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:

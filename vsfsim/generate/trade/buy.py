@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.plain_text import from_json
@@ -23,8 +22,8 @@ from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
 MARGIN = 0.7
-"""Share of what is asked that the worst touch of the pilot, and the error of its limit, may take: other touches are
-worse than these few [-]."""
+"""Share of what is asked that the worst touch of the pilot may be off by, see `Point.off`: other touches are worse than
+these few [-]."""
 MARKED = 0.25
 """Share of the frames in contact that may be marked, where another setting does with less [-]."""
 TOUCHES, OBJECTS = 3, 2
@@ -140,9 +139,9 @@ def choose(points: Iterable[tuple[Setting, Point]], accuracy: float) -> Choice:
     best: Point | None = None
     chosen: tuple[Setting, Point] | None = None
     for setting, p in points:
-        if best is None or _off(p) < _off(best):
+        if best is None or math.isnan(best.off) or p.off < best.off:
             best = p
-        if p.error + p.bar <= MARGIN * accuracy:
+        if p.off <= MARGIN * accuracy:
             chosen = chosen or (setting, p)
             if p.marked <= MARKED:
                 chosen = setting, p
@@ -150,13 +149,9 @@ def choose(points: Iterable[tuple[Setting, Point]], accuracy: float) -> Choice:
     return chosen, best
 
 
-def _off(p: Point) -> float:
-    return float(np.nan_to_num(p.error + p.bar, nan=np.inf))
-
-
 def too_much(best: Point) -> str:
     """Why an accuracy is not to be had, and what can be asked for."""
-    least = (best.error + best.bar) / MARGIN
+    least = best.off / MARGIN
     return (f"the most exact setting of the pilot, {best.key}, is off by {100 * best.error:.2g} % with a limit known "
             f"to {100 * best.bar:.2g} %. Ask for {100 * least:.2g} % or more")
 

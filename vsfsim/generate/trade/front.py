@@ -57,6 +57,9 @@ class Point:
     """Whether its tier shows what the scene needs."""
     front: bool = False
     """On the front: no ranked point is cheaper and as exact."""
+    off: float = math.nan
+    """Of the touch that is worst: the root of the sum of squares of its error and of that of its limit, which know
+    nothing of one another [-]."""
 
     @property
     def ranked(self) -> bool:
@@ -77,22 +80,22 @@ def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], 
     """
     count = len(run.curves)
     found: dict[str, list[Distance]] = {}
-    error, bar = 0.0, 0.0
+    error, bar, off = 0.0, 0.0, 0.0
     for curve, own, share in zip(run.curves, limits, shares, strict=True):
         for name in CHANNELS:
             if name in own and own[name].known and (d := distance(name, curve, share, own[name])) is not None:
                 found.setdefault(name, []).append(d)
                 if name == "force":
-                    error, bar = max(error, d.rms), max(bar, d.bar)
+                    error, bar, off = max(error, d.rms), max(bar, d.bar), max(off, math.hypot(d.rms, d.bar))
     used = sum(own["force"].known for own in limits)
     if len(found.get("force", ())) < used:
-        error = math.nan
+        error = off = math.nan
     channels = {name: {"rms": _rms([d.rms for d in ds]), "worst": max(d.worst for d in ds),
                        "shallow": _rms([d.shallow for d in ds]), "full": _rms([d.full for d in ds]),
                        "bar": max(d.bar for d in ds)} for name, ds in found.items()}
     marked = np.concatenate([_in_contact(c) for c in run.curves])
     return Point(key, tier, run.cpu / count, run.wall / count, run.cpu / run.frames, run.once, run.memory,
-                 float(marked.mean()) if len(marked) else 0.0, error, bar, channels, shows)
+                 float(marked.mean()) if len(marked) else 0.0, error, bar, channels, shows, off=off)
 
 
 def _rms(values: Sequence[float]) -> float:
