@@ -250,11 +250,11 @@ MEASURED: dict[str, partial[str]] = {
     "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
     "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None),
+    "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
+                       workers=os.cpu_count() or 1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 LARGE: dict[str, Callable[[], str]] = {
-    "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
-                       workers=os.cpu_count() or 1),
     "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",
                        workers=os.cpu_count() or 1)}
 """Tables that take a large machine, made by their names alone."""
