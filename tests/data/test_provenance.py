@@ -21,6 +21,9 @@ def copy(tmp_path, monkeypatch):
 
 def test_a_copy_knows_its_commit_only_if_it_is_told(copy, monkeypatch):
     assert provenance.commit() is None
+    provenance.commit.cache_clear()
+    monkeypatch.setenv(provenance.VARIABLE, "")  # as the Dockerfile sets it without --build-arg
+    assert provenance.commit() is None
     for said in (COMMIT, f"{COMMIT}+changes"):
         provenance.commit.cache_clear()
         monkeypatch.setenv(provenance.VARIABLE, said)

@@ -26,7 +26,7 @@ def commit() -> str | None:
     """
     root = Path(vsfsim.__file__).resolve().parent.parent
     if not (root / ".git").exists():
-        said = os.environ.get(VARIABLE)
+        said = os.environ.get(VARIABLE) or None  # an image that was built without its commit has it empty
         if said is not None and not re.fullmatch(r"[0-9a-f]{40}(\+changes)?", said):
             raise VsfsimError(f"{VARIABLE} is '{said}', which is no commit. Give the 40 hexadecimal digits that `git "
                               f"rev-parse HEAD` prints where the copy was made, or unset it.")
