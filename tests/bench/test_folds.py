@@ -8,9 +8,10 @@ import pytest
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import interval, joined_ranks, paired, ratios
 from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.folds import folds_of
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.predictions import questions
-from vsfsim.bench.protocol import folds_of, record
+from vsfsim.bench.protocol import record
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task, parse_task
 from vsfsim.core import shelf

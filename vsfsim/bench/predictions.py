@@ -17,8 +17,9 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from vsfsim.bench.admission import fingerprint
+from vsfsim.bench.folds import folds_of
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
-from vsfsim.bench.protocol import Trial, divide, folds_of, record, support
+from vsfsim.bench.protocol import Trial, divide, record, support
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers

@@ -1,9 +1,8 @@
-"""Support and query touches, and folds of objects: the draws of a task, and the readings behind them.
+"""Support and query touches: the draws of a task, and the readings behind them.
 
 All draws come from `SeedSequence(protocol.seed, spawn_key=...)`: the query set of an object from (0, object, view), the
 support order of a seed from (1, object, view, seed). A support set of k touches is the first k of that order, so the 5
-touches of a seed contain its 1 touch. With cross-validation the folds come from (2,): every object of the dataset is a
-test object exactly once, and all views of an object are in the same fold.
+touches of a seed contain its 1 touch.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from vsfsim.bench.noise import Noise, noisy_node_force, noisy_nodes, window
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
-from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, Touch
 
 
@@ -188,48 +186,6 @@ def support(view: Numbered, draw: Draw, label: str, seed: int, protocol: Protoco
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(1, view.object_index, view.view_index, seed))
     order = np.random.default_rng(stream).permutation(np.array(draw.pool, dtype=int))
     return tuple(int(i) for i in order[:int(label)])
-
-
-@dataclass(frozen=True)
-class Fold:
-    """One division of a dataset's object views."""
-
-    number: int
-    """From 0."""
-    train: tuple[str, ...]
-    """Names of the views that methods learn from."""
-    test: tuple[str, ...]
-    """Names of the views that are scored."""
-
-
-def folds_of(dataset: Dataset, protocol: Protocol) -> tuple[Fold, ...]:
-    """The folds of a task; one fold, of its two splits, for a task without cross-validation.
-
-    Raises:
-        TaskError: there are fewer objects than folds.
-    """
-    if not protocol.folds:
-        return (Fold(0, tuple(dataset.names(protocol.train)), tuple(dataset.names(protocol.test))),)
-    objects = np.array(sorted({entry.object_index for entry in dataset.entries}), dtype=int)
-    if len(objects) < protocol.folds:
-        raise TaskError(f"the dataset in {dataset.path} has {len(objects)} objects, and the task divides them into "
-                        f"{protocol.folds} folds. Generate more objects, or lower folds in a task of your own.")
-    order = np.random.default_rng(np.random.SeedSequence(protocol.seed, spawn_key=(2,))).permutation(objects)
-    number = {int(index): place % protocol.folds for place, index in enumerate(order)}
-    return tuple(Fold(k, tuple(e.name for e in dataset.entries if number[e.object_index] != k),
-                      tuple(e.name for e in dataset.entries if number[e.object_index] == k))
-                 for k in range(protocol.folds))
-
-
-def test_names(dataset: Dataset, protocol: Protocol) -> tuple[str, ...]:
-    """Names of all object views that are scored, fold by fold."""
-    return tuple(name for fold in folds_of(dataset, protocol) for name in fold.test)
-
-
-def shown_names(dataset: Dataset, protocol: Protocol) -> tuple[str, ...]:
-    """Names of all object views that a method meets, training objects first; each once."""
-    folds = folds_of(dataset, protocol)
-    return tuple(dict.fromkeys([*(n for f in folds for n in f.train), *(n for f in folds for n in f.test)]))
 
 
 @dataclass(frozen=True)

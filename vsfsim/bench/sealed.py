@@ -19,9 +19,10 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from vsfsim.bench.folds import test_names
 from vsfsim.bench.method import Action, Reading, Surface, frozen_view
 from vsfsim.bench.predictions import Question
-from vsfsim.bench.protocol import Draw, divide, record, support, test_names
+from vsfsim.bench.protocol import Draw, divide, record, support
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.plain_text import from_json, plain

@@ -55,7 +55,7 @@ def learned(training, dataset, task):
 
 
 def test_the_default_is_the_task(dataset, task):
-    from vsfsim.bench.protocol import folds_of
+    from vsfsim.bench.folds import folds_of
 
     assert Training().folds(dataset, task.protocol) == folds_of(dataset, task.protocol)
     assert Training().table() == {} and Training(classes=CLASSES).is_plain and not Training(touches=0.5).is_plain

@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.protocol import divide, record, shown_names, test_names
+from vsfsim.bench.folds import shown_names, test_names
+from vsfsim.bench.protocol import divide, record
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import from_json, plain

@@ -27,10 +27,11 @@ import numpy as np
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.curves import Curves, beside
+from vsfsim.bench.folds import test_names
 from vsfsim.bench.method import Action, Reading, contents_of
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.protocol import Trial, divide, record, support, test_names
+from vsfsim.bench.protocol import Trial, divide, record, support
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.folds import Fold
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodProcess
 from vsfsim.bench.method import contents_of
-from vsfsim.bench.protocol import Fold, Trial
+from vsfsim.bench.protocol import Trial
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.bench.trials.answers import Answers, Reader, Subject, asked_of, load, run_trial, save
 from vsfsim.bench.trials.training import PLAIN, Training
