@@ -1,5 +1,7 @@
 """Around a press: what is assumed, observed order of convergence, pressures, pictures' triangles."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
 from vsfsim.generate.presses.probe import prepare, solve
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.convergence import convergence
+from vsfsim.press.command import Press
 from vsfsim.sensing.tessellate import tessellate
 
 BOX = '[object]\nshape = { box = [0.06, 0.05, 0.03] }\nyoung_modulus = 1e5\nresolution = 0.015\ntier = "linear"\n'
@@ -121,3 +124,9 @@ def test_drawn_probes_lie_on_their_surface_and_are_wound_outwards(shape):
     assert np.abs(sdf.distance(shape, vertices)).max() < 4e-4
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0) > 0.0).all()
+
+
+@pytest.mark.parametrize(("measured", "said"), [(None, True), ([True, True], True), ([True, False], False)])
+def test_a_press_is_resolved_if_its_finest_mesh_is_or_nobody_measures_it(measured, said):
+    coarse, fine = (SimpleNamespace(resolved=None if one is None else np.array(one)) for one in ([False], measured))
+    assert Press("scene", (coarse, fine), "cpu").resolved is said

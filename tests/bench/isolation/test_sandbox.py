@@ -11,7 +11,7 @@ import pytest
 
 from vsfsim.bench.board.named import labels_of
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.isolation import container
+from vsfsim.bench.isolation import container, namespaces
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.core.errors import MethodError
 
@@ -125,3 +125,11 @@ def test_a_container_shows_packages_that_no_folder_of_the_path_holds(box, tmp_pa
             "    print(one.description.entry)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout.strip() == "vsfsim.baselines.gaussian:GaussianAverage", done.stderr
+
+
+def test_a_remount_repeats_each_lock_of_a_mount_and_adds_none():
+    """Flags that statvfs tells, in the words of mount(2); the kernel refuses a remount that drops one."""
+    relatime = 1 << 21  # MS_RELATIME of mount(2), which statvfs has elsewhere
+    assert namespaces._LOCKED == {os.ST_NOSUID: namespaces._NOSUID, os.ST_NODEV: namespaces._NODEV,
+                                  os.ST_NOEXEC: namespaces._NOEXEC, os.ST_NOATIME: os.ST_NOATIME,
+                                  os.ST_NODIRATIME: os.ST_NODIRATIME, os.ST_RELATIME: relatime}
