@@ -14,7 +14,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -155,8 +154,9 @@ def find_method(name: str, *, search: str | None = None) -> type:
         try:
             found = importlib.import_module(module)
             if not hasattr(found, attribute):
+                own = [key for key, value in vars(found).items() if getattr(value, "__module__", "") == found.__name__]
                 raise MethodError(f"method '{name}': the module {module} ({found.__file__}) has no '{attribute}'. "
-                                  f"{did_you_mean(attribute, _classes(found))}")
+                                  f"{did_you_mean(attribute, own)}")
             return getattr(found, attribute)
         except MethodError:
             raise
@@ -210,12 +210,6 @@ def method_sha256(name: str, folder: str | Path = "") -> str:
     module = (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]
     harness = source_files(HARNESS)
     return files_sha256({key: path for key, path in source_files(module, folder).items() if key not in harness})
-
-
-def _classes(module: ModuleType) -> list[str]:
-    """Names of the classes that a module defines."""
-    return [name for name, value in vars(module).items() if isinstance(value, type)
-            and value.__module__ == module.__name__]
 
 
 def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:
