@@ -158,6 +158,8 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vs
     (("evaluate", "--method", "nowhere:Mine", "--task", "toy-v1.toml", "--dataset", "toy"),
      "method 'nowhere:Mine' cannot be loaded: ModuleNotFoundError"),
     ((*EVALUATE, "--out", "toy-v1.toml/x.json"), "'toy-v1.toml' is no folder"),
+    ((*EVALUATE, "--out", "toy-v1.toml"), "which has the ending of a file that is read, not written"),
+    (("verify", "toy-v1.toml"), "'toy-v1.toml' is a file, not a folder of a dataset."),
     (("press", "indnt"), "unknown scene 'indnt'. Did you mean 'indent'?"),
     (("press", "indent", "--tier", "linear"),
      "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),

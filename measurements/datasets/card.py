@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import subprocess
 import tempfile
 import time
@@ -18,6 +19,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.checks.same import compare
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import generate, kernels_of
+from vsfsim.generate.workers import sharing
 from vsfsim.physics.runtime import compile_kernels
 
 _SAMPLE = 100  # milliseconds between two looks at the GPU
@@ -49,7 +51,7 @@ def measure(scene: str, *, device: str = "cuda:0", objects: int | None = None, t
     count = os.cpu_count() or 1 if cores is None else cores
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for where, processes in ((device, workers), *([("cpu", count)] if count else [])):
+        for where, processes in ((device, workers or sharing(device)), *([("cpu", count)] if count else [])):
             progress(f"compiling kernels for {where}, or finding them")
             began = time.perf_counter()
             compile_kernels(kernels, where)
@@ -86,9 +88,9 @@ def _made(loaded: SceneFile, out: Path, device: str, workers: int | None,
 
 @contextlib.contextmanager
 def _watched(device: str) -> Iterator[list[str]]:
-    """What nvidia-smi says of a GPU in the meantime: lines that are there at the end."""
+    """What nvidia-smi, if it is there, says of a GPU in the meantime: lines that are there at the end."""
     seen: list[str] = []
-    if device == "cpu":
+    if device == "cpu" or shutil.which("nvidia-smi") is None:
         yield seen
         return
     import torch

@@ -29,8 +29,11 @@ def promise(scene: Annotated[list[str] | None,
             json: JsonFile = None) -> None:
     """Measure whether an accuracy that `generate --accuracy` buys is kept on fresh objects, and at what price."""
     from measurements.trade.promise import ACCURACIES, measure
+    from vsfsim.generate.trade.buy import check_accuracy
 
     asked = tuple(share_of("--accuracy", text) for text in accuracy or ()) or ACCURACIES
+    for one in asked:
+        check_accuracy(one, None)
     found = measure(scene or (), accuracies=asked, objects=objects, touches=touches, workers=workers, out=out,
                     budget=None if budget is None else seconds_of("--budget", budget), progress=step)
     report(found.text(), found.record(), json, indent=1)

@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.console import report, step
-from vsfsim.cli.options import JsonFile, Workers, seconds_of
+from vsfsim.cli.options import JsonFile, seconds_of
 
 app = typer.Typer(rich_markup_mode=None)
+Cores = Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")]
 
 
 @app.command()
@@ -24,7 +25,7 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the fi
                                                              "pressed again under a longer one.")] = 30.0,
           budget: Annotated[str | None, typer.Option(metavar="TIME", help="Begin no new press after this time, e.g. "
                                                                           "90s, 10m, 2h.")] = None,
-          workers: Workers = None,
+          workers: Cores = None,
           json: JsonFile = None) -> None:
     """Random presses against the same on finer meshes and paths: which are within 5, 10, 30 %, told, or wrong."""
     from measurements.trust import measure
@@ -39,7 +40,7 @@ def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Numb
                                                                            "again. Default: 1 to 6.")] = None,
                 out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a "
                                                               "later run goes on with it.")] = None,
-                workers: Workers = None,
+                workers: Cores = None,
                 json: JsonFile = None) -> None:
     """The local indentation, with and without, on random bodies that it was not fitted to."""
     from measurements.trust.indentation import BODIES, measure

@@ -325,7 +325,8 @@ def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> floa
 
 
 def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
-    lines = [f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows if row.mark]
+    lines = list(dict.fromkeys(f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows
+                               if row.mark))
     if board.task.superseded_by:
         lines.append(superseded(board.task))
     if over_objects(board.task) and board.rows:

@@ -46,10 +46,19 @@ def _writable(param: typer.CallbackParam, path: Path | None) -> Path | None:
                           f"another place.")
     if path.is_dir():
         raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
+    _check_unlike_input(option, path)
+    return path
+
+
+def _check_unlike_input(option: str, path: Path) -> None:
+    """A file to write does not take the place of a scene, a task or a method.
+
+    Raises:
+        VsfsimError: its name has the ending of one.
+    """
     if path.suffix in (".toml", ".py"):
         raise VsfsimError(f"{option} is '{path}', which has the ending of a file that is read, not written. Choose "
                           f"another name.")
-    return path
 
 
 def _ends_in(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
@@ -163,9 +172,10 @@ def result_path(out: Path | None, task: str, method: str) -> Path:
     """The file of a result; default: results/TASK/METHOD.json.
 
     Raises:
-        VsfsimError: it is a folder, lies below a file, or cannot be written.
+        VsfsimError: it is a folder, lies below a file, has the ending of a file that is read, or cannot be written.
     """
     path = out or Path("results") / task / f"{file_stem(method)}.json"
+    _check_unlike_input("--out", path)
     long = max(path.parts, key=lambda part: len(part.encode(errors="surrogateescape")))
     if len(long.encode(errors="surrogateescape")) > LONGEST_NAME:
         raise VsfsimError(f"--out is '{long[:40]}...', a name of {len(long)} letters; a file name has at most "

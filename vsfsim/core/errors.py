@@ -82,6 +82,8 @@ def no_such_file(kind: str, given: str | Path) -> str:
     parent = path.parent
     if path.is_dir():
         return f"'{path}' is a folder, not a {kind}."
+    if path.is_file():
+        return f"'{path}' is a file, not a {kind}."
     if not parent.is_dir():
         return f"there is no {kind} '{path}': there is no folder '{parent}'."
     names = sorted(found.name for found in parent.iterdir() if not found.name.startswith("."))

@@ -3,6 +3,7 @@ of both kinds."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import importlib.resources
@@ -150,7 +151,8 @@ def find_task(given: str) -> Path:
 
 def methods() -> dict[str, importlib.metadata.EntryPoint]:
     """Installed methods by name: entry points of the group ``vsfsim.methods``."""
-    folder("baselines")  # those that ship are of this copy
+    with contextlib.suppress(ModuleNotFoundError):  # the sandbox of a method that does not ship shows it none that do
+        folder("baselines")  # those that ship are of this copy
     return {ep.name: ep for ep in importlib.metadata.entry_points(group=METHOD_GROUP)}
 
 

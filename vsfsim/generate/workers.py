@@ -101,7 +101,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
     Raises:
         VsfsimError: of the first view that fails; the others are then cancelled.
     """
-    count, left = workers or (None if device == "cpu" else _sharing(device)), list(jobs)
+    count, left = workers or (None if device == "cpu" else sharing(device)), list(jobs)
     while left:
         try:
             yield from _make_in_pool(left, device, count)
@@ -122,7 +122,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
         left = [job for job in left if job not in begun]
 
 
-def _sharing(device: str) -> int:
+def sharing(device: str) -> int:
     """How many processes share a GPU."""
     import warp
 

@@ -19,7 +19,7 @@ ON_THE_HOST: set[str] = set()
 """Modules of kernels that run on the CPU alone, whatever the device: no compiler of a GPU takes them."""
 _THREADS = 4  # that compile modules side by side, as `wp.force_load` takes
 real = wp.float64
-"""The scalar of elements and contact; single precision saved at most a seventh of a step on a CPU."""
+"""The scalar of elements and contact."""
 vec3, mat33 = wp.types.vector(length=3, dtype=real), wp.types.matrix(shape=(3, 3), dtype=real)
 
 

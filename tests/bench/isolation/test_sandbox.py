@@ -115,16 +115,20 @@ def test_a_row_with_the_name_of_a_shipped_method_that_is_another_one_is_claimed(
     assert labels_of(rows) == [*["sbml (claimed)"] * 3, *["sbml"] * 2]
 
 
+@pytest.mark.parametrize(("name", "entry"), [("gaussian", "vsfsim.baselines.gaussian:GaussianAverage"),
+                                             ("own:Own", "own:Own")])
 @pytest.mark.parametrize("box", CONTAINERS)
-def test_a_container_shows_packages_that_no_folder_of_the_path_holds(box, tmp_path, monkeypatch):
+def test_a_container_shows_packages_that_no_folder_of_the_path_holds(box, name, entry, tmp_path, monkeypatch):
     """An "editable" installation is found by an import hook, and a user works somewhere else."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text("class Own:\n    def meta_fit(self, specimens): ...\n"
+                                     "    def adapt(self, view, support): ...\n    def predict(self, touches): ...\n")
     code = ("from vsfsim.bench.isolation.process import MethodProcess\n"
             "from vsfsim.bench.isolation.limits import Isolation\n"
-            f"from pathlib import Path\nwith MethodProcess('gaussian', {{}}, Isolation({box!r}), Path('log')) as one:\n"
+            f"from pathlib import Path\nwith MethodProcess({name!r}, {{}}, Isolation({box!r}), Path('log')) as one:\n"
             "    print(one.description.entry)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
-    assert done.stdout.strip() == "vsfsim.baselines.gaussian:GaussianAverage", done.stderr
+    assert done.stdout.strip() == entry, done.stderr
 
 
 def test_a_remount_repeats_each_lock_of_a_mount_and_adds_none():
