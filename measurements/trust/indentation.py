@@ -43,7 +43,6 @@ young_modulus = {{ base = 1e5, inclusions = [{inside}] }}
 shape = {{ sphere = {radius} }}
 [press]
 from = {start}
-from vsfsim.core.plain_text import from_json
 to = {stop}
 frames = 5
 """

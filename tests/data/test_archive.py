@@ -79,5 +79,5 @@ def test_generate_takes_it_only_for_the_recipe_of_the_task(kept, tmp_path, monke
     monkeypatch.setattr(archive, "digests_of", lambda name: {kept.sha256} if name == "shoes-v3-mini-v1" else set())
     monkeypatch.setattr(command.run, "make", lambda *_, **__: "made")
     assert command.make("shoes-v3-mini", tmp_path / "a").dataset.sha256 == kept.sha256
-    for number, other in enumerate(({"seed": 3}, {"objects": 2}, {"precision": "float32"}, {"tier": "fem"})):
+    for number, other in enumerate(({"seed": 3}, {"objects": 2}, {"tier": "fem"})):
         assert command.make("shoes-v3-mini", tmp_path / f"b{number}", **other) == "made"

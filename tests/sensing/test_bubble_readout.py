@@ -144,7 +144,7 @@ def test_the_pressure_is_that_of_the_solvers_gas(model):
 
     u = np.zeros_like(model.mesh.points)
     u[:, 2] = -0.2 * model.mesh.points[:, 2]
-    elastic = Elasticity(model, device="cpu", real=wp.float64)
+    elastic = Elasticity(model, device="cpu")
     elastic.begin(1)
     elastic.forces(wp.zeros(1, dtype=wp.int32, device="cpu"),
                    wp.array(u.reshape(-1, 1), dtype=wp.float64, device="cpu"))

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
+from vsfsim.physics import tiers
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Reason
@@ -49,6 +50,20 @@ def test_a_capsule_does_not_pass_through_a_cantilever_in_one_frame(block):
     assert one.converged.all() and many.converged.all()
     assert many.force[-1, 0, 2] > 0.01
     assert one.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 2], rel=0.02)
+
+
+def test_a_ball_does_not_pass_through_a_plate_at_the_linear_tier(block):
+    """50 mm down onto a plate of 3 mm in one frame. With friction it ended below, and read 0 N. Friction changes the
+    force along the plate, by a hundredth that across it. Under a tighter limit than the tier's it came through, too."""
+    model = block((0.06, 0.06, 0.003), 0.006, young_modulus=1e5, fixed=(-0.06, -0.06, -1, -0.02, 0.06, 1))
+    poses, first = way((0.01, 0.0, 0.03), (0.01, 0.0, -0.02), 1)
+    smooth, rough, tight = (
+        Solver(model, Sphere(0.008), friction=friction, linear=True, options=options).run(poses, start=first)
+        for friction, options in ((0.0, tiers.options("linear")), (0.5, tiers.options("linear")), (0.0, None)))
+    assert smooth.converged.all() and smooth.force[-1, 0, 2] > 0.05
+    for other in (rough, tight):
+        assert other.converged.all()
+        assert other.force[-1, 0, 2] == pytest.approx(smooth.force[-1, 0, 2], rel=0.05)
 
 
 def test_a_box_that_turns_pushes_a_post_in_one_frame_as_in_four(block):

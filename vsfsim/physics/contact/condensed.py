@@ -4,15 +4,11 @@ On a patch's degrees of freedom the rest-state compliance A gives the elastic re
 
     u_S = u0_S + A q,     q = f(u_S) - f0,
 
-with the compliance of springs that carry the bodies in series with A. A semi-smooth Newton method solves it for all
-touches at once. It is the `linear` tier, and the prediction of the others. Near the solution the contact of many points
-has its geometric term, without which the method converges linearly near a body's edges; where that does not help, it is
-left out again. Directions are in single precision there.
-
-A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick. With
-friction each point therefore also has the force that the step before expected of it, and whether it sticks is told by
-that force and a little of its way (`friction.linearised`; Alart and Curnier 1991): the law in its mixed form, with the
-same solution.
+which is the stationary point of 1/2 q^T A q + f0 . A q + (energy of the contact, and of springs that carry the bodies,
+whose compliance is in series with A); a semi-smooth Newton method with a
+line search on that energy solves it for all touches at once. It is the `linear` tier, and the prediction of the others.
+Near the solution the contact of many points has its geometric term, without which the method converges linearly near a
+body's edges; where that leads up, it is left out again. Directions are in single precision there.
 """
 
 from __future__ import annotations
@@ -22,16 +18,19 @@ from typing import Any
 import torch
 
 from vsfsim.physics import clock
+from vsfsim.physics.contact.interface import Contact
 
+_ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
+_FIRST_TOLERANCE = 1e-3  # of the contact without friction, which only leads the way
 _RELIEF = 0.01  # of the stick stiffness: about the stiffness of the body itself at a contact point
+_SHORTEST, _BACK = 1e-4, 0.1  # step of the line search; its least length over the one before
 _CURVED, _AGAIN = 0.01, 0.1  # error from which on the stiffness has its geometric term; part of it after a failure
 _PATIENCE = 8  # iterations without a new least error after which a problem is given up: its body slides about an edge
-_ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
 
 def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float | torch.Tensor, start: torch.Tensor | None = None,
+          tolerance: float | torch.Tensor, start: torch.Tensor | None = None, staged: bool = True,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
@@ -43,66 +42,157 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         iterations: limit of Newton's method.
         tolerance: relative error of the displacements of the patch, of all touches or of each (k,).
         start: first guess of the changes (k, 3 s) [N]; None is zero.
+        staged: whether this must arrive: it begins anew from the contact without friction where it fails, and is not
+            given up for iterations without a gain.
         deadline: `clock.now` after which no iteration but the first begins [s].
 
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
-    compliance, held = contact.compliance[columns], None
+    patience = iterations if staged else _PATIENCE
+    if not (contact.has_friction and contact.solid):
+        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
+    best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
+    again = (error > tolerance).nonzero()[:, 0]
+    if staged and len(again) and clock.now() < deadline:
+        # begin from the contact without friction
+        some, limit = columns[again], contact.limit[columns[again]]
+        contact.limit[some] = 0.0
+        part, _ = _newton(contact, some, base[again], pushed[again], None, iterations, _FIRST_TOLERANCE, deadline,
+                          patience)
+        contact.limit[some] = limit
+        part, new = _mixed(contact, some, base[again], pushed[again], part, iterations, tolerance, deadline, patience)
+        better = new < error[again]
+        best_change[again[better]], error[again[better]] = part[better], new[better]
+    return best_change, error
+
+
+def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor,
+            start: torch.Tensor | None, iterations: int, tolerance: float,
+            deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
+    compliance = contact.compliance[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
-    trial, best = base + _times(compliance, q), q.clone()
-    error = torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
-    most, tolerance = torch.full_like(error, _CURVED), torch.as_tensor(tolerance, device=base.device).expand_as(error)
-    idle, curved = torch.zeros_like(columns), torch.zeros_like(columns, dtype=torch.bool)
-    low, lowest = torch.full_like(error, float("inf")), [q, trial]  # least energy, and where it was found
-    live, found, left = torch.arange(len(columns), device=base.device), best.clone(), error.clone()
+    trial = base + _times(compliance, q) if start is not None else base.clone()
+    best, best_error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
+    live = None  # indices of the touches in the tensors, None for all; many are dropped at once, since indexing costs
+    dq, move = torch.zeros_like(q), torch.zeros_like(q)
+    level, slope, step = best_error.clone(), torch.zeros_like(best_error), torch.ones_like(best_error)
+    error, most = best_error.clone(), torch.full_like(best_error, _CURVED)
+    curved = torch.zeros_like(best_error, dtype=torch.bool)
+    wrong_side = torch.full_like(level, torch.iinfo(torch.int64).max, dtype=torch.int64)
+    best_change = best.clone()
+    running = torch.ones_like(best_error, dtype=torch.bool)
+    idle = torch.zeros_like(wrong_side)
+    for step_number in range(iterations):
+        if step_number and clock.now() > deadline:
+            break
+        contact.evaluate(columns, trial, pushed + q)
+        energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + contact.energy(columns) + contact.carried(columns)
+        crossed = contact.wrong_side(columns)
+        rises = energy > level - 1e-4 * step * slope + _ROUNDING * level.abs()
+        far = running & ((crossed > wrong_side) | rises) & (step > _SHORTEST)
+        # too far: go back to the least energy of a parabola along this step, by half of it at least
+        least = 0.5 * slope * step**2 / (energy - level + slope * step).clamp(min=1e-300)
+        shorter = torch.where(crossed > wrong_side, 0.5 * step, least.clamp(min=_BACK * step, max=0.5 * step))
+        back = torch.where(far, step - shorter, 0.0)[:, None]
+        step = torch.where(far, shorter, step)
+        most = torch.where(far & curved & (error < most), _AGAIN * error, most)
+        if bool((far | ~running).all()):
+            q, trial = q - back * dq, trial - back * move
+            continue
+        nodal = contact.nodal(columns)
+        rho = nodal - pushed - q
+        miss = _times(compliance, rho) + contact.given(columns, rho)
+        size = miss.abs().amax(dim=1) / trial.abs().amax(dim=1).clamp(min=1e-9)
+        fresh = running & ~far
+        better = fresh & (size < error)
+        best_change = torch.where(better[:, None], nodal - pushed, best_change)
+        error = torch.where(better, size, error)
+        idle = torch.where(better, 0, idle + fresh.to(idle.dtype))
+        running = running & (far | (size >= tolerance)) & (idle < patience)
+        left = int(running.sum())
+        if left == 0:
+            break
+        ahead = running & ~far
+        if bool(ahead.any()):
+            new, bent, up = _direction(contact, columns, rho, miss, ahead & (error < most))
+            curved, most = torch.where(ahead, bent, curved), torch.where(up, _AGAIN * error, most)
+            dq = torch.where(ahead[:, None], new, dq)
+            move = torch.where(ahead[:, None], _times(compliance, new), move)
+            level, slope = torch.where(ahead, energy, level), torch.where(ahead, (new * miss).sum(dim=1), slope)
+            step = torch.where(ahead, 1.0, step)
+            wrong_side = torch.where(ahead, crossed, wrong_side)
+        go = torch.where(ahead, 1.0, 0.0)[:, None] - back
+        q = q + go * dq
+        trial = trial + go * move
+        if left < _COMPACT * len(columns):
+            keep = running.nonzero()[:, 0]
+            where = slice(None) if live is None else live
+            best[where], best_error[where] = best_change, error
+            live = keep if live is None else live[keep]
+            columns, compliance, base, pushed, q, trial, dq, move = (
+                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move))
+            level, slope, step, error, most, curved, best_change, wrong_side, idle = (
+                x[keep] for x in (level, slope, step, error, most, curved, best_change, wrong_side, idle))
+            running = torch.ones_like(keep, dtype=torch.bool)
+    where = slice(None) if live is None else live
+    best[where], best_error[where] = best_change, error
+    return best, best_error
+
+
+def _direction(contact: Any, columns: torch.Tensor, rho: torch.Tensor, miss: torch.Tensor,
+               curved: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Newton's direction (k, 3 s) [N], with the geometric term of the contact for touches that are ``curved`` (k,);
+    which of these have it (k,), and for which it was left out again because it led up (k,)."""
+    new = rho - contact.block(columns, torch.float32, curved).apply(miss)
+    up = curved & ((new * miss).sum(dim=1) <= 0.0)
+    if bool(up.any()):
+        new[up] = rho[up] - contact.block(columns[up], torch.float32).apply(miss[up])
+    return new, curved & ~up, up
+
+
+def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, start: torch.Tensor | None,
+           iterations: int, tolerance: float | torch.Tensor,
+           deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """As `_newton`, for touches of a solid with friction: Newton's method on the law in its mixed form.
+
+    A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick,
+    and a line search on the energy goes on by small parts of steps. Here each point also has the force that the step
+    before expected of it, and whether it sticks is told by that force and a little of its way (`friction.linearised`;
+    Alart and Curnier 1991). The solution is the same.
+    """
+    compliance = contact.compliance[columns]
+    q = torch.zeros_like(base) if start is None else start.clone()
+    trial = base + _times(compliance, q)
+    best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
+    held = None
+    idle = torch.zeros(len(columns), dtype=torch.int64, device=base.device)
+    most, curved = torch.full_like(error, _CURVED), torch.zeros_like(idle, dtype=torch.bool)
     for step in range(iterations + 1):
         contact.evaluate(columns, trial, pushed + q)
         rho = contact.nodal(columns) - pushed - q
-        miss = _times(compliance, rho) + contact.given(columns, rho)
-        size = miss.abs().amax(dim=1) / trial.abs().amax(dim=1).clamp(min=1e-9)
+        size = (_times(compliance, rho) + contact.given(columns, rho)).abs().amax(dim=1)
+        size = size / trial.abs().amax(dim=1).clamp(min=1e-9)
         better = size < error
         best, error = torch.where(better[:, None], q, best), torch.where(better, size, error)
         most = torch.where(curved & ~better, _AGAIN * error, most)
-        rises = torch.zeros_like(better)
-        if not contact.has_friction:  # there is an energy: where it rises, half of the way back to where it was least
-            energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1)
-            energy += contact.energy(columns) + contact.carried(columns)
-            rises = energy > low + _ROUNDING * low.abs()
-            low = torch.where(rises, low, energy)
-            lowest = [torch.where(rises[:, None], a, b) for a, b in zip(lowest, (q, trial), strict=True)]
-        idle = torch.where(better, 0, idle + ~rises)
-        running = (error >= tolerance) & (idle < _PATIENCE)
-        count = int(running.sum())
-        if step == iterations or not count or (step and clock.now() > deadline):
+        idle = torch.where(better, 0, idle + 1)
+        running = ((error >= tolerance) & (idle < patience))[:, None]
+        if step == iterations or not bool(running.any()) or (step and clock.now() > deadline):
             break
-        if count < _COMPACT * len(live):
-            found[live], left[live] = best, error
-            keep = running.nonzero()[:, 0]
-            live, columns, compliance, base, pushed, q, trial, rho, miss = (
-                x[keep] for x in (live, columns, compliance, base, pushed, q, trial, rho, miss))
-            best, error, size, most, idle, tolerance, low, rises = (
-                x[keep] for x in (best, error, size, most, idle, tolerance, low, rises))
-            lowest = [x[keep] for x in lowest]
-            held, running = None if held is None else held[keep], running[keep]
+        if held is not None:
+            contact.held[columns] = held
+        contact.relief[columns] = _RELIEF
+        contact.evaluate(columns, trial, pushed + q)
+        contact.relief[columns] = 1.0
+        rho = contact.nodal(columns) - pushed - q
         curved = size < most
-        if contact.has_friction:
-            if held is not None:
-                contact.held[columns] = held
-            contact.relief[columns] = _RELIEF
-            contact.evaluate(columns, trial, pushed + q)
-            contact.relief[columns] = 1.0
-            rho = contact.nodal(columns) - pushed - q
-            miss = _times(compliance, rho) + contact.given(columns, rho)
+        miss = _times(compliance, rho) + contact.given(columns, rho)
         dq = rho - contact.block(columns, torch.float32, curved).apply(miss)
         move = _times(compliance, dq)
-        if contact.has_friction:
-            held = contact.expected(columns, move + contact.given(columns, dq))
-        back = [0.5 * (a - b) for a, b in zip(lowest, (q, trial), strict=True)]
-        q, trial = (torch.where(running[:, None], x + torch.where(rises[:, None], half, way), x)
-                    for x, half, way in zip((q, trial), back, (dq, move), strict=True))
-    found[live], left[live] = best, error
-    return found, left
+        held = contact.expected(columns, move + contact.given(columns, dq))
+        q, trial = torch.where(running, q + dq, q), torch.where(running, trial + move, trial)
+    return best, error
 
 
 def _times(compliance: torch.Tensor, q: torch.Tensor) -> torch.Tensor:

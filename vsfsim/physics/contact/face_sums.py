@@ -44,10 +44,9 @@ class FaceSums:
             ends[:, b, :len(k)] = k // nodes, k % nodes
         self._one, self._other = torch.as_tensor(ends, device=device)
 
-    def places(self, x: torch.Tensor, columns: torch.Tensor | None = None) -> torch.Tensor:
-        """Vectors at the nodes of the patches (k, s, 3) of ``columns`` (k,), or of all, interpolated to the points
-        (k, 6 f parts, 3)."""
-        at = (self._corners if columns is None else self._corners[columns]).flatten(1)[:, :, None].expand(-1, -1, 3)
+    def places(self, x: torch.Tensor) -> torch.Tensor:
+        """Vectors at the nodes of all patches (B, s, 3) interpolated to the points (B, 6 f parts, 3)."""
+        at = self._corners.flatten(1)[:, :, None].expand(-1, -1, 3)
         return (self._shares @ x.gather(1, at).view(len(x), self._faces, 3, 3)).reshape(len(x), -1, 3)
 
     def nodal(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:

@@ -358,7 +358,7 @@ class RigidContact(PointStiffness):
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Contact`."""
         return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance,
-                               deadline=self.deadline)
+                               staged=False, deadline=self.deadline)
 
     def remember(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`: the nodal forces (k, 3 s)."""

@@ -94,12 +94,8 @@ class PointStiffness:
 
     def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
         """Friction (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
-        rows = self._rows[columns][:, :, 1:]
-        if self._sums is None:
-            way = at_points(wp.to_torch(self._local)[columns], self._values[columns], move)
-        else:
-            way = self._sums.places(move.view(len(columns), -1, 3), columns)
-        return self.held[columns] + (rows.mT @ (rows @ way[..., None]))[..., 0]
+        at, rows = wp.to_torch(self._local)[columns], self._rows[columns][:, :, 1:]
+        return self.held[columns] + (rows.mT @ (rows @ at_points(at, self._values[columns], move)[..., None]))[..., 0]
 
     def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64,
               geometric: torch.Tensor | None = None) -> ContactBlock:

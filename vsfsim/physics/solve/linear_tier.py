@@ -23,7 +23,8 @@ _RENEWALS, RENEWED = 60, 5e-4
 _CLOSER = 1e-2
 _FOLLOWED = 8  # times that the local indentation may follow bodies that springs carry
 _GROWTHS = 12  # times that the patch may grow in a frame
-# times that a way without friction may be halved: of a thin wall the inner face lies in a body that has come a long way
+# times that a way may be halved, with friction but the last: of a thin wall the inner face lies in a body that has come
+# a long way
 _HALVINGS = 4
 
 
@@ -58,8 +59,8 @@ class LinearTier:
         Args:
             before: poses of the frame before (B, K, 4, 4).
             way: poses on the way to those of this frame (B, K, 4, 4), which end it: of a thin wall both faces lie in a
-                body that has come further than the wall is thick, and forces are found that push them apart. With
-                friction, which would remember them, the last alone is taken.
+                body that has come further than the wall is thick, and forces are found that push them apart. Friction
+                remembers nothing of them.
             start: first guess of the contact forces (B, 3 s) [N].
             deadline: `clock.now` after which no iteration begins [s].
 
@@ -69,13 +70,17 @@ class LinearTier:
         balance, contact = self._balance, self._contact
         every, contact.deadline = balance.every, deadline
         contact.begin_step(before, balance.u)
-        halvings = 0 if contact.has_friction else _HALVINGS
-        for pose in () if contact.has_friction else way[:-1]:
+        friction, lost = contact.friction_state(), torch.zeros(len(every), dtype=torch.float64, device=balance.device)
+        for pose in way[:-1]:
             if clock.now() > deadline:
+                lost += float("inf")
                 break
-            start, *_ = self._arrive(before, pose, start, deadline, halvings)
-            before = pose
-        force, error, on_bodies = self._arrive(before, way[-1], start, deadline, halvings)
+            start, error, _ = self._arrive(before, pose, start, deadline, _HALVINGS)
+            before, lost = pose, torch.maximum(lost, error)
+        contact.restore_friction(every, friction)
+        force, error, on_bodies = self._arrive(before, way[-1], start, deadline,
+                                                0 if contact.has_friction else _HALVINGS)
+        error = _followed(force, error, lost)
         det = balance.least_det(every)
         balance.evaluate_contact(every, balance.u)
         u = balance.u
@@ -112,11 +117,13 @@ class LinearTier:
                     if not contact.follow() or clock.now() > deadline:
                         break
                     force, error = self._solve(force, deadline)
+            error = torch.where(self._through(before, pose, force), float("inf"), error)
             arrived = bool((error <= self.accept).all())
             if not arrived and halvings and clock.now() <= deadline:
                 middle = increments.between(before, pose, 0.5)
-                force, *_ = self._arrive(before, middle, self._on_grown(*self._last), deadline, halvings - 1)
-                return self._arrive(middle, pose, force, deadline, halvings - 1)
+                force, lost, _ = self._arrive(before, middle, self._on_grown(*self._last), deadline, halvings - 1)
+                force, error, on_bodies = self._arrive(middle, pose, force, deadline, halvings - 1)
+                return force, _followed(force, error, lost), on_bodies
             # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
@@ -128,6 +135,13 @@ class LinearTier:
         if arrived:
             self._last = list(contact.patches), force
         return force, error, on_bodies
+
+    def _through(self, before: np.ndarray, pose: np.ndarray, force: torch.Tensor) -> torch.Tensor:
+        """Touches (B,) whose bodies went from ``before`` to ``pose`` (B, K, 4, 4) along the force that they had on the
+        object, and have none (B, 3 s) [N] there: they went through it, or slipped off."""
+        moved = torch.as_tensor((pose - before)[:, :, :3, 3].sum(axis=1), device=force.device)
+        pushed = self._last[1].view(len(force), -1, 3).sum(dim=1)
+        return (force == 0.0).all(dim=1) & ((pushed * moved).sum(dim=1) > 0.0)
 
     def _solve(self, start: torch.Tensor, deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
         """Contact forces (B, 3 s) [N] and their relative errors (B,); the friction limit is renewed until it no longer
@@ -157,6 +171,12 @@ class LinearTier:
         if device == "cpu":
             return torch.as_tensor(factor.stiffness @ u.numpy())
         return factor.stiffness_on(device) @ u
+
+
+def _followed(force: torch.Tensor, error: torch.Tensor, lost: torch.Tensor) -> torch.Tensor:
+    """Relative errors (B,) at the end of a way: those ``lost`` on it count where no ``force`` (B, 3 s) [N] is left, for
+    the body may have come through the object there."""
+    return torch.where((force == 0.0).all(dim=1), torch.maximum(error, lost), error)
 
 
 def first_force(equilibria: Sequence[Any], last: torch.Tensor, pose: np.ndarray, has_friction: bool) -> torch.Tensor:
