@@ -36,13 +36,11 @@ class Piece:
     """Under which they are made."""
     alone: int | None = None
     """Number of the touch that is made on a mesh of its own; None for all on one."""
-    level: int = 0
-    """Of that mesh, see `vsfsim.generate.trade.near.near`."""
 
     @property
     def key(self) -> str:
         """Its name in the file."""
-        own = "" if self.alone is None else f", touch {self.alone}, level {self.level}"
+        own = "" if self.alone is None else f", touch {self.alone}"
         return f"object {self.number}, {self.touches} touches, {self.setting.key}{own}"
 
 
@@ -62,7 +60,7 @@ def made(piece: Piece) -> dict[str, Any]:
         subject = object_of(piece.scene, piece.number, piece.touches)
         if piece.alone is None:
             return subject.run(piece.setting).table()
-        return subject.near(piece.alone, piece.setting, piece.level).table()
+        return subject.near(piece.alone, piece.setting).table()
     except VsfsimError as error:
         return {"refused": str(error)}
 

@@ -49,7 +49,7 @@ COLUMN = Path(__file__).parent / "column.toml"
 SCENES = ("foam-block", "shoes-v3-mini", "column", "shoes-v2-punyo-mini", "plants-mini")
 """An even body, a shell of many parts, layers, a bubble on a shell, a plant under an arm."""
 ACCURACIES = (0.05, 0.02, 0.01)
-EAGER = 4
+EAGER = 3
 """Processes from which on the whole pilot is made at once, and not only as far as it chooses."""
 
 
@@ -69,19 +69,17 @@ class Trial:
 
     @property
     def settings(self) -> list[Setting]:
-        """From which the pilot chooses, cheap ones first; a plant has the segments of its family and no choice."""
-        if self.ground.arm is not None:
-            return [Setting(self.ground.tier, parts=1)]
+        """From which the pilot chooses, cheap ones first."""
         return candidates(self.loaded, self.ground.resolution, self.ground.device)
 
-    def piece(self, number: int, setting: Setting, alone: int | None = None, level: int = 0) -> Piece:
+    def piece(self, number: int, setting: Setting, alone: int | None = None) -> Piece:
         """Of an object of the pilot, or of one that is held out."""
         count = TOUCHES if number in self.pilot else self.touches
-        return Piece(str(self.loaded.path), number, count, setting, alone, level)
+        return Piece(str(self.loaded.path), number, count, setting, alone)
 
     def ladders(self) -> list[list[Piece]]:
         """The meshes of the limit of every touch of the pilot."""
-        return [[self.piece(number, setting, alone, level) for level, setting in enumerate(self.ground.ladder())]
+        return [[self.piece(number, setting, alone) for setting in self.ground.ladder()]
                 for number in self.pilot for alone in range(TOUCHES)]
 
     def audits(self, chosen: Setting) -> list[Piece]:
@@ -90,8 +88,8 @@ class Trial:
             finer = Setting(chosen.tier, parts=2 * chosen.parts)
         else:
             assert chosen.resolution is not None
-            finer = Setting(LIMIT_TIER, chosen.resolution / RATIO)
-        return [self.piece(number, finer, alone, 1) for number in self.held for alone in range(self.touches)]
+            finer = Setting(LIMIT_TIER, chosen.resolution / RATIO, level=(chosen.level or 0) + 1)
+        return [self.piece(number, finer, alone) for number in self.held for alone in range(self.touches)]
 
     def runs(self, setting: Setting, numbers: range) -> Run | str | None:
         """Of some objects together."""
@@ -124,7 +122,7 @@ def audit_error(curve: Curve, finer: Curve) -> float:
 def rows(trials: Sequence[Trial], accuracies: Sequence[float]) -> list[dict[str, Any]]:
     """One a class and accuracy: what was chosen, kept and paid. The classes' pieces are made side by side."""
     pieces = trials[0].pieces
-    if pieces.workers > EAGER:
+    if pieces.workers >= EAGER:
         pieces.ask([p for t in trials for p in [*(t.piece(n, s) for s in reversed(t.settings) for n in t.pilot),
                                                 *(p for ladder in t.ladders() for p in reversed(ladder))]])
     pilots = [_pilot(trial, accuracies) for trial in trials]

@@ -50,7 +50,7 @@ class Imagined:
         return Run(tuple(self._curve(setting) for _ in range(2)), 0.5, 1.0, 1.0, 100.0, 10,
                    (setting.resolution,) * 2)
 
-    def near(self, number, setting, level):
+    def near(self, number, setting):
         return Run((self._curve(setting, 1e-3),), 0.5, 1.0, 1.0, 100.0, 5, (0.1 * setting.resolution,))
 
     def _curve(self, setting, part=1.0):  # the ladder is fine where it is touched

@@ -116,7 +116,7 @@ class Imagined:
         return Run(tuple(self._curve(setting, k) for k in range(2)), 0.5, 1.0 / setting.resolution, 1.0, 100.0, 10,
                    (setting.resolution,) * 2)
 
-    def near(self, number, setting, level):
+    def near(self, number, setting):
         return Run((self._curve(setting, number),), 0.5, 1.0, 1.0, 100.0, 5, (setting.resolution,))
 
     def _curve(self, setting, k):
@@ -194,8 +194,8 @@ def test_a_small_block(tmp_path, more):
 def test_every_axis_is_there_or_refused_with_the_reason(tmp_path):
     arm = Ground("rod", None, None, None, ("rod",), arm="kinematic")
     assert [s.key for s in arm.sweep(["arm"])] == ["rod, dynamic"]
-    assert [s.key for s in arm.ladder()] == ["rod, 1 beam a segment", "rod, 2 beams a segment",
-                                             "rod, 4 beams a segment"]
+    assert [s.key for s in arm.ladder()] == ["rod, 2 beams a segment", "rod, 4 beams a segment",
+                                             "rod, 8 beams a segment"]
     bubble = Ground("fem-coarse", 0.02, 4, 390, ("fem-coarse",))
     assert [s.nodes for s in bubble.sweep(["nodes"])] == [195, 780]
     probe = Ground("fem-coarse", 0.02, 4, None, ("linear", "fem-coarse"))

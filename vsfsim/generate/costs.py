@@ -117,7 +117,8 @@ def _fit(touches: np.ndarray, values: np.ndarray, wanted: int) -> tuple[float, f
 
 
 def _key(recipe: Recipe) -> Sequence[str]:
-    finer = [f"{recipe.options['resolution']:.3g} m"] if "resolution" in recipe.options else []  # of an --accuracy
+    finer = [f"{name} {recipe.options[name]:.3g}" for name in ("resolution", "contact", "parts")
+             if name in recipe.options]
     return [recipe.scene_sha256, recipe.tier, recipe.device, processor(),
             *map(str, made_by().values()), *finer]
 

@@ -20,6 +20,8 @@ import numpy as np
 
 SAFETY = 1.25  # safety factor of the error for three meshes or more (Roache 1994) [-]
 LARGEST = 0.03  # error of a curve's limit, over its largest value, beyond which the limit counts as unknown [-]
+FLAT = 1.0  # order of a force, which is an energy over a way, where displacements go with the root of the distance from
+#             a line, as at a crack, the strongest singularity of an elastic body; a lower observed order is chance [-]
 STEEP = 4.0  # order of an integral of stresses with quadratic elements; a higher observed order is chance [-]
 
 
@@ -129,7 +131,8 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
     """The limit of a whole curve, from the last three meshes.
 
     One order is observed for the curve: the equation above with the root mean squares of both steps over all frames and
-    components, because single frames scatter with the place of the contact on the elements. Where the second step goes
+    components, because single frames scatter with the place of the contact on the elements; it is taken as at least
+    `FLAT` and at most `STEEP`. Where the second step goes
     on in the direction of the first, the curve is extrapolated. Where it turns back, the finest mesh's curve is taken,
     and its error is at least the last step. Where the steps do not shrink there is no order: the finest mesh's curve is
     taken with `SAFETY` times the spread of the three as its error. A limit whose error is over `LARGEST` is not known.
@@ -160,7 +163,7 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
         return Limit(f[-1], np.full(f[-1].shape, SAFETY * spread), None, f"no order, the meshes differ by "
                      f"{100 * spread / size:.2g} %, and {SAFETY:g} times that is taken as their error")
     order = _order(r21, r32, e32 / e21)
-    gain = r21 ** min(order, STEEP) - 1.0
+    gain = r21 ** min(max(order, FLAT), STEEP) - 1.0
     value, error, why = f[-1] - last / gain, SAFETY * np.abs(last) / gain + least, "extrapolated"
     if float((last * first).sum()) < 0.0:
         value, error = f[-1], np.maximum(error, np.abs(last))

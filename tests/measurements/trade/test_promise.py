@@ -48,7 +48,7 @@ def test_what_is_bought_is_audited_on_other_objects():
     # 26 mm is off by 5.3 % over the way in, which 70 % of 6 % do not allow and 6 % do: the regret of the margin
     assert kept["regret"] == pytest.approx(1.3) and kept["worst"] == pytest.approx(0.032, abs=0.002)
     assert tight["setting"] == "fem-coarse, 15.4 mm" and tight["regret"] == 1.0
-    assert no["said"].startswith("refused: the most exact setting of the pilot, fem, 11.8 mm, is off by 1.1 %")
+    assert no["said"].startswith("refused: the most exact setting of the pilot, fem, 11.8 mm, 0.38 of the contact, is ")
     broken, = promise.rows([trial(3.0)], (0.06,))
     assert broken["within"] == 0.0 and broken["regret"] is None
 

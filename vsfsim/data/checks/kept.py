@@ -54,7 +54,8 @@ def observed(options: Mapping[str, Any], tier: str, errors: Sequence[float]) -> 
         return None
     all_ = np.asarray(errors, float)
     within = float((all_ <= promise["asked"]).mean()) if len(all_) else 0.0
-    chosen = options.get("classes") or {"tier": tier, "resolution": options.get("resolution")}
+    sizes = {name: options[name] for name in ("resolution", "contact", "parts") if name in options}
+    chosen = options.get("classes") or {"tier": tier, **sizes}
     return {"asked": promise["asked"], "chosen": chosen,
             "expected": promise["expected"],
             "observed": {"audits": len(all_), "within": within,

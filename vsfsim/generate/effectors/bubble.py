@@ -29,7 +29,7 @@ from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import bubble as one_press
 from vsfsim.generate.record import audit, verdict
 from vsfsim.generate.solid import Manner, Subject, batches, draw_solid, prepare
-from vsfsim.generate.trade.audit import with_audits
+from vsfsim.generate.trade.audit import audited
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
@@ -100,8 +100,7 @@ class BubbleEffector:
         """Build, look, aim along the normals or tilted from them, press."""
         subject = prepare(job, device=device)
         aims = self.aim(subject, device=device)
-        touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
-                              device=device)
+        touches = audited(self, subject, aims, device=device, progress=progress)
         dome = dome_of(_sensor_of(subject))
         truth = truth_of(subject.model, subject.view, touches, [dome] * len(touches), friction=float("inf"),
                          device=device)

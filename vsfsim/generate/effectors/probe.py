@@ -22,7 +22,7 @@ from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import probe as one_press
 from vsfsim.generate.record import audit, verdict
 from vsfsim.generate.solid import Manner, Subject, batches, draw_solid, prepare
-from vsfsim.generate.trade.audit import with_audits
+from vsfsim.generate.trade.audit import audited
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
@@ -63,8 +63,7 @@ class Probe:
         subject = prepare(job, device=device)
         scene = subject.scene
         aims = self.aim(subject, device=device)
-        touches = with_audits(self, subject, aims, self.touch(subject, aims, device=device, progress=progress),
-                              device=device)
+        touches = audited(self, subject, aims, device=device, progress=progress)
         truth = truth_of(subject.model, subject.view, touches, [scene.presses[a.press].probe for a in aims],
                          friction=scene.required_object.friction, device=device)
         return subject.record(scene.probe, touches, truth)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import Touch
@@ -21,13 +22,22 @@ from vsfsim.generate.trade.made import Meter, Run
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.physics.runtime import compile_kernels
 
+CANDIDATES = 3
+"""Lines that are drawn for each that is taken."""
+SLIP = 0.05
+"""Share of the largest force that is lost from one frame to the next where a branch slips along the tool [-]."""
+MET = 0.2
+"""A line that meets less met nothing [N]."""
 _NO_LIMIT = 1e6  # [N]; every mesh makes the frames that the scene's own makes
 
 
 class ArmTouches:
     """Touches of the first plants of a scene with ``[arm]``, aimed once; see `vsfsim.generate.trade.made.Touched`.
 
-    Each follows the line that the arm has found, as far as it goes on the scene's own beams before the force limit.
+    Each follows the line that the arm has found, as far as it goes on the scene's own beams before the force limit, and
+    before a branch slips along the tool: where it slips is another frame on other beams, and what follows is of two
+    equilibria, which cannot be compared. Of `CANDIDATES` times as many lines the first are taken that meet more than
+    `MET` until then.
 
     Args:
         loaded: the scene.
@@ -44,32 +54,50 @@ class ArmTouches:
 
     def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, first: int = 0, seed: int = 0,
                  device: str = "cpu", cache: Path | None = None):
-        recipe = make_recipe(loaded, seed=seed, objects=first + objects, views=1, touches=touches, device=device)
+        recipe = make_recipe(loaded, seed=seed, objects=first + objects, views=1, touches=CANDIDATES * touches,
+                             device=device)
         scene = loaded.sample(0)
         self.ground = Ground("rod", None, None, None, ("rod",), device, arm=scene.required_arm.mode)
         compile_kernels(kernels_of(scene), device)
         self._alone: list[Subject] = []  # with one touch each
-        self._plants = objects
+        self._plants, slips = objects, 0
         for job in jobs_of(recipe, loaded.path, ".", cache)[first:]:
             whole = prepare_job(job, device=device)
             (frames,) = solve([whole], device=device)
+            taken = 0
             for k, a in enumerate(whole.aims):
-                good = np.flatnonzero(frames.converged[:min(int(frames.frames[k]), a.inward), k])
-                n = int(good[-1]) + 1 if len(good) else 1
+                end = min(int(frames.frames[k]), a.inward)
+                size = np.linalg.norm(frames.force[:end, k].sum(axis=1), axis=1)
+                force = np.where(frames.converged[:end, k], size, 0.0)
+                n = held(force)
+                if taken == touches or not force[:n].max(initial=0.0) > MET:
+                    continue
+                taken, slips = taken + 1, slips + (n < end)
                 own = dataclasses.replace(a, plan=a.plan[:n], inward=n)
                 self._alone.append(dataclasses.replace(whole, aims=[own], poses=whole.poses[:, k:k + 1],
                                                        scene=_without_limit(whole.scene)))
+            if taken < touches:
+                raise SceneError(f"{loaded.path}: {taken} of {len(whole.aims)} touches of object {job.object_index} "
+                                 f"meet more than {MET:g} N before a branch slips, and {touches} are asked for.")
         self.count = len(self._alone)
         self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} plant{'s' * (objects > 1)} along "
-                     f"straight lines")
+                     f"straight lines, {slips} of them as far as a branch slips")
 
     def run(self, setting: Setting) -> Run:
         """All touches."""
         return _run(self._alone, self._plants, setting)
 
-    def near(self, number: int, setting: Setting, level: int) -> Run:
+    def near(self, number: int, setting: Setting) -> Run:
         """Touch ``number`` alone; all beams of a ladder are shorter, wherever the touch is."""
         return _run(self._alone[number:number + 1], 1, setting)
+
+
+def held(force: np.ndarray) -> int:
+    """How many frames of a touch with these forces (T,) [N] are compared: as far as there is a force, or to the last
+    but one before a branch slips."""
+    lost = np.flatnonzero(np.diff(force) < -SLIP * force.max(initial=0.0))
+    pressed = np.flatnonzero(force > 0.0)
+    return max(1, int(lost[0]) if len(lost) else int(pressed[-1]) + 1 if len(pressed) else 1)
 
 
 def _run(alone: list[Subject], plants: int, setting: Setting) -> Run:

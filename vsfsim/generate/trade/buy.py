@@ -17,7 +17,7 @@ from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.made import Touched, limits
 from vsfsim.generate.trade.runs import DatasetTouches
-from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
+from vsfsim.generate.trade.setting import LIMIT_TIER, PARTS, RATIO, Setting
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
@@ -28,6 +28,10 @@ MARKED = 0.25
 """Share of the frames in contact that may be marked, where another setting does with less [-]."""
 TOUCHES, OBJECTS = 3, 2
 """Of the pilot: touches of each of the first objects; of each class the first object alone."""
+SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None),
+         (0, LIMIT_TIER, 0), (-1, "linear", None), (-1, "fem-coarse", None), (-1, LIMIT_TIER, 0), (-2, LIMIT_TIER, 1))
+"""Elements of the candidates, cheap ones first, as the scene's own times `RATIO` to such a power; tier; level of the
+elements where a touch meets the object."""
 CLASSES = 6
 """Most classes of objects of which each has a choice of its own."""
 
@@ -70,7 +74,7 @@ def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int,
     """
     there = _begun(folder)
     if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == accuracy:
-        return there["tier"], {name: there["options"][name] for name in ("accuracy", "resolution", "classes")
+        return there["tier"], {name: there["options"][name] for name in ("accuracy", "resolution", "contact", "classes")
                                if name in there["options"]}
     names, said = classes(loaded)[:objects], note or (lambda sentence: None)
     said(f"--accuracy {100 * accuracy:g} %: a pilot chooses tier and element size")
@@ -97,18 +101,18 @@ def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int,
                 f"{100 * p.marked:.0f} % of the frames in contact marked" if known else \
                 "as the dearest of the others, because of no touch of the pilot is the limit known"
         said(f"chosen{f' for {name}' * bool(name)}: {p.key}, {p.frame:.2g} s a frame; {whose}")
-        table.append({"class": name, "tier": str(setting.tier), "resolution": setting.resolution})
+        table.append({"class": name, "tier": str(setting.tier), **setting.options()})
     worst = {"asked": accuracy, "expected": _short(max(p.error for _, p in taken)),
              "limit": _short(max(p.bar for _, p in taken)), "touches": sum(counts)}
     if len(names) > 1:
         return str(max(taken, key=lambda one: cost(one[0]))[0].tier), {"accuracy": worst, "classes": table}
-    return table[0]["tier"], {"accuracy": worst, "resolution": table[0]["resolution"]}
+    return table[0]["tier"], {"accuracy": worst, **taken[0][0].options()}
 
 
 def _pilot(subject: Touched, loaded: SceneFile, accuracy: float, device: str) -> tuple[Choice | str, int]:
     """What is chosen on some touches, or why no limit of one is known; and of how many one is."""
-    ladder = list(enumerate(subject.ground.ladder()))
-    bounds, shares = zip(*(limits([subject.near(k, setting, level) for level, setting in ladder])
+    ladder = subject.ground.ladder()
+    bounds, shares = zip(*(limits([subject.near(k, setting) for setting in ladder])
                            for k in range(subject.count)), strict=True)
     known = sum(own["force"].known for own in bounds)
     if not known:
@@ -118,14 +122,14 @@ def _pilot(subject: Touched, loaded: SceneFile, accuracy: float, device: str) ->
     return choose(points, accuracy), known
 
 
-def cost(setting: Setting) -> tuple[float, bool]:
-    """Where a setting stands in the order of `candidates`: by elements, then by tier."""
-    return 1.0 / (setting.resolution or 1.0), setting.tier != "linear"
+def cost(setting: Setting) -> tuple[float, float, bool]:
+    """Where a setting stands among those of several classes: by elements, there and elsewhere, then by tier."""
+    return 1.0 / (setting.resolution or 1.0), -1.0 if setting.level is None else setting.level, setting.tier != "linear"
 
 
 def dearest(found: Iterable[Choice]) -> Choice:
     """Of the choices of several classes that of the dearest setting, or one that found none."""
-    return max(found, key=lambda one: (one[0] is None, (0.0, False) if one[0] is None else cost(one[0][0])))
+    return max(found, key=lambda one: (one[0] is None, (0.0, 0.0, False) if one[0] is None else cost(one[0][0])))
 
 
 def choose(points: Iterable[tuple[Setting, Point]], accuracy: float) -> Choice:
@@ -157,19 +161,19 @@ def too_much(best: Point) -> str:
 
 
 def candidates(loaded: SceneFile, resolution: float | None, device: str) -> list[Setting]:
-    """Settings that show what the scene needs, cheap ones first by elements and tier; the order is that of no clock, so
-    that every machine chooses the same."""
+    """Settings that show what the scene needs, cheap ones first; the order is that of `SIZES` and of no clock, so that
+    every machine chooses the same."""
     scene, out = loaded.sample(0), []
+    if scene.effector == "arm":
+        return [Setting("rod", parts=parts, device=device) for parts in PARTS]
     if resolution is None:
         raise SceneError(f"{loaded.path}: --accuracy chooses the elements of an [object], and the scene has none.")
-    for level, names in ((1, ("linear", "fem-coarse")), (0, ("linear", "fem-coarse")), (-1, ("linear", "fem-coarse")),
-                         (-2, ("linear", LIMIT_TIER))):
-        for name in names:
-            try:
-                effector_of(scene).check(scene, name)
-            except VsfsimError:
-                continue
-            out.append(Setting(name, resolution * RATIO**level, device=device))
+    for power, name, level in SIZES:
+        try:
+            effector_of(scene).check(scene, name)
+        except VsfsimError:
+            continue
+        out.append(Setting(name, resolution * RATIO**power, level=level, device=device))
     return out
 
 

@@ -177,7 +177,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
             late = True
             break
         row = lines.rows.get(key) or lines.add({"key": key, "ladder": [
-            subject.near(k, setting, level).table() for level, setting in enumerate(subject.ground.ladder())]})
+            subject.near(k, setting).table() for setting in subject.ground.ladder()]})
         bound, share = limits([Run.read(mesh) for mesh in row["ladder"]])
         bounds.append(bound)
         shares.append(share)

@@ -66,8 +66,8 @@ class Touched(Protocol):
         """
         ...
 
-    def near(self, number: int, setting: Setting, level: int) -> Run:
-        """Touch ``number`` alone, on a mesh of its own that is finer where it is touched, on a level of the ladder."""
+    def near(self, number: int, setting: Setting) -> Run:
+        """Touch ``number`` alone, on a mesh of its own that is finer where it is touched."""
         ...
 
 

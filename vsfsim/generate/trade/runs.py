@@ -21,7 +21,7 @@ from vsfsim.generate.solid import Retouching, Subject, prepare
 from vsfsim.generate.trade.arm import ArmTouches
 from vsfsim.generate.trade.curve import of_press, of_touch
 from vsfsim.generate.trade.made import Meter, Run, Touched, together
-from vsfsim.generate.trade.near import near
+from vsfsim.generate.trade.near import contact_edge, near, touch_near
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
@@ -80,21 +80,23 @@ class DatasetTouches:
         parts = [self._run(subject, aims, setting) for subject, aims in zip(self.subjects, self.aims, strict=True)]
         return together(parts)
 
-    def near(self, number: int, setting: Setting, level: int) -> Run:
+    def near(self, number: int, setting: Setting) -> Run:
         """See `Touched`."""
         flat = [(subject, a) for subject, own in zip(self.subjects, self.aims, strict=True) for a in own]
         subject, a = flat[number]
-        return self._run(subject, [a], setting, level)
+        return self._run(subject, [a], setting, alone=True)
 
-    def _run(self, subject: Subject, aims: list[Aim], setting: Setting, level: int | None = None) -> Run:
+    def _run(self, subject: Subject, aims: list[Aim], setting: Setting, alone: bool = False) -> Run:
         meter = Meter()
         tier = setting.tier
         assert tier is not None
-        own = (subject.again(tier, setting.options()) if level is None
-               else near(subject, aims[0], self._effector.manner(subject.scene).reach, setting.options(), level))
+        reach = self._effector.manner(subject.scene).reach
+        own = (near(subject, aims[0], reach, setting.options()) if alone
+               else subject.again(tier, setting.options()))
         once, _, _ = meter.read()
         meter.restart()
-        touches = self._effector.touch(own, aims, device=setting.device)
+        touches = (self._effector.touch(own, aims, device=setting.device) if alone
+                   else touch_near(self._effector, own, aims, device=setting.device))
         cpu, wall, memory = meter.read()
         curves = [of_touch(touch, a) for touch, a in zip(touches, aims, strict=True)]
         if tier in ("linear", "fem-coarse", "fem", "fem-fine"):  # with tetrahedra
@@ -102,7 +104,8 @@ class DatasetTouches:
             curves = [dataclasses.replace(c, readings={**c.readings, "stiffness": soft[k:k + 1]})
                       for k, c in enumerate(curves)]
         return Run(tuple(curves), once, cpu, wall, memory, sum(len(t.time) for t in touches),
-                   (own.model.element_size,) * len(aims))
+                   tuple(own.model.element_size if setting.level is None else contact_edge(a, reach, setting.level)[1]
+                         for a in aims))
 
 
 class ScenePress:
@@ -135,7 +138,7 @@ class ScenePress:
             self._run(self._seeds[0], _brief(setting))
         return together([self._run(seed, setting) for seed in self._seeds])
 
-    def near(self, number: int, setting: Setting, level: int) -> Run:
+    def near(self, number: int, setting: Setting) -> Run:
         """See `Touched`; a press has its elements where it touches on every mesh."""
         return self._run(self._seeds[number], setting)
 

@@ -11,6 +11,11 @@ from vsfsim.physics import tiers
 
 RATIO = 1.3
 """Of the edges of two meshes of a ladder."""
+LOCAL = 0.5
+"""Longest edge of the elements where a touch meets the object, over the radius of the contact, on level 0; on each
+further level smaller by `RATIO`, see `vsfsim.generate.trade.near` [-]."""
+PARTS = (1, 2, 4)
+"""Beams of which each segment of a plant may be made."""
 LIMIT_TIER = "fem"
 """Of the meshes from which the limit of a touch is extrapolated; its law is that of every finer tier."""
 
@@ -43,6 +48,8 @@ class Setting:
     """Mode of a robot arm."""
     parts: int | None = None
     """Beams of which each segment of a plant is made."""
+    level: int | None = None
+    """Of the elements where each touch meets the object, see `LOCAL`; None for elements of one size."""
     device: str = "cpu"
     """Warp device."""
 
@@ -52,6 +59,8 @@ class Setting:
         words = [self.tier or "bubble"]
         if self.resolution is not None:
             words.append(f"{1e3 * self.resolution:.3g} mm")
+        if self.level is not None:
+            words.append(f"{LOCAL / RATIO**self.level:.2g} of the contact")
         if self.tolerance is not None:
             words.append(f"tolerance {self.tolerance:.1e}")
         if self.frames is not None:
@@ -66,7 +75,7 @@ class Setting:
     def options(self) -> dict[str, Any]:
         """What a recipe says of it besides the tier, see `vsfsim.generate.job.Job.scene`."""
         values = {"resolution": self.resolution, "tolerance": self.tolerance, "frames": self.frames,
-                  "nodes": self.nodes}
+                  "nodes": self.nodes, "contact": self.level}
         return {name: value for name, value in values.items() if value is not None}
 
 
@@ -90,11 +99,13 @@ class Ground:
     """Mode of its robot arm, or None."""
 
     def ladder(self, meshes: int = 3) -> list[Setting]:
-        """The meshes of the limit, coarsest first; a bubble's grow with the object's, and beams are halved."""
+        """The meshes of the limit, coarsest first, all finer than the scene's own; a bubble's grow with the object's,
+        and beams are halved."""
         if self.arm is not None:
-            return [Setting(self.tier, parts=2**k, device=self.device) for k in range(meshes)]
-        return [Setting(LIMIT_TIER if self.tier else None, self.resolution and self.resolution * RATIO ** (1 - k),
-                        nodes=self.nodes and round(self.nodes * RATIO ** (2 * k)), device=self.device)
+            return [Setting(self.tier, parts=2 ** (k + 1), device=self.device) for k in range(meshes)]
+        return [Setting(LIMIT_TIER if self.tier else None, self.resolution and self.resolution / RATIO ** (k + 1),
+                        nodes=self.nodes and round(self.nodes * RATIO ** (2 * k)),
+                        level=k + 1 if self.tier else None, device=self.device)
                 for k in range(meshes)]
 
     def axes(self) -> dict[str, list[Setting]]:
@@ -102,7 +113,7 @@ class Ground:
         base: dict[str, Any] = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
         if self.arm is not None:
             other = "dynamic" if self.arm == "kinematic" else "kinematic"
-            return {"mesh": [Setting(**base, parts=parts) for parts in (1, 2)], "arm": [Setting(**base, arm=other)]}
+            return {"mesh": [Setting(**base, parts=parts) for parts in PARTS], "arm": [Setting(**base, arm=other)]}
 
         def sizes(tier: str | None) -> list[float | None]:
             levels = (-1, -2) if tier == LIMIT_TIER else (1, 0, -1)
