@@ -29,7 +29,8 @@ MARKED = 0.25
 TOUCHES, OBJECTS = 3, 2
 """Of the pilot: touches of each of the first objects; of each class the first object alone."""
 SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None),
-         (0, LIMIT_TIER, 0), (-1, "linear", None), (-1, "fem-coarse", None), (-1, LIMIT_TIER, 0), (-2, LIMIT_TIER, 1))
+         (1, LIMIT_TIER, 0), (0, LIMIT_TIER, 0), (-1, "linear", None), (-1, "fem-coarse", None), (-1, LIMIT_TIER, 0),
+         (-2, LIMIT_TIER, 1))
 """Elements of the candidates, cheap ones first, as the scene's own times `RATIO` to such a power; tier; level of the
 elements where a touch meets the object."""
 CLASSES = 6
