@@ -92,10 +92,11 @@ def gas_sphere(ambient_ratio: float, gamma: float, *, radius: float, mu_h: float
 
 
 def plate(load_: float, *, young_modulus: float, thickness: float, radius: float, poisson_ratio: float) -> float:
-    """Deflection [m] of the centre of a clamped circular plate under an even load [Pa].
+    """Deflection [m] of the centre of a circular plate under an even load [Pa], whose rim is held and may rotate.
 
     Foeppl's and von Karman's equations: D ((r w')' / r)' = S w' + q r / 2, r S'' + 3 S' = -E h w'^2 / (2 r), with
-    w'(0) = S'(0) = 0, w'(a) = 0 and a S'(a) + (1 - nu) S(a) = 0. Lengths are in radii, deflections in thicknesses.
+    w'(0) = S'(0) = 0, a w''(a) + nu w'(a) = 0 and a S'(a) + (1 - nu) S(a) = 0. Lengths are in radii, deflections in
+    thicknesses.
     """
     nu = poisson_ratio
     scale = 12.0 * (1.0 - nu**2)
@@ -110,10 +111,10 @@ def plate(load_: float, *, young_modulus: float, thickness: float, radius: float
     singular[1, 1], singular[1, 2], singular[4, 4] = -2.0, 1.0, -3.0  # k' = (m - 2 k) / r, S'' = ... - 3 S' / r
 
     def ends(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.array([a[2] - 2.0 * a[1], a[4], b[0], b[1], b[4] + (1.0 - nu) * b[3]])
+        return np.array([a[2] - 2.0 * a[1], a[4], b[0], b[2] - (1.0 - nu) * b[1], b[4] + (1.0 - nu) * b[3]])
 
     r = np.linspace(0.0, 1.0, 101)
-    height = min(force / 64.0, 2.0)
+    height = min(force / 16.0, 2.0)
     guess = height * np.stack([(1.0 - r**2) ** 2, -4.0 * (1.0 - r**2), -8.0 + 16.0 * r**2, 0.0 * r, 0.0 * r])
     found = solve_bvp(slope, ends, r, guess, S=singular, tol=1e-8, max_nodes=20_000)
     if not found.success:

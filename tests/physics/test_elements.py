@@ -11,26 +11,27 @@ from element_body import FOAM, SIZE, Body, E, tet
 from vsfsim.core.solid import Solid
 from vsfsim.physics.elements import anchor, gas, hinge, triangle
 from vsfsim.physics.foundation import foundation
+from vsfsim.physics.laws import hyperfoam
 from vsfsim.physics.linear.elimination import Order
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed, ellipse
 from vsfsim.physics.mesh.quadratic import assemble
-from vsfsim.physics.model import Model, foam_tetrahedra
+from vsfsim.physics.model import Model, tetrahedra
 from vsfsim.physics.solve.elasticity import Elasticity
 
 ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0),
-            "hyperfoam": foam_tetrahedra(FOAM), "anchor": foundation,
+            "hyperfoam": lambda mesh, modulus, _: tetrahedra(mesh, modulus, FOAM.poisson_ratio, law=hyperfoam.LAW,
+                                                             settings=hyperfoam.settings_of(FOAM)),
+            "anchor": foundation,
             "all at once": lambda *given: (*tet(2.0)(*given), *foundation(*given))}
 
 
-def membrane(mesh, flat, *, law="neo-hookean", nu=0.5, tension_field=True):
-    """Triangles that a clamp has stretched, if they cannot bear compression: within rounding of rest they turn slack
-    and taut at every step."""
-    return triangle.block(mesh.faces, mesh.points, flat[mesh.faces] / (1.1 if tension_field else 1.0), 700.0, law=law,
-                          poisson_ratio=nu, tension_field=tension_field)
+def membrane(mesh, flat):
+    """Triangles that a clamp has stretched: within rounding of rest they turn slack and taut at every step."""
+    return triangle.block(mesh.faces, mesh.points, flat[mesh.faces] / 1.1, 700.0)
 
 
 def bending(mesh, flat):
-    return hinge.block(mesh.faces, mesh.points, flat, 1e-4, clamped=False)
+    return hinge.block(mesh.faces, mesh.points, flat, 1e-4)
 
 
 def air(mesh, flat, *, pressure=0.0, gamma=1.4, sealed=True):
@@ -40,18 +41,14 @@ def air(mesh, flat, *, pressure=0.0, gamma=1.4, sealed=True):
 
 # elements of surfaces: on a sheet of triangles, flat for what is to be at rest there, else a dome
 FLAT = {"triangle": lambda *given: (membrane(*given),),
-        "triangle without tension field": lambda *given: (membrane(*given, tension_field=False),),
-        "linear triangle": lambda *given: (membrane(*given, law="saint-venant-kirchhoff", nu=0.3),),
-        "linear triangle without tension field": lambda *given: (membrane(*given, law="saint-venant-kirchhoff", nu=0.3,
-                                                                          tension_field=False),),
         "hinge": lambda *given: (bending(*given),)}
 DOMES = {"gas": lambda *given: (air(*given),), "isothermal gas": lambda *given: (air(*given, gamma=1.0),),
          "open gas": lambda *given: (air(*given, pressure=5e3, sealed=False),),
          "bubble": lambda *given: (membrane(*given), bending(*given), air(*given, pressure=5e3))}
 SURFACES = (*FLAT, *DOMES)
 TIED = ("anchor", "all at once")  # know their place: not free to move
-LOADED = ("triangle", "linear triangle", "open gas", "bubble")  # u = 0 is not free of stress, or held by a pressure
-CONVEX = ("anchor", "triangle", "linear triangle", "hinge")  # never unstable: linear, or relaxed (elements/triangle.py)
+LOADED = ("triangle", "open gas", "bubble")  # u = 0 is not free of stress, or held by a pressure
+CONVEX = ("anchor", "triangle", "hinge")  # never unstable: linear, or relaxed (elements/triangle.py)
 
 
 def surface(kind):

@@ -1,5 +1,7 @@
 """Foams by name: the hyperfoam element against its closed form, and the closed form against measured compressions."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -10,8 +12,9 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.foam import FOAMS
 from vsfsim.core.shape import Plane
 from vsfsim.physics import tiers
+from vsfsim.physics.laws import hyperfoam
 from vsfsim.physics.laws.neo_hooke import CRUSHED
-from vsfsim.physics.model import foam_tetrahedra
+from vsfsim.physics.model import tetrahedra
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 from vsfsim.robot.path import turn_to
 
@@ -58,7 +61,7 @@ def test_a_block_of_foam_under_a_plane_is_the_closed_form(block, device, name):
     foam = FOAMS[name]
     scale = 0.5  # a softer foam of the same law
     model = block(SIZE, 0.02, young_modulus=scale * foam.young_modulus, poisson_ratio=foam.poisson_ratio,
-                  elements=foam_tetrahedra(foam))
+                  elements=functools.partial(tetrahedra, law=hyperfoam.LAW, settings=hyperfoam.settings_of(foam)))
     x = model.mesh.points
     held = np.abs(x - x.min(axis=0)) < 1e-9
     model = model.hold(np.where(held, 0.0, 1.0).ravel())

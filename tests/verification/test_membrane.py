@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 
 import references
@@ -20,19 +21,17 @@ from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.elasticity import Elasticity
 
-NEO, LINEAR = "neo-hookean", "saint-venant-kirchhoff"
 A, EH = 0.05, 600.0
 
 
-def disc(nodes, *, law=NEO, nu=0.5, a=A, b=None, stretch=1.0, modulus=EH, bending=None, tension_field=True):
+def disc(nodes, *, a=A, b=None, stretch=1.0, modulus=EH, bending=None):
     """A clamped flat sheet and its flat places (n, 2)."""
     b = a if b is None else b
     flat, faces, rim = membrane_mesh.ellipse(a, b, nodes)
     points = np.column_stack([flat, np.zeros(len(flat))])
-    blocks = [triangle.block(faces, points, flat[faces] / stretch, modulus, law=law, poisson_ratio=nu,
-                             tension_field=tension_field)]
+    blocks = [triangle.block(faces, points, flat[faces] / stretch, modulus)]
     if bending is not None:
-        blocks.append(hinge.block(faces, points, flat / stretch, bending, poisson_ratio=nu))
+        blocks.append(hinge.block(faces, points, flat / stretch, bending))
     free = np.ones_like(points)
     free[rim] = 0.0
     return Sheet(points, tuple(blocks), membrane_mesh.closed(faces, rim), free.ravel()), flat
@@ -51,23 +50,22 @@ def order(sizes, errors):
 
 # ------------------------------------------------------------------------------------------ 1: Hencky
 
-HENCKY = {float(nu): (row["C"], row["c_V"]) for nu, row in references.load("hencky")["coefficients"].items()}
+HENCKY = references.load("hencky")["coefficients"]["0.5"]
 
 
-def hencky(nodes, nu):
+def hencky(nodes):
     """Relative errors of the height under the pressure, and of the volume under the height, at w0/a = 0.02."""
-    sheet, flat = disc(nodes, law=NEO if nu == 0.5 else LINEAR, nu=nu)
+    sheet, flat = disc(nodes)
     guess = dome(flat, 0.02 * A)
     pressure = EH / A * (0.02 / 0.6) ** 3
     found = sheet.at_volume(guess, pressure, 0.5187 * math.pi * A**2 * 0.02 * A)
     w0 = found.displacement[2::3].max()
-    c, cv = HENCKY[nu]
+    c, cv = HENCKY["C"], HENCKY["c_V"]
     return w0 / (c * (found.pressure * A**4 / EH) ** (1.0 / 3.0)) - 1.0, found.volume / (cv * math.pi * A**2 * w0) - 1.0
 
 
-@pytest.mark.parametrize("nu", HENCKY)
-def test_hencky(nu):
-    height, volume = hencky(400, nu)
+def test_hencky():
+    height, volume = hencky(400)
     # half a per cent is asked for; the polygon of the rim and the linear triangles cost 0.3 % here
     assert abs(height) < 0.005 and abs(volume) < 0.005
 
@@ -75,9 +73,9 @@ def test_hencky(nu):
 @pytest.mark.slow
 def test_hencky_converges_with_the_square_of_the_edge():
     nodes = (400, 1600, 6400)
-    heights, volumes = zip(*(hencky(n, 0.3) for n in nodes), strict=True)
+    heights, volumes = zip(*(hencky(n) for n in nodes), strict=True)
     sizes = [n**-0.5 for n in nodes]
-    print("Hencky, nu 0.3:", heights, volumes)
+    print("Hencky:", heights, volumes)
     # linear triangles: second order, until the closed form's own neglect, (w0/a)^2 = 4e-4 times a number under 1
     assert order(sizes[:2], heights[:2]) > 1.6 and abs(heights[-1]) < 6e-4
     assert order(sizes[:2], volumes[:2]) > 1.6 and abs(volumes[-1]) < 6e-4
@@ -157,7 +155,8 @@ R0, MU_H, AMBIENT = 0.05, 250.0, 101325.0
 
 def ball(cuts):
     """A neo-Hookean sphere, held just enough not to move as a whole."""
-    mesh = membrane_mesh.sphere(R0, cuts)
+    ball = trimesh.creation.icosphere(subdivisions=cuts, radius=R0)
+    mesh = membrane_mesh.TriangleMesh.of(ball.vertices.view(np.ndarray), ball.faces.astype(np.int32), np.zeros(0, int))
     block = triangle.block(mesh.faces, mesh.points, triangle.flat(mesh.points[mesh.faces]), 3.0 * MU_H)
     free = np.ones_like(mesh.points)
     low, high = int(mesh.points[:, 2].argmin()), int(mesh.points[:, 2].argmax())
@@ -266,10 +265,9 @@ PLATE = dict(zip(references.load("plate")["load_Pa"], references.load("plate")["
 
 def plate(nodes):
     """Deflections over those of `PLATE`."""
-    a, e, h, nu = 0.04, 1e6, 1e-3, 0.3
-    sheet, flat = disc(nodes, law=LINEAR, nu=nu, a=a, modulus=e * h, bending=e * h**3 / (12.0 * (1.0 - nu**2)),
-                       tension_field=False)
-    u, out = dome(flat, 4e-5, a), []
+    a, e, h, nu = 0.04, 1e6, 1e-3, 0.5
+    sheet, flat = disc(nodes, a=a, modulus=e * h, bending=e * h**3 / (12.0 * (1.0 - nu**2)))
+    u, out = dome(flat, 1.3e-4, a), []
     for q, w0 in PLATE.items():
         found = sheet.at_pressure(u, q)
         assert found is not None
@@ -278,20 +276,10 @@ def plate(nodes):
     return np.array(out)
 
 
-@pytest.mark.slow
-def test_clamped_plate():
-    """From bending alone (0.1 Pa) to mostly stretching."""
-    assert np.abs(plate(1400)).max() < 0.02
-
-
-@pytest.mark.slow
-def test_the_plate_converges():
-    nodes = (400, 1600, 6400)
-    errors = [plate(n) for n in nodes]
-    print("clamped plate:", *errors, sep="\n")
-    # constant curvatures, and a rim whose mirror image is a row of flat triangles: between first and second order
-    assert abs(errors[1][0]) < 0.6 * abs(errors[0][0]) and abs(errors[2][0]) < 0.6 * abs(errors[1][0])
-    assert abs(errors[2][0]) < 7e-3 and np.abs(errors[2]).max() < 7e-3
+@pytest.mark.parametrize("nodes", [400, pytest.param(1600, marks=pytest.mark.slow)])
+def test_plate(nodes):
+    """From bending alone (0.1 Pa) to mostly stretching; observed 0.32 and 0.49 % at most."""
+    assert np.abs(plate(nodes)).max() < 0.006
 
 
 @pytest.mark.parametrize("nodes", [200, 450, 1000])
@@ -304,9 +292,9 @@ def test_bending_does_not_depend_on_the_mesh(nodes):
     nu, d = 0.3, 2.0
     k11, k22, k12 = 0.7, -0.4, 0.5
     w = 0.5 * k11 * flat[:, 0] ** 2 + 0.5 * k22 * flat[:, 1] ** 2 + k12 * flat[:, 0] * flat[:, 1]
-    block = hinge.block(faces, np.column_stack([flat, w]), flat, d, poisson_ratio=nu, clamped=False)
+    block = hinge.block(faces, np.column_stack([flat, w]), flat, d, poisson_ratio=nu)
     inner = ~np.isin(faces, rim).any(axis=1)
-    energy = 0.5 * np.einsum("mac,mab,mbc->m", block.parameters["edges"], block.parameters["out"],
+    energy = 0.5 * np.einsum("mac,mab,mbc->m", block.parameters["edges"], block.parameters["stiffness"],
                              block.parameters["edges"])[inner]
     a, b, c = (flat[faces[inner, k]] for k in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
@@ -319,22 +307,19 @@ def test_bending_does_not_depend_on_the_mesh(nodes):
 # ------------------------------------------------------------------------------------------ wrinkles
 
 
-@pytest.mark.parametrize("law", [NEO, LINEAR])
-def test_wrinkles_bear_no_compression(law, device):
+def test_wrinkles_bear_no_compression(device):
     """A sheet pulled to 1.4 and narrowed to half its natural width pulls as a strip in simple tension does, and pushes
     nowhere."""
-    nu = 0.5 if law == NEO else 0.3
     flat, faces, _ = membrane_mesh.ellipse(0.05, 0.04, 200)
     points = np.column_stack([flat, np.zeros(len(flat))])
-    block = triangle.block(faces, points, flat[faces], EH, law=law, poisson_ratio=nu)
+    block = triangle.block(faces, points, flat[faces], EH)
     model = Model(None, (block,), np.ones(1), np.ones(points.size), np.zeros(points.size), np.ones(1), None, 1.0, None)
     mesh = membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int), np.zeros(1))
     model = dataclasses.replace(model, mesh=mesh)
     elements = Elasticity(model, device=device)
     elements.begin(2)
     stretch = 1.4
-    # N/m of rest width
-    stress = EH / 3.0 * (stretch - stretch**-2) if law == NEO else EH * 0.5 * (stretch**2 - 1.0) * stretch
+    stress = EH / 3.0 * (stretch - stretch**-2)  # N/m of rest width
     u = np.stack([(points * [stretch - 1.0, narrow - 1.0, 0.0]).ravel() for narrow in (0.4, 0.2)], axis=1)
     elements.forces(wp.array([0, 1], dtype=wp.int32, device=device), wp.array(u, dtype=wp.float64, device=device))
     force = elements.internal.numpy().reshape(-1, 3, 2)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene_tables.foam import Foam
 from vsfsim.core.solid import Law, Solid
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import tet10
@@ -130,16 +129,6 @@ def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: fl
     """
     mu, lam = lame(young_modulus, poisson_ratio)
     return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam, law=law, settings=settings),)
-
-
-def foam_tetrahedra(foam: Foam) -> Elements:
-    """Makes the elements of a solid of foam: quadratic tetrahedra of the hyperfoam law, scaled to Young's modulus at
-    each Gauss point; Poisson's ratio is the foam's own."""
-    def make(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
-        return tetrahedra(mesh, young_modulus, foam.poisson_ratio, law=hyperfoam.LAW,
-                          settings=hyperfoam.settings_of(foam))
-
-    return make
 
 
 def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool) -> Elements:

@@ -27,7 +27,7 @@ from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.foot import scan_foot
 from vsfsim.physics.mesh.inclusions import held_stiffness, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
-from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, regional_tetrahedra, tetrahedra
+from vsfsim.physics.model import Elements, Model, build_model, regional_tetrahedra, tetrahedra
 from vsfsim.physics.solve.frames import SolverOptions
 
 
@@ -86,7 +86,7 @@ def choose(scene: Scene, asked: str | None = None) -> str:
         SceneError: the tier asked for is unknown, or cannot show what the scene needs or is made of.
     """
     order = list(TIERS)
-    own_law = scene.object.foam is not None or law_of(scene) is not None
+    own_law = law_of(scene) is not None
     enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_DEFAULT)
     tier = asked or scene.object.tier
     if tier == "auto" and isinstance(scene.object.shape, MeshFile) and "needs" not in scene.given:
@@ -121,8 +121,8 @@ def elements(scene: Scene, tier: str) -> list[tuple[str, str]]:
         parts = getattr(family(spec.shape.name, f"{scene.source} [object] shape"), "LAWS", ())
         laws += [hyperfoam.LAW.name] * any(law.foam is not None for law in parts)
     elif own.nonlinear:
-        law = hyperfoam.LAW if spec.foam is not None else law_of(scene)
-        laws = laws if law is None else [law.name]
+        found = law_of(scene)
+        laws = laws if found is None else [found[0].name]
     return [("tet10", law) for law in laws]
 
 
@@ -222,7 +222,7 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
         modulus = field.by_region(solid.region_names, solid.young_modulus, where)
     if not field.inclusions:
         return solid, field.evaluate(gauss_points(solid), _spread(solid, 4), modulus)
-    solid, _ = snap_to_inclusions(solid, field)
+    solid = snap_to_inclusions(solid, field)
     values = _mixed(solid, field, modulus)
     share = held_stiffness(solid, field, modulus, values)
     off = np.abs(share - 1.0)
@@ -289,15 +289,12 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
         if elements is tetrahedra:
             elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
     law = law_of(scene)
-    if elements is tetrahedra and TIERS[tier].nonlinear:
-        if spec.foam is not None:
-            elements = foam_tetrahedra(spec.foam)
-        elif law is not None:
-            elements = functools.partial(_lawful, law, spec.law[1], where)  # type: ignore[index]
-    elif spec.foam is not None or law is not None:
+    if law is not None and elements is tetrahedra and TIERS[tier].nonlinear:
+        elements = functools.partial(_lawful, *law, where)
+    elif law is not None:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
-            f"Tier '{tier}' takes the {'foam' if law is None else 'law'} at small strain, with the modulus at rest; "
-            f"use '{_LAW}' or above for its law.")))
+            f"Tier '{tier}' takes the {'law' if spec.foam is None else 'foam'} at small strain, with the modulus at "
+            f"rest; use '{_LAW}' or above for its law.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
                        where=where, density=density, gravity=scene.gravity, rotation=turn, translation=shift,
                        elements=elements)

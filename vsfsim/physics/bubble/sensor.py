@@ -117,7 +117,7 @@ def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.nd
     total, rim = membrane_mesh.READ_OUT
     if nodes in (total, NODES):
         mesh = membrane_mesh.ellipse(a, b, total, rim=rim)
-        return mesh if nodes == total else membrane_mesh.refine(*mesh, a, b)
+        return mesh if nodes == total else membrane_mesh.cut(*mesh, (a, b), np.ones(len(mesh[1]), bool), mesh[0])[:3]
     return membrane_mesh.ellipse(a, b, nodes)
 
 
@@ -130,7 +130,7 @@ def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np
     """
     rest = flat / spec.pre_stretch
     return (triangle.block(faces, points, rest[faces], spec.modulus),
-            hinge.block(faces, points, rest, spec.bending, clamped=False))
+            hinge.block(faces, points, rest, spec.bending))
 
 
 def sheet(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> Sheet:

@@ -11,11 +11,11 @@ from vsfsim.physics.bubble.sensor import BubbleModel
 HEIGHT, POWER = 30.89e-3, 0.763
 
 
-def stretches(model: BubbleModel, points: np.ndarray | None = None) -> np.ndarray:
-    """Principal stretches of every triangle relative to the unstretched rubber (f, 2) [-], the larger first, with the
-    nodes at ``points`` (n, 3) [m], or of the free dome."""
+def stretches(model: BubbleModel) -> np.ndarray:
+    """Principal stretches of every triangle of the free dome relative to the unstretched rubber (f, 2) [-], the larger
+    first."""
     block = model.blocks[0]
-    x = (model.mesh.points if points is None else points)[block.nodes]
+    x = model.mesh.points[block.nodes]
     deformation = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) @ block.parameters["inverse"]
     return np.linalg.svd(deformation, compute_uv=False)
 

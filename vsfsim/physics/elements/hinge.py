@@ -17,8 +17,7 @@ semi-definite, and a rotation costs no energy. In return the gradient of an in-p
 is: relative to the membrane energy E h eps^2 this adds (h/L)^2/12 for a strain that varies over the length L, 1e-5 for
 rubber of 0.5 mm.
 
-At a rim edge there is no neighbour. At a clamped rim (no slope out of the plane `normal`) a mirror image of the
-triangle takes its place, at a free rim the straight continuation of the triangle.
+At a rim edge there is no neighbour, and the straight continuation of the triangle takes its place: the rim may rotate.
 """
 
 import functools
@@ -37,8 +36,8 @@ _SMALLEST_SINGULAR_VALUE = 0.02
 undetermined; it is then taken as zero."""
 
 
-def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: float, *, poisson_ratio: float = 0.5,
-          clamped: bool = True, normal: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Block:
+def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: float, *,
+          poisson_ratio: float = 0.5) -> Block:
     """The bending of a sheet.
 
     Args:
@@ -47,12 +46,11 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
         rest: positions of the nodes where the sheet is flat and free of stress (n, 2) [m].
         bending: D [J].
         poisson_ratio: nu [-].
-        clamped: whether the rim is held in the plane with the unit ``normal`` (3,).
     """
     triangles = np.asarray(triangles, np.int64)
     across = neighbours(triangles)
     stencil = np.concatenate([triangles, np.where(across >= 0, across, triangles)], axis=1)
-    plane, out = np.tile(np.eye(6), (len(triangles), 1, 1)), np.tile(np.eye(6), (len(triangles), 1, 1))
+    continued = np.tile(np.eye(6), (len(triangles), 1, 1))
     place = rest[stencil]
     for k in range(3):
         rim = np.flatnonzero(across[:, k] < 0)
@@ -61,8 +59,7 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
         place[rim, 3 + k] = 2.0 * (p + share[:, None] * (q - p)) - o
         straight = np.zeros((len(rim), 6))
         straight[:, (k + 1) % 3], straight[:, (k + 2) % 3], straight[:, k] = 2.0 * (1.0 - share), 2.0 * share, -1.0
-        plane[rim, 3 + k] = straight
-        out[rim, 3 + k] = np.eye(6)[k] if clamped else straight
+        continued[rim, 3 + k] = straight
     centre = place.mean(axis=1, keepdims=True)
     size = np.linalg.norm(place - centre, axis=2).mean(axis=1)
     x, y = np.moveaxis((place - centre) / size[:, None, None], 2, 0)
@@ -80,10 +77,8 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
 
     energy = (1.0 - poisson_ratio) * (square(b11) + square(b22) + 2.0 * square(b12)) + poisson_ratio * square(b11 + b22)
     energy *= (bending * area)[:, None, None]
-    stiffness = [np.swapaxes(m, 1, 2) @ energy @ m for m in (plane, out)]
-    return Block("hinge", stencil.astype(np.int32), {
-        "edges": points[stencil] - points[stencil[:, :1]], "plane": stiffness[0], "out": stiffness[1],
-        "normal": np.tile(np.asarray(normal, float), (len(triangles), 1))})
+    return Block("hinge", stencil.astype(np.int32), {"edges": points[stencil] - points[stencil[:, :1]],
+                                                     "stiffness": np.swapaxes(continued, 1, 2) @ energy @ continued})
 
 
 def neighbours(triangles: np.ndarray) -> np.ndarray:
@@ -101,10 +96,7 @@ def state_size(block: Block) -> int:
 
 def rest_stiffness(block: Block) -> np.ndarray:
     """The tangent at every displacement (m, 18, 18) [N/m]."""
-    p = block.parameters
-    across = p["normal"][:, :, None] * p["normal"][:, None, :]
-    out = np.einsum("mab,mcd->macbd", p["plane"], np.eye(3) - across) + np.einsum("mab,mcd->macbd", p["out"], across)
-    return out.reshape(len(block), 18, 18)
+    return np.einsum("mab,cd->macbd", block.parameters["stiffness"], np.eye(3)).reshape(len(block), 18, 18)
 
 
 @functools.cache
@@ -112,20 +104,12 @@ def kernels() -> Any:
     """The kernels of this element."""
     module = "vsfsim_hinge"
 
-    @wp.func(module=module)
-    def pull(plane: wp.array3d(dtype=real), out: wp.array3d(dtype=real), n: vec3, t: int, a: int, c: int, x: vec3):
-        # The force of node a due to node c at x, a position relative to the first corner.
-        high = wp.dot(n, x)
-        return plane[t, a, c] * (x - high * n) + (out[t, a, c] * high) * n
-
     @wp.kernel(module=module, enable_backward=False)
     def forces(
         # model
         nodes: wp.array2d(dtype=wp.int32),
         edges: wp.array2d(dtype=vec3),
-        plane: wp.array3d(dtype=real),
-        out: wp.array3d(dtype=real),
-        normal: wp.array(dtype=vec3),
+        stiffness: wp.array3d(dtype=real),
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -136,7 +120,6 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        n = normal[t]
         i0 = 3 * nodes[t, 0]
         first = vec3(u_in[i0, b], u_in[i0 + 1, b], u_in[i0 + 2, b])
         energy = real(0.0)
@@ -145,7 +128,7 @@ def kernels() -> Any:
             for c in range(1, 6):
                 i = 3 * nodes[t, c]
                 moved = edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first)
-                total += pull(plane, out, n, t, a, c, moved)
+                total += stiffness[t, a, c] * moved
             j = 3 * nodes[t, a]
             own = edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first)
             energy += real(0.5) * wp.dot(total, own)
@@ -159,9 +142,7 @@ def kernels() -> Any:
         # model
         nodes: wp.array2d(dtype=wp.int32),
         edges: wp.array2d(dtype=vec3),
-        plane: wp.array3d(dtype=real),
-        out: wp.array3d(dtype=real),
-        normal: wp.array(dtype=vec3),
+        stiffness: wp.array3d(dtype=real),
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -171,21 +152,19 @@ def kernels() -> Any:
         force_out: wp.array3d(dtype=real),
     ):
         t, k = wp.tid()
-        n = normal[t]
         i0 = 3 * nodes[t, 0]
         first = vec3(x_in[i0, k], x_in[i0 + 1, k], x_in[i0 + 2, k])
         for a in range(6):
             total = vec3()
             for c in range(1, 6):
                 i = 3 * nodes[t, c]
-                total += pull(plane, out, n, t, a, c, vec3(x_in[i, k], x_in[i + 1, k], x_in[i + 2, k]) - first)
+                total += stiffness[t, a, c] * (vec3(x_in[i, k], x_in[i + 1, k], x_in[i + 2, k]) - first)
             for c in range(3):
                 force_out[t, 3 * a + c, k] = total[c]
 
     def parameters(block: Block, device: str) -> list[wp.array]:
         p = block.parameters
         return [wp.array(p["edges"], dtype=vec3, device=device),
-                *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
-                wp.array(p["normal"], dtype=vec3, device=device)]
+                wp.array(p["stiffness"], dtype=real, device=device)]
 
     return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

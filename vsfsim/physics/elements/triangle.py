@@ -2,8 +2,14 @@
 own.
 
     E(x) = A W(l1, l2),   F = [x1 - x0, x2 - x0] R^-1  (3 x 2),   l1 >= l2 its singular values,
+    W = mu h/2 (l1^2 + l2^2 + 1/(l1 l2)^2 - 3),   mu h = M/3,
 
-with A and R (2 x 2) of the rest shape. `plane_stress` has the laws W [J/m^2].
+with A and R (2 x 2) of the rest shape and M = E h, the modulus times the thickness [N/m]. The law is neo-Hookean and
+incompressible: the thickness follows the area. A membrane too thin to carry compression wrinkles. Its *relaxed* energy
+(Pipkin 1986, "The relaxed energy density for isotropic elastic membranes", IMA J. Appl. Math. 36) is W where both
+stresses are tensions, mu h/2 (l1^2 + 2/l1 - 3), the energy of simple tension, where the narrow side would be squeezed,
+l2 < l1^-1/2, and 0 where both are slack. It is convex and never falls with l1 or l2, hence it is convex in the
+positions, and its true tangent is positive semi-definite.
 
 With the singular frame F = l1 u1 v1 + l2 u2 v2, n = u1 x u2, and g_i = dW/dl_i, the second derivative is diagonal but
 for one 2 x 2 block (the 3 x 2 case of Smith, de Goes and Kim 2019, "Analytic eigensystems for isotropic distortion
@@ -13,7 +19,7 @@ energies", ACM Trans. Graph. 38):
     (u1 v2 + u2 v1)/sqrt2:    (g1 - g2)/(l1 - l2)         n v1:  g1/l1
     (u1 v2 - u2 v1)/sqrt2:    (g1 + g2)/(l1 + l2)         n v2:  g2/l2
 
-An incompressible sheet has det F = 1, and the small-strain law does not model the thickness: `det_out` is 1.
+An incompressible sheet has det F = 1, which is what `det_out` is.
 """
 
 import functools
@@ -23,9 +29,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements import plane_stress
 from vsfsim.physics.elements.block import Block, matrices_at_rest
-from vsfsim.physics.elements.plane_stress import LAWS
 from vsfsim.physics.runtime import mat33, real, vec3
 
 NODES = 3
@@ -33,8 +37,7 @@ _STATE = 18
 """Numbers that a tangent stores: u1, u2, n (9), v1 (2), g11, g12, g22, flip, twist, g1/l1, g2/l2."""
 
 
-def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.ndarray | float, *,
-          law: str = "neo-hookean", poisson_ratio: float = 0.5, tension_field: bool = True) -> Block:
+def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.ndarray | float) -> Block:
     """A block of membrane triangles.
 
     Args:
@@ -42,22 +45,14 @@ def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.n
         points: positions at u = 0 (n, 3) [m], which need not be free of stress.
         rest: corners of every stress-free triangle, each in a plane of its own (m, 3, 2) [m], counter-clockwise.
         modulus: E h (m,) or one for all [N/m].
-        law: one of `LAWS`.
-        poisson_ratio: of the linear law [-]; the neo-Hookean law is incompressible and takes 0.5 only.
-        tension_field: whether the energy is the relaxed one, without compression. False keeps W, for sheets whose
-            bending stiffness carries the compression; the tangent is then projected.
     """
-    assert law in LAWS and 0.0 <= poisson_ratio <= 0.5 and (law != LAWS[0] or poisson_ratio == 0.5)
     nodes = np.asarray(nodes, np.int32)
     edges = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)  # columns: edges from corner 0
     area = 0.5 * np.linalg.det(edges)
     modulus = np.broadcast_to(np.asarray(modulus, float), len(nodes))
     assert (area > 0.0).all() and (modulus > 0.0).all()
-    return Block("triangle", nodes, {
-        "points": points[nodes], "inverse": np.linalg.inv(edges), "area": area, "modulus": modulus.copy(),
-        "law": np.full(len(nodes), LAWS.index(law), np.int32),
-        "poisson_ratio": np.full(len(nodes), float(poisson_ratio)),
-        "tension_field": np.full(len(nodes), int(tension_field), np.int32)})
+    return Block("triangle", nodes, {"points": points[nodes], "inverse": np.linalg.inv(edges), "area": area,
+                                     "modulus": modulus.copy()})
 
 
 def flat(corners: np.ndarray) -> np.ndarray:
@@ -109,9 +104,35 @@ def kernels() -> Any:
     mat22 = wp.types.matrix(shape=(2, 2), dtype=real)
     module = "vsfsim_triangle"
     tiny = wp.constant(real(1e-30))
+    # within rounding of the rest state the sheet counts as taut
+    slack = wp.constant(real(-1e-9))
     zero, half, one, two, three = (wp.constant(real(v)) for v in (0.0, 0.5, 1.0, 2.0, 3.0))
-    laws = plane_stress.functions(module)
-    regime, law_of = laws.regime, laws.law_of
+
+    @wp.func(module=module)
+    def regime(l1: real, l2: real):
+        # 2: taut; 1: wrinkled; 0: slack
+        out = int(2)  # noqa: UP018, RUF046  a Warp variable, not a constant
+        if l1 * l2 * l2 - one < slack:
+            out = 0
+            if l1 > one:
+                out = 1
+        return out
+
+    @wp.func(module=module)
+    def law_of(l1: real, l2: real, mu: real, state: int):
+        # W and its derivatives by l1 and l2
+        w = zero
+        g1 = zero
+        g2 = zero
+        if state == 2:
+            j = one / (l1 * l1 * l2 * l2)
+            w = half * mu * (l1 * l1 + l2 * l2 + j - three)
+            g1 = mu * (l1 - j / l1)
+            g2 = mu * (l2 - j / l2)
+        if state == 1:
+            w = half * mu * (l1 * l1 + two / l1 - three)
+            g1 = mu * (l1 - one / (l1 * l1))
+        return w, g1, g2
 
     @wp.func(module=module)
     def at(nodes: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=real), t: int, a: int, b: int):
@@ -167,9 +188,6 @@ def kernels() -> Any:
         inverse: wp.array(dtype=mat22),
         area: wp.array(dtype=real),
         modulus: wp.array(dtype=real),
-        law: wp.array(dtype=wp.int32),
-        ratio: wp.array(dtype=real),
-        relaxed: wp.array(dtype=wp.int32),
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -182,8 +200,7 @@ def kernels() -> Any:
         b = index[k]
         f1, f2 = deformation(nodes, points, inverse, u_in, t, b)
         basis, v1, l1, l2 = frame(f1, f2)
-        state = regime(l1, l2, law[t], ratio[t], relaxed[t])
-        w, g1, g2 = law_of(l1, l2, modulus[t], law[t], ratio[t], state)
+        w, g1, g2 = law_of(l1, l2, modulus[t] / three, regime(l1, l2))
         u1 = vec3(basis[0, 0], basis[0, 1], basis[0, 2])
         u2 = vec3(basis[1, 0], basis[1, 1], basis[1, 2])
         p1 = area[t] * (g1 * v1[0] * u1 - g2 * v1[1] * u2)
@@ -206,9 +223,6 @@ def kernels() -> Any:
         inverse: wp.array(dtype=mat22),
         area: wp.array(dtype=real),
         modulus: wp.array(dtype=real),
-        law: wp.array(dtype=wp.int32),
-        ratio: wp.array(dtype=real),
-        relaxed: wp.array(dtype=wp.int32),
         index: wp.array(dtype=wp.int32),
         projected: int,
         # state in
@@ -220,59 +234,30 @@ def kernels() -> Any:
         b = index[k]
         f1, f2 = deformation(nodes, points, inverse, u_in, t, b)
         basis, v1, l1, l2 = frame(f1, f2)
-        nu = ratio[t]
-        m = modulus[t]
-        state = regime(l1, l2, law[t], nu, relaxed[t])
-        _, g1, g2 = law_of(l1, l2, m, law[t], nu, state)
+        mu = modulus[t] / three
+        state = regime(l1, l2)
+        _, g1, g2 = law_of(l1, l2, mu, state)
         g11 = zero
         g12 = zero
         g22 = zero
         flip = zero
         if state == 2:
             # (g1 - g2)/(l1 - l2) written without cancellation
-            if law[t] == 0:
-                mu = m / three
-                j = one / (l1 * l1 * l2 * l2)
-                g11 = mu * (one + three * j / (l1 * l1))
-                g22 = mu * (one + three * j / (l2 * l2))
-                g12 = two * mu * j / (l1 * l2)
-                flip = mu * (one + j / (l1 * l2))
-            else:
-                s = m / (one - nu * nu)
-                e1 = half * (l1 * l1 - one)
-                e2 = half * (l2 * l2 - one)
-                g11 = s * (e1 + nu * e2 + l1 * l1)
-                g22 = s * (e2 + nu * e1 + l2 * l2)
-                g12 = s * nu * l1 * l2
-                flip = half * s * (l1 * l1 + l1 * l2 + l2 * l2 - one - nu * (l1 * l2 + one))
+            j = one / (l1 * l1 * l2 * l2)
+            g11 = mu * (one + three * j / (l1 * l1))
+            g22 = mu * (one + three * j / (l2 * l2))
+            g12 = two * mu * j / (l1 * l2)
+            flip = mu * (one + j / (l1 * l2))
         if state == 1:
-            if law[t] == 0:
-                g11 = m / three * (one + two / (l1 * l1 * l1))
-            else:
-                g11 = m * (half * (l1 * l1 - one) + l1 * l1)
+            g11 = mu * (one + two / (l1 * l1 * l1))
             flip = g1 / (l1 - l2)
         twist = (g1 + g2) / wp.max(l1 + l2, tiny)
         along = g1 / wp.max(l1, tiny)
         across = g2 / wp.max(l2, tiny)
-        if projected == 1:
-            flip = wp.max(flip, zero)
+        if projected == 1:  # what counts as taut within rounding may be squeezed by a billionth
             twist = wp.max(twist, zero)
             along = wp.max(along, zero)
             across = wp.max(across, zero)
-            # The symmetric 2 x 2 block keeps its positive eigenvalues only.
-            middle = half * (g11 + g22)
-            d = half * (g11 - g22)
-            r = wp.sqrt(d * d + g12 * g12)
-            if middle - r < zero:
-                high = wp.max(middle + r, zero)
-                if r > tiny:
-                    share = half * high / r
-                    g11 = share * (r + d)
-                    g22 = share * (r - d)
-                    g12 = share * g12
-                else:
-                    g11 = high
-                    g22 = high
         for i in range(3):
             for c in range(3):
                 state_out[t, 3 * i + c, b] = basis[i, c]
@@ -294,9 +279,6 @@ def kernels() -> Any:
         inverse: wp.array(dtype=mat22),
         area: wp.array(dtype=real),
         modulus: wp.array(dtype=real),
-        law: wp.array(dtype=wp.int32),
-        ratio: wp.array(dtype=real),
-        relaxed: wp.array(dtype=wp.int32),
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -340,9 +322,6 @@ def kernels() -> Any:
     def parameters(block: Block, device: str) -> list[wp.array]:
         p = block.parameters
         return [wp.array(p["points"], dtype=vec3, device=device), wp.array(p["inverse"], dtype=mat22, device=device),
-                *(wp.array(p[name], dtype=real, device=device) for name in ("area", "modulus")),
-                wp.array(p["law"], dtype=wp.int32, device=device),
-                wp.array(p["poisson_ratio"], dtype=real, device=device),
-                wp.array(p["tension_field"], dtype=wp.int32, device=device)]
+                *(wp.array(p[name], dtype=real, device=device) for name in ("area", "modulus"))]
 
     return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

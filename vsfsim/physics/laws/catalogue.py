@@ -6,19 +6,22 @@ from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.scene import Scene
 from vsfsim.core.shelf import LAW_GROUP, Registry
 from vsfsim.physics.laws import hyperfoam, neo_hooke
-from vsfsim.physics.laws.law import MOST_POISSON_RATIO, SolidLaw
+from vsfsim.physics.laws.law import MOST_POISSON_RATIO, Settings, SolidLaw
 
 LAWS: Registry[SolidLaw] = Registry(LAW_GROUP, {law.name: law for law in (neo_hooke.LAW, hyperfoam.LAW)})
 """Laws of solid materials."""
 
 
-def law_of(scene: Scene) -> SolidLaw | None:
-    """The law that ``[object] law`` names; None where it names none.
+def law_of(scene: Scene) -> tuple[SolidLaw, Settings] | None:
+    """The law of the foam that ``[object] material`` names or of ``[object] law``, with its rows of numbers; None where
+    neither is given.
 
     Raises:
         SceneError: there is no such law, it takes other numbers than the scene gives, or it cannot be that of a body
             with this Poisson's ratio.
     """
+    if scene.object.foam is not None:
+        return hyperfoam.LAW, hyperfoam.settings_of(scene.object.foam)
     if scene.object.law is None:
         return None
     name, rows = scene.object.law
@@ -33,4 +36,4 @@ def law_of(scene: Scene) -> SolidLaw | None:
         raise SceneError(f"{where} acts at points alone, where a nearly incompressible element locks: poisson_ratio = "
                          f"{scene.object.poisson_ratio:g} is more than {MOST_POISSON_RATIO:g}. Give less, or leave law "
                          f"out.")
-    return law
+    return law, rows

@@ -26,21 +26,18 @@ _FINEST = 16  # parts of the edge of a tetrahedron at a surface that its share o
 _ON = 1e-3
 
 
-def snap_to_inclusions(solid: Solid, field: MaterialField, *,
-                       worst_sine: float = WORST_SINE) -> tuple[Solid, np.ndarray]:
+def snap_to_inclusions(solid: Solid, field: MaterialField) -> Solid:
     """Move vertices near a spherical or capsular inclusion onto its surface.
 
-    No tetrahedron inverts or becomes worse than ``worst_sine`` (or than it was). A vertex of the outer boundary slides
+    No tetrahedron inverts or becomes worse than `WORST_SINE` (or than it was). A vertex of the outer boundary slides
     in its plane, or along the edge of two planes; where the boundary is curved or has a corner it stays.
 
     Args:
         solid: the mesh.
         field: its inclusions, in the object's frame; boxes are left unchanged.
-        worst_sine: smallest sine of a dihedral angle allowed [-].
 
     Returns:
-        The solid with its vertices moved, and for each tetrahedron the inclusion that holds its centroid, an index
-        into ``field.inclusions`` (the last one wins, as in `MaterialField.evaluate`), or -1 (m,).
+        The solid with its vertices moved.
     """
     vertices = solid.vertices.copy()
     slide = _freedom(solid)
@@ -54,12 +51,8 @@ def snap_to_inclusions(solid: Solid, field: MaterialField, *,
         if part.kind == "box":
             continue
         for reach in REACH:
-            _pass(part, reach, vertices, solid.tets, slide, around, shortest, taken, worst_sine)
-    inside = np.full(len(solid.tets), -1)
-    centroid = vertices[solid.tets].mean(axis=1)
-    for number, part in enumerate(field.inclusions):
-        inside[part.distance(centroid) <= 0.0] = number
-    return dataclasses.replace(solid, vertices=vertices), inside
+            _pass(part, reach, vertices, solid.tets, slide, around, shortest, taken)
+    return dataclasses.replace(solid, vertices=vertices)
 
 
 def held_stiffness(solid: Solid, field: MaterialField, modulus: np.ndarray | None, values: np.ndarray) -> np.ndarray:
@@ -138,15 +131,8 @@ def part_notes(field: MaterialField, share: np.ndarray) -> list[str]:
     return notes
 
 
-def straddling(solid: Solid, part: Inclusion) -> np.ndarray:
-    """Whether each tetrahedron (m,) has corners clearly on both sides of an inclusion's surface."""
-    margin = 2.0 * _ON * _shortest_edges(solid.vertices, solid.tets)
-    distance = part.distance(solid.vertices)
-    return (distance > margin)[solid.tets].any(axis=1) & (distance < -margin)[solid.tets].any(axis=1)
-
-
 def _pass(part: Inclusion, reach: float, vertices: np.ndarray, tets: np.ndarray, slide: np.ndarray,
-          around: list[list[int]], shortest: np.ndarray, taken: np.ndarray, worst_sine: float) -> None:
+          around: list[list[int]], shortest: np.ndarray, taken: np.ndarray) -> None:
     distance = part.distance(vertices)
     side = np.where(np.abs(distance) <= _ON * shortest, 0, np.sign(distance)).astype(int)
     crossed = (side[tets] > 0).any(axis=1) & (side[tets] < 0).any(axis=1)
@@ -163,7 +149,7 @@ def _pass(part: Inclusion, reach: float, vertices: np.ndarray, tets: np.ndarray,
         before = smallest_sine(vertices, tets[mine]).min()
         old = vertices[v].copy()
         vertices[v] = target
-        if smallest_sine(vertices, tets[mine]).min() < min(worst_sine, before):
+        if smallest_sine(vertices, tets[mine]).min() < min(WORST_SINE, before):
             vertices[v] = old
             continue
         taken[v], side[v] = True, 0

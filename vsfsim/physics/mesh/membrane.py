@@ -1,5 +1,5 @@
 """Triangle meshes of membranes: a flat ellipse of any number of nodes, the same every time and mirrored about both
-axes, and a closed sphere.
+axes.
 
 The ellipse is laid out in rings, each the rim's ellipse with both semi-axes shorter by the same width, down to a line
 of nodes on the long axis. Every ring has a node on the long axis at both ends and a number of nodes that is even, so
@@ -64,9 +64,6 @@ class TriangleMesh:
 def closed(faces: np.ndarray, rim: np.ndarray) -> np.ndarray:
     """Faces and a cap over the rim (f + r - 2, 3)."""
     return faces if not len(rim) else np.concatenate([faces, gas.cap(rim)]).astype(np.int32)
-
-
-# ---------------------------------------------------------------------------------------------- the ellipse
 
 
 def ellipse(a: float, b: float, nodes: int, *, rim: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,37 +203,47 @@ def _smooth(points: np.ndarray, triangles: np.ndarray, rim: int) -> np.ndarray:
     return out
 
 
-def refine(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, a: float,
-           b: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every triangle of a flat ellipse cut in four: the old nodes keep their numbers, new ones on the rim lie on the
-    ellipse; see `ellipse`."""
-    mesh, triangles, middle = _cut_in_four(points, triangles)
-    between = np.array([middle[tuple(sorted((int(i), int(j))))] for i, j in zip(rim, np.roll(rim, -1), strict=True)])
-    mesh[between] /= np.sqrt((mesh[between, 0] / a) ** 2 + (mesh[between, 1] / b) ** 2)[:, None]
-    return mesh, triangles, np.stack([rim, between], axis=1).ravel()
+def cut(flat: np.ndarray, triangles: np.ndarray, rim: np.ndarray, semi_axes: tuple[float, float], which: np.ndarray,
+        dome: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The triangles ``which`` (f,) bool of a flat ellipse cut in four, and their neighbours so that no node hangs.
 
+    Args:
+        flat: places (n, 2) [m]. triangles: (f, 3). rim: its nodes in order (r,). semi_axes: of the ellipse (2,) [m].
+        dome: other places of the nodes (n, d) [m], which are cut likewise.
 
-def _cut_in_four(points: np.ndarray,
-                 triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[tuple[int, int], int]]:
+    Returns:
+        flat, triangles, rim and dome of the new mesh: the first n nodes are the old ones, and those that are new on the
+        rim lie on the ellipse.
+    """
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    m = len(points) + inverse.reshape(-1, 3)
-    t = triangles
-    cut = np.concatenate([np.stack([t[:, 0], m[:, 0], m[:, 2]], 1), np.stack([m[:, 0], t[:, 1], m[:, 1]], 1),
-                          np.stack([m[:, 2], m[:, 1], t[:, 2]], 1), m])
-    number = {(int(i), int(j)): len(points) + k for k, (i, j) in enumerate(edges)}
-    return np.concatenate([points, points[edges].mean(axis=1)]), cut, number
-
-
-# ---------------------------------------------------------------------------------------------- the sphere
-
-
-def sphere(radius: float, cuts: int) -> TriangleMesh:
-    """A closed sphere: the icosahedron, every triangle cut in four ``cuts`` times and pushed out to ``radius`` [m]."""
-    from vsfsim.physics.mesh.structured import _icosahedron
-
-    points, faces = _icosahedron()
-    for _ in range(cuts):
-        points, faces, _ = _cut_in_four(points, faces)
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return TriangleMesh.of(radius * points, faces.astype(np.int32), np.zeros(0, np.int64))
+    edge_of = inverse.reshape(-1, 3)
+    halved = np.zeros(len(edges), bool)
+    halved[edge_of[which]] = True
+    while True:
+        count = halved[edge_of].sum(axis=1)
+        two = count == 2
+        if not two.any():
+            break
+        halved[edge_of[two]] = True
+    number = np.full(len(edges), -1)
+    number[halved] = len(flat) + np.arange(int(halved.sum()))
+    new_flat, new_dome = (np.concatenate([p, p[edges[halved]].mean(axis=1)]) for p in (flat, dome))
+    m = number[edge_of]
+    t, four = triangles, count == 3
+    quarters = ((t[:, 0], m[:, 0], m[:, 2]), (m[:, 0], t[:, 1], m[:, 1]), (m[:, 2], m[:, 1], t[:, 2]),
+                (m[:, 0], m[:, 1], m[:, 2]))
+    parts = [triangles[count == 0], *(np.stack(quarter, axis=1)[four] for quarter in quarters)]
+    for k in range(3):
+        own = (count == 1) & (m[:, k] >= 0)
+        a, b, c = (t[own, (k + j) % 3] for j in range(3))
+        parts += [np.stack([a, m[own, k], c], axis=1), np.stack([m[own, k], b, c], axis=1)]
+    known = {(int(i), int(j)): int(n) for (i, j), n in zip(edges[halved], number[halved], strict=True)}
+    loop: list[int] = []
+    for i, j in zip(rim.tolist(), np.roll(rim, -1).tolist(), strict=True):
+        loop.append(i)
+        between = known.get((min(i, j), max(i, j)))
+        if between is not None:
+            new_flat[between] /= np.sqrt(((new_flat[between] / semi_axes) ** 2).sum())
+            loop.append(between)
+    return new_flat, np.concatenate(parts).astype(triangles.dtype), np.array(loop), new_dome

@@ -11,6 +11,7 @@ import numpy as np
 
 from vsfsim.core.shape import Capsule, Plane, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.mesh.membrane import cut
 from vsfsim.physics.solve import increments
 
 # of a ball's radius: the longest edge where it touches; see docs/physics.md for what half of it changes
@@ -81,43 +82,5 @@ def finer(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple
             break
         if len(flat) + 2 * int(longer.sum()) > _MOST_NODES:
             break
-        flat, faces, rim, dome = _cut(flat, faces, rim, semi_axes, dome, longer)
+        flat, faces, rim, dome = cut(flat, faces, rim, semi_axes, longer, dome)
     return flat, faces, rim
-
-
-def _cut(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple[float, float], dome: np.ndarray,
-         longer: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Cut the faces ``longer`` (f,) in four, and their neighbours so that no node hangs."""
-    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    edge_of = inverse.reshape(-1, 3)
-    halved = np.zeros(len(edges), bool)
-    halved[edge_of[longer]] = True
-    while True:
-        count = halved[edge_of].sum(axis=1)
-        two = count == 2
-        if not two.any():
-            break
-        halved[edge_of[two]] = True
-    number = np.full(len(edges), -1)
-    number[halved] = len(flat) + np.arange(int(halved.sum()))
-    new_flat, new_dome = (np.concatenate([p, p[edges[halved]].mean(axis=1)]) for p in (flat, dome))
-    m = number[edge_of]
-    t, four = faces, count == 3
-    quarters = ((t[:, 0], m[:, 0], m[:, 2]), (m[:, 0], t[:, 1], m[:, 1]), (m[:, 2], m[:, 1], t[:, 2]),
-                (m[:, 0], m[:, 1], m[:, 2]))
-    parts = [faces[count == 0], *(np.stack(quarter, axis=1)[four] for quarter in quarters)]
-    for k in range(3):
-        own = (count == 1) & (m[:, k] >= 0)
-        a, b, c = (t[own, (k + j) % 3] for j in range(3))
-        parts += [np.stack([a, m[own, k], c], axis=1), np.stack([m[own, k], b, c], axis=1)]
-    # a halved edge of the rim: its node belongs on the ellipse
-    known = {(int(i), int(j)): int(n) for (i, j), n in zip(edges[halved], number[halved], strict=True)}
-    loop: list[int] = []
-    for i, j in zip(rim.tolist(), np.roll(rim, -1).tolist(), strict=True):
-        loop.append(i)
-        between = known.get((min(i, j), max(i, j)))
-        if between is not None:
-            new_flat[between] /= np.linalg.norm(new_flat[between] / semi_axes)
-            loop.append(between)
-    return new_flat, np.concatenate(parts).astype(faces.dtype), np.array(loop), new_dome
