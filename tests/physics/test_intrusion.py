@@ -20,7 +20,6 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, inner_radius
 from vsfsim.physics.contact.intrusion import DEEP, Intrusion
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
 from vsfsim.physics.foundation import foundation
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
@@ -250,11 +249,11 @@ def test_a_ball_that_went_through_a_membrane_is_never_in_silence(frames):
 def test_a_body_behind_a_sheet_is_as_deep_as_it_is_far_from_it():
     """A ball of 2 mm at heights over the base of a half-sphere of 30 mm: outside, dented in and wholly inside."""
     ball, faces = dome(0.03)
-    mesh = SimpleNamespace(points=ball, faces=faces)
-    check = SheetIntrusion(mesh, RigidBodies(Sphere(0.002)), 0.002, device="cpu")
+    mesh = SimpleNamespace(points=ball, faces=faces, tets=np.zeros((0, 10)))
+    check = Intrusion(mesh, RigidBodies(Sphere(0.002)), 0.002, device="cpu")
     pose, u = np.tile(np.eye(4), (3, 1, 1, 1)), torch.zeros((ball.size, 3), dtype=torch.float64)
     pose[:, 0, 2, 3] = [0.0325, 0.0295, 0.015]
-    depth = check.check(torch.arange(3), pose, u)
+    depth = check.check(torch.arange(3), pose, u).inside
     # the lowest point of the ball is 2 mm under its centre; samples are half a radius apart
     assert depth[0] == 0.0 and depth[1] == pytest.approx(0.0025, abs=4e-4)
     assert depth[2] == pytest.approx(0.017, abs=4e-4) and check.tolerance == pytest.approx(2e-4)

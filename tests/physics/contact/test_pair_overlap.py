@@ -99,7 +99,7 @@ def test_a_frame_with_too_weak_a_contact_is_marked(bubble, device):
         def made(*given, make=make, weaker=weaker):
             contact, before = make(*given)
             for side in contact.surfaces.sides:
-                side.stiffness.mul_(weaker)
+                side.tensors["stiffness"].mul_(weaker)
             return contact, before
 
         solver._make_contact = made

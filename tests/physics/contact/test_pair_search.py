@@ -16,12 +16,16 @@ def test_candidates_are_the_nearest_faces_nearest_first(within, device):
     corners = rng.uniform(size=(40, 1, 3)) + 0.2 * rng.standard_normal((40, 3, 3))
     k = kernels.kernels()
     x = wp.array(np.concatenate([corners.reshape(-1, 3), points])[None], dtype=k.vec3, device=device)
-    stiffness = np.ones((1, 20))
+    side, stiffness = k.Side(), np.ones((1, 20))
     stiffness[0, 7] = 0.0  # a node that meets nothing
-    found = wp.full((1, 20, kernels.CANDIDATES), 5, dtype=wp.int32, device=device)
-    wp.launch(k.search, dim=(20, 1), device=device, inputs=[
-        wp.array([0], dtype=wp.int32, device=device), within, 120, wp.array(stiffness, dtype=real, device=device),
-        wp.array(faces[None], dtype=wp.int32, device=device), wp.array([40], dtype=wp.int32, device=device), x, found])
+    side.first, side.corners = 120, 3
+    for name, values, dtype in (("stiffness", stiffness, real), ("faces", faces[None], wp.int32),
+                                ("count", [40], wp.int32),
+                                ("candidates", np.full((1, 20, kernels.CANDIDATES), 5), wp.int32)):
+        setattr(side, name, wp.array(values, dtype=dtype, device=device))
+    wp.launch(k.search, dim=(20, 1), device=device,
+              inputs=[side, wp.array([0], dtype=wp.int32, device=device), within, x])
+    found = side.candidates
     for q, row in enumerate(found.numpy()[0]):
         far = np.linalg.norm(trimesh.triangles.closest_point(corners, np.tile(points[q], (40, 1))) - points[q], axis=1)
         nearest = [face for face in np.argsort(far) if far[face] < within and q != 7][:kernels.CANDIDATES]

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 from vsfsim.core import shelf
 from vsfsim.core.bubble import Bubble
@@ -14,8 +13,6 @@ from vsfsim.generate.presses.bubble_solve import solve
 from vsfsim.generate.presses.dent import dent, share_above
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.face_sums import FaceSums
-from vsfsim.physics.contact.patch import make_patch, shape_table
 from vsfsim.physics.mesh import membrane_refine
 
 TIP = """
@@ -82,42 +79,6 @@ def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
     assert asked(Plane()) == ()
     assert asked(Box((0.01, 0.01, 0.01)))[0][0] == membrane_refine.SHARP * even.element_size
     assert asked(Box((0.01, 0.01, 0.01)), edge=0.002)[0][0] == 0.002 and asked(Sphere(0.003), edge=0.05) == ()
-
-
-def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
-    rng = np.random.default_rng(0)
-    table = shape_table(3, 2)
-    mesh, parts = even.mesh, len(table)  # cuts squared
-    area = mesh.face_area()
-    patches = [make_patch(mesh, np.sort(rng.choice(len(mesh.faces), n, replace=False)), np.ones(n), area[:n],
-                           np.full(n, 2), {2: 0}) for n in (40, 25)]
-    faces, nodes = 40, max(len(p.nodes) for p in patches)
-    points = np.zeros((2, 6 * parts * faces, nodes))
-    for b, p in enumerate(patches):
-        for f, local in enumerate(p.local):
-            for q in range(6):
-                np.add.at(points[b, 6 * f + q], local[:3], table[f % parts, q, :3])
-    on = np.zeros((2, 6 * parts * faces, 1))
-    on[0], on[1, :6 * parts * 25] = 1.0, 1.0
-    force = rng.standard_normal((2, 6 * parts * faces, 3)) * on
-    stiff = rng.standard_normal((2, 6 * parts * faces, 3, 3)) * on[..., None]
-    sums = FaceSums(table, patches, faces, nodes, device="cpu")
-    columns = torch.tensor([0, 1])
-    # rounding only
-    nodal = np.einsum("bqs,bqc->bsc", points, force).reshape(2, -1)
-    assert sums.nodal(columns, torch.as_tensor(force)).numpy() == pytest.approx(nodal, abs=1e-12)
-    whole = np.einsum("bqs,bqij,bqt->bsitj", points, stiff, points).reshape(2, 3 * nodes, 3 * nodes)
-    assert sums.matrix(columns, torch.as_tensor(stiff)).numpy() == pytest.approx(whole, abs=1e-12)
-    # of the nodes that a few faces push, and of nothing else
-    few = stiff.copy()
-    few[:, 6 * parts * 5:] = 0.0
-    nodes = sums.pushed(columns, torch.as_tensor(few))
-    used = [np.unique(p.local[:5 * parts, :3]) for p in patches]
-    assert nodes.shape[1] == max(len(n) for n in used) and all(set(n) <= set(row.tolist()) for n,
-                                                               row in zip(used, nodes))
-    whole = np.einsum("bqs,bqij,bqt->bsitj", points, few, points)
-    picked = np.stack([w[n][:, :, n] for w, n in zip(whole, nodes.numpy())]).reshape(2, 3 * nodes.shape[1], -1)
-    assert sums.matrix(columns, torch.as_tensor(few), nodes).numpy() == pytest.approx(picked, abs=1e-12)
 
 
 def press(extra=""):

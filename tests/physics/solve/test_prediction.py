@@ -6,7 +6,7 @@ import torch
 
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.solve import step
-from vsfsim.physics.solve.prediction import Known, guesses, predict
+from vsfsim.physics.solve.prediction import guesses, predict
 from vsfsim.physics.solve.touches import Solver
 
 
@@ -45,7 +45,7 @@ def test_an_extrapolation_is_taken_as_it_is_where_its_correction_leads_astray(pr
     balance, contact, known = pressed._balance, pressed.contact, pressed._equilibria
     pose = next_pose(pressed)
     led_astray(monkeypatch, contact)
-    offered = guesses(known, (balance.u.clone(), known[-1].force), pose, contact)
+    offered = guesses(known, (balance.u.clone(), contact.gather(known[-1].force)), pose, contact)
     predict(balance, balance.every, offered)
     assert torch.equal(balance.u, offered[1][0])
     # not the state where the step begins, which the ball now overlaps by a millimetre
@@ -59,23 +59,8 @@ def test_after_one_equilibrium_a_multiple_of_it_is_tried(pressed, monkeypatch):
     balance, contact, known = pressed._balance, pressed.contact, pressed._equilibria
     pose, present = next_pose(pressed), balance.u.clone()
     led_astray(monkeypatch, contact)
-    predict(balance, balance.every, guesses(known[-1:], (present, known[-1].force), pose, contact))
+    predict(balance, balance.every, guesses(known[-1:], (present, contact.gather(known[-1].force)), pose, contact))
     assert any(torch.allclose(balance.u, times * present, rtol=1e-12, atol=0.0) for times in (1.5, 2.0, 3.0))
-
-
-def test_equilibria_are_extrapolated_onto_a_patch_that_has_grown(pressed):
-    """Their forces were dropped with the smaller patch, and the step began from the present state alone."""
-    balance, contact, known = pressed._balance, pressed.contact, pressed._equilibria
-    pose = next_pose(pressed)
-    full = guesses(known, (balance.u, known[-1].force), pose, contact)[1]
-    kept = torch.arange(contact.dof.shape[1] // 3 // 2, device=contact.dof.device)
-    half = (3 * kept[:, None] + torch.arange(3, device=kept.device)).flatten()
-    smaller = [Known(k.pose, k.u, k.force[:, half], contact.dof[:, half]) for k in known]
-    u, force = guesses(smaller, (balance.u, known[-1].force), pose, contact)[1]
-    assert torch.equal(u, full[0]) and torch.equal(force[:, half], full[1][:, half])
-    rest = torch.ones(force.shape[1], dtype=torch.bool, device=force.device)
-    rest[half] = False
-    assert not force[:, rest].any()
 
 
 def test_a_looser_correction_on_large_patches_leads_to_the_same_equilibrium(block, device, monkeypatch):

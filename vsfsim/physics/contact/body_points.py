@@ -33,7 +33,6 @@ from vsfsim.core.shape import Plane
 from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
-from vsfsim.physics.contact.growth import NONE, Met
 from vsfsim.physics.contact.local_indentation import poisson_ratio
 from vsfsim.physics.contact.patch import PENALTY, Patch
 from vsfsim.physics.model import Model
@@ -51,6 +50,34 @@ _FACING = -0.1  # largest cosine between the outward directions of a body and of
 _GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over h
 _TINY = 1e-4  # depth at which a point that was not ready is added, over the element size
 _RENEWALS = 3  # times in a step; a body that is then inside is marked all the same, see `intrusion`
+
+
+@dataclass(frozen=True)
+class Met:
+    """The points of the bodies that one touch meets (n)."""
+
+    sample: np.ndarray
+    """Which of the points (n,)."""
+    face: np.ndarray
+    """Boundary triangle that each meets (n,)."""
+    values: np.ndarray
+    """Shape values of the place on it (n, 6)."""
+    normal: np.ndarray
+    """Direction in which the object is left there (n, 3) [-], world."""
+    gap: np.ndarray
+    """Gap there when it was found (n,) [m], negative inside."""
+
+    def pick(self, which: np.ndarray) -> "Met":
+        """Some of them."""
+        return Met(self.sample[which], self.face[which], self.values[which], self.normal[which], self.gap[which])
+
+    def places(self, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Where they lie (n, 3) [m] on ``faces`` (f, 6) whose nodes are at ``points`` (m, 3) [m]."""
+        return np.einsum("na,nac->nc", self.values, points[faces[self.face]])
+
+
+NONE = Met(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros((0, 3)), np.zeros(0))
+"""No point."""
 
 
 class BodyPoints:
@@ -192,9 +219,6 @@ class BodyPoints:
         turn, origin = pose[host][:, :, :3, :3][:, self.body], pose[host][:, :, :3, 3][:, self.body]
         spot = origin + np.einsum("kmij,mj->kmi", turn, self.spot)
         outward = np.einsum("kmij,mj->kmi", turn, self._outward)
-        corner = x[:, self._faces[0].long()]  # (k, F, 6, 3)
-        middle = corner.mean(dim=2)
-        balls = torch.cat([middle, 1.5 * (corner - middle[:, :, None]).norm(dim=3).amax(dim=2)[:, :, None]], dim=2)
         face = torch.full((count, len(self.spot)), -1, dtype=torch.int32, device=device)
         values = torch.zeros((count, len(self.spot), 6), dtype=torch.float64, device=device)
         normal = torch.zeros((count, len(self.spot), 3), dtype=torch.float64, device=device)
@@ -202,7 +226,8 @@ class BodyPoints:
         wp.launch(k.find, dim=face.shape, device=device, inputs=[
             wp.from_torch(self._faces.expand(count, -1, -1)), near, 1e-3 * self._size,
             wp.array(spot, dtype=k.vec3, device=device), wp.array(outward, dtype=k.vec3, device=device),
-            wp.from_torch(x, dtype=k.vec3), wp.from_torch(balls.contiguous(), dtype=k.vec4), wp.from_torch(face),
+            wp.from_torch(x, dtype=k.vec3), wp.from_torch(closest_point.balls(x, self._faces), dtype=k.vec4),
+            wp.from_torch(face),
             wp.from_torch(values, dtype=k.vec6), wp.from_torch(normal, dtype=k.vec3), wp.from_torch(gap)])
         out = []
         for f, v, n, g in zip(*(t.cpu().numpy() for t in (face, values, normal, gap)), strict=True):
@@ -227,6 +252,9 @@ class Padded:
     """Shape values of the points of all parts (p, 6, 6)."""
     member: np.ndarray
     """Boundary triangles of the patches (B, F) bool."""
+    key: np.ndarray
+    """Of each contact point (B, 6 f): its boundary triangle, or F and its number among the points of bodies; -1 is
+    padding."""
     host: np.ndarray
     """The body whose point a part is (B, f); -1 for parts of a face."""
     spot: np.ndarray
@@ -238,9 +266,9 @@ class Padded:
     soft: np.ndarray
     """Depth down to which it does (n,) [m]."""
 
-    def hosts(self, vec3: Any) -> tuple[tuple[np.ndarray, Any], ...]:
-        """What the kernels need of `host`, `spot` and `normal`, with their types."""
-        return (self.host, wp.int32), (self.spot, vec3), (self.normal, vec3)
+    def places(self, touch: int, points: np.ndarray) -> np.ndarray:
+        """The contact points of a touch (6 f, 3) [m] on a mesh whose nodes are at ``points`` (n, 3) [m]."""
+        return (self.table[self.part[touch]] @ points[self.nodes[touch][self.local[touch]]]).reshape(-1, 3)
 
 
 def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoints,
@@ -257,16 +285,19 @@ def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoi
     batch, met = len(patches), points.met
     f = max(least, max(len(p.part) + len(m.sample) for p, m in zip(patches, met, strict=True)))
     s = max(1, max(len(p.nodes) for p in patches))
+    more = sum(len(m.sample) for m in met)
     out = Padded(np.full((batch, s), -1, np.int64), np.zeros((batch, f, 6), np.int32), np.zeros((batch, f, 6)),
-                 np.zeros((batch, f), np.int32), np.zeros((len(table) + sum(len(m.sample) for m in met), 6, 6)),
-                 np.zeros((batch, len(faces)), bool), np.full((batch, f), -1, np.int32), np.zeros((batch, f, 3)),
-                 np.zeros((batch, f, 3)), *(np.zeros(sum(len(m.sample) for m in met)) for _ in range(2)))
+                 np.zeros((batch, f), np.int32), np.zeros((len(table) + more, 6, 6)),
+                 np.zeros((batch, len(faces)), bool), np.full((batch, 6 * f), -1), np.full((batch, f), -1, np.int32),
+                 np.zeros((batch, f, 3)), np.zeros((batch, f, 3)), np.zeros(more), np.zeros(more))
     out.table[:len(table)] = table
     done = 0
     for b, (p, m) in enumerate(zip(patches, met, strict=True)):
         own, count = len(p.part), len(m.sample)
         out.nodes[b, :len(p.nodes)], out.local[b, :own], out.part[b, :own] = p.nodes, p.local, p.part
         out.stiffness[b, :own], out.member[b, p.faces] = p.stiffness, True
+        out.key[b, :6 * own] = np.repeat(p.faces, 6 * p.cuts**2)
+        out.key[b, 6 * own:6 * (own + count):6] = len(faces) + m.sample
         at, rows = slice(own, own + count), slice(done, done + count)
         out.local[b, at, :faces.shape[1]] = np.searchsorted(p.nodes, faces[m.face])
         out.part[b, at] = len(table) + np.arange(done, done + count)

@@ -1,18 +1,35 @@
-"""The nearest point of a surface triangle, flat or quadratic, and the angle that it fills: Warp functions for several
-kernel modules."""
+"""The nearest point of a surface of triangles, flat or quadratic, and whether it goes around a point: Warp functions
+for several kernel modules."""
 
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import torch
 import warp as wp
 
 from vsfsim.physics.runtime import real, vec3
 
+_BULGE = 1.5  # of the ball about the nodes of a quadratic face, which bulges beyond them
+_PLAIN = 0.999  # cosine between a normal and the way to a point above which the nearest point is not on an edge
+
+
+def balls(x: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """Balls about the ``faces`` (1, F, 3 or 6) with nodes at x (k, n, 3) [m]: middles and radii (k, F, 4) [m]."""
+    corner = x[:, faces[0].long()]
+    middle = corner.mean(dim=2)
+    radius = (corner - middle[:, :, None]).norm(dim=3).amax(dim=2)
+    return torch.cat([middle, (_BULGE if faces.shape[2] == 6 else 1.0) * radius[:, :, None]], dim=2).contiguous()
+
 
 def functions(module: str) -> Any:
-    """``on_triangle`` (barycentric coordinates on a flat triangle), ``nearest`` (on a face of three or six nodes) and
-    ``half_angle`` (of a flat triangle), compiled into ``module``."""
+    """Compiled into ``module``: ``on_triangle`` (barycentric coordinates on a flat triangle), ``nearest`` (on a face of
+    three or six nodes), ``nearer`` (of two faces the one whose nearest point counts) and ``encloses`` (whether a point
+    with its nearest point at a ``height`` over a face, ``least`` away, is inside a closed surface)."""
     vec6 = wp.types.vector(length=6, dtype=real)
+    half_turn = wp.constant(real(np.pi))
+    plain = wp.constant(real(_PLAIN))
+    same = wp.constant(real(1e-12))
 
     @wp.func(module=module)
     def on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):
@@ -182,4 +199,39 @@ def functions(module: str) -> Any:
         return wp.atan2(wp.dot(a0, wp.cross(a1, a2)),
                         l0 * l1 * l2 + wp.dot(a0, a1) * l2 + wp.dot(a1, a2) * l0 + wp.dot(a2, a0) * l1)
 
-    return SimpleNamespace(on_triangle=on_triangle, nearest=nearest, half_angle=half_angle)
+    @wp.func(module=module)
+    def nearer(p: vec3, at: vec3, normal: vec3, face: int, least: real, height: real, known: int):
+        # of two faces that share the nearest point, the one that the point is higher over tells the side
+        away = wp.length(p - at)
+        above = wp.dot(p - at, normal)
+        if away < least - same:
+            return away, above, face
+        if away < least + same and wp.abs(above) > wp.abs(height):
+            return away, above, known
+        return least, height, known
+
+    @wp.func(module=module)
+    def encloses(p: vec3, height: real, least: real, b: int, nodes: int, faces: wp.array3d(dtype=wp.int32),
+                 closing: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # where the nearest point is on an edge, the normal of one face may not tell the side: inside, the halves of the
+        # solid angles add up to a whole turn
+        if -height > plain * least:
+            return True
+        angle = real(0.0)
+        for f in range(faces.shape[1]):
+            x0 = x[b, faces[b, f, 0]]
+            x1 = x[b, faces[b, f, 1]]
+            x2 = x[b, faces[b, f, 2]]
+            if nodes == 3:
+                angle += half_angle(p, x0, x1, x2)
+            else:
+                x3 = x[b, faces[b, f, 3]]
+                x4 = x[b, faces[b, f, 4]]
+                x5 = x[b, faces[b, f, 5]]
+                angle += (half_angle(p, x0, x3, x5) + half_angle(p, x3, x1, x4) + half_angle(p, x5, x4, x2)
+                          + half_angle(p, x3, x4, x5))
+        for f in range(closing.shape[0]):
+            angle += half_angle(p, x[b, closing[f, 0]], x[b, closing[f, 1]], x[b, closing[f, 2]])
+        return wp.abs(angle) > half_turn
+
+    return SimpleNamespace(on_triangle=on_triangle, nearest=nearest, nearer=nearer, encloses=encloses)

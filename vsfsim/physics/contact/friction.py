@@ -129,7 +129,8 @@ def relaxed(asked: wp.float64, present: wp.float64, damping: wp.float64, last_ch
 
 
 class Relaxation:
-    """State of Aitken's relaxation within a step: one value for every contact point of B touches.
+    """State of Aitken's relaxation within a step: one value for every contact point of B touches. The tensors are only
+    ever written in place.
 
     Args:
         size: shape (B, ...) of the tensors. device: torch device.
@@ -146,8 +147,6 @@ class Relaxation:
         """How often the anchor of each point was set in this step (B, ...) [-]."""
         self.renewals = torch.zeros(size[0], dtype=torch.int32, device=device)
         """How often the limits of each touch were renewed in this step (B,)."""
-        self.arrays = [wp.from_torch(t) for t in (self.anchorings, self.damping, self.change, self.residual)]
-        """The tensors as Warp arrays, in the order that the kernels take them; all are only ever written in place."""
 
     def begin_step(self) -> None:
         """Forget the step before."""

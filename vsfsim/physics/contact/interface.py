@@ -29,7 +29,7 @@ class Contact(Protocol):
     """1 where `dof` is no padding (B, 3 s) [-]."""
     free: torch.Tensor
     """1 where a degree of freedom may move (B, 3 s) [-]."""
-    deadline: float
+    deadline: float = float("inf")
     """`clock.now` after which `condensed` begins no further iteration [s]."""
     response: Any
     """Displacements of the whole body at rest under forces: ``solve(right)`` and ``patch(touches, force)``."""
@@ -42,8 +42,6 @@ class Contact(Protocol):
     coulomb: torch.Tensor
     """1 for touches whose friction limits are those of the normal forces at every evaluation (B,) [-]; 0 where they are
     those of the last `update_friction`."""
-    symmetric: bool
-    """Whether the contact stiffness is symmetric."""
     solid: bool
     """Whether rigid bodies touch a solid: not a membrane, and not a soft sensor."""
     flat: bool
@@ -57,6 +55,15 @@ class Contact(Protocol):
     patience: int
     """Iterations in which the measure may fail to fall by a tenth before a touch is given up."""
 
+    _overlap: torch.Tensor
+    """How deep bodies lie in one another by the geometry at the last `extend_patch` (B,) [m]."""
+    _passage: Any
+    """That check; its ``tolerance`` is the depth above which a body counts as inside [m]."""
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the contact stiffness is symmetric."""
+
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
         """Begin a step at the poses ``before`` (B, K, 4, 4) and the displacements u (3 n, B) [m]: slip counts from
         here."""
@@ -65,7 +72,8 @@ class Contact(Protocol):
         """Move the bodies to ``pose`` (B, K, 4, 4); ``columns`` are about to be solved there."""
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
-        """Displacements of all patches (B, 3 s) [m] out of u (3 n, B)."""
+        """Displacements [m] or forces [N] of all patches (B, 3 s) out of those of all nodes u (3 n, B)."""
+        return u.gather(0, self.dof.clamp(min=0).T).T * self.mask
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """Find gaps, forces and stiffness at displacements (k, 3 s) [m] of the patches. The methods below report what
@@ -76,12 +84,15 @@ class Contact(Protocol):
 
     def carried(self, columns: torch.Tensor) -> torch.Tensor:
         """Potential of springs that carry the bodies (k,) [J]; 0 without."""
+        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
 
     def follow(self) -> bool:
         """Let what depends on where the bodies are follow those that springs carry; whether anything has changed."""
+        return False
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
+        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
 
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
         """Number of points beyond the middle of the other body (k,); a solution has none."""
@@ -136,18 +147,10 @@ class Contact(Protocol):
     def restore_friction(self, columns: torch.Tensor, state: Any) -> None:
         """Return to a friction state after a step that failed."""
 
-    def remember(self, columns: torch.Tensor) -> torch.Tensor:
-        """Contact forces in a form that later steps, whose patches may differ, can read [N]."""
-
-    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
-        """Remembered forces on the present patches (B, 3 s) [N]."""
-
-    def no_force(self) -> torch.Tensor:
-        """What `remember` returns without contact."""
-
     def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
         """Whether a body lies inside another where no contact point feels it, deeper than some ``times`` the tolerance
         (k,) bool, by the geometry at the last `extend_patch`."""
+        return self._overlap[columns] > times * self._passage.tolerance
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:

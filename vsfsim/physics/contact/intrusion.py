@@ -2,8 +2,11 @@
 
 Two questions are asked of every touch. How deep do points of the object lie inside a body: on a fine grid over every
 boundary face (the *penetration*), at all nodes, and at the middle of every element? And how deep do points of a body's
-surface lie inside the object: a point that is inside a deformed quadratic tetrahedron (Newton's method for its
-barycentric coordinates) is as deep as it is far from the deformed boundary (`closest_point`).
+surface lie inside the object: behind the nearest place of the deformed boundary, and as deep as it is away?
+
+A sheet with a rim has no inside. It and a cone from its rim to a point far behind it close a volume. A body in contact
+dents the sheet, past the plane of the rim perhaps, and stays outside; one that went through between two equilibria is
+inside, where no contact point feels it.
 """
 
 import functools
@@ -15,12 +18,13 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import closest_point, sdf
+from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, has_edges, inner_radius
 from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.contact.reach import Gaps
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
-from vsfsim.physics.runtime import mat33, real, vec3
+from vsfsim.physics.runtime import real, vec3
 
 DEEP = 0.05
 """Depth above which a body lies inside the object, over the element size [-]."""
@@ -31,8 +35,9 @@ LOST = 4.0
 """Times that tolerance: a body in contact that is deeper inside has been lost [-]."""
 _SMALL = 0.25  # the same over the inner radius of the smallest body
 _SPACING = 0.5  # of a body's samples over the element size, and over the inner radius of the body
+_SHEET = 0.1  # `DEEP` of a sheet
+_FAR = 2.0  # way of the tip of the cone behind the rim of a sheet, over the rim's width
 _GRID = (6, 20)  # least and most steps of the grid on a face
-_INVERSIONS = 8  # of Newton's method for the barycentric coordinates
 
 
 @dataclass(frozen=True)
@@ -50,84 +55,121 @@ class Overlap:
     """Depth of the deepest point of a body inside the object that is nearest to each face (k, F) [m]."""
 
 
+class Enclosure:
+    """A closed surface, and how deep points lie inside it.
+
+    Args:
+        faces: its triangles of three or six nodes, wound outwards (F, 3 or 6).
+        closing: flat triangles (d, 3) that close it where it is a sheet; depth is not measured from them.
+        device: Warp device.
+    """
+
+    def __init__(self, faces: np.ndarray, closing: np.ndarray, *, device: str):
+        self.device, self.faces = device, torch.as_tensor(faces[None].astype(np.int32), device=device)
+        self._closing = wp.array(closing.reshape(-1, 3), dtype=wp.int32, device=device)
+
+    def depth(self, x: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Depths (k, m) [m] of ``points`` (k, m, 3) [m] inside the surface with the nodes at x (k, n, 3) [m], 0
+        outside, and the nearest face of each that is inside (k, m), int32."""
+        k, count = kernels(), len(x)
+        depth, face = points.new_zeros(points.shape[:2]), torch.zeros(points.shape[:2], dtype=torch.int32,
+                                                                      device=self.device)
+        if not points.shape[1]:  # a plane has none
+            return depth, face
+        low, high = (wp.from_torch(v.contiguous(), dtype=vec3) for v in (x.amin(dim=1), x.amax(dim=1)))
+        wp.launch(k.behind, dim=depth.shape, device=self.device, inputs=[
+            self.faces.shape[2], wp.from_torch(self.faces.expand(count, -1, -1)), self._closing,
+            wp.from_torch(points.contiguous(), dtype=vec3), low, high,
+            wp.from_torch(closest_point.balls(x, self.faces), dtype=k.vec4),
+            wp.from_torch(x.contiguous(), dtype=vec3), wp.from_torch(depth), wp.from_torch(face)])
+        return depth, face
+
+
+class BodySurfaces:
+    """Points on the surfaces of K bodies, in one list.
+
+    Args:
+        samples: of each body in its own frame (m_k, 3) [m].
+        device: torch device.
+    """
+
+    def __init__(self, samples: list[np.ndarray], device: str):
+        self._device, self._at = device, np.concatenate(samples)
+        self._owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
+
+    def placed(self, pose: np.ndarray) -> torch.Tensor:
+        """The points (k, m, 3) [m] of bodies at poses (k, K, 4, 4)."""
+        own = pose[:, self._owner]
+        out = np.einsum("kmij,mj->kmi", own[..., :3, :3], self._at) + own[..., :3, 3]
+        return torch.as_tensor(out, device=self._device)
+
+
 class Intrusion:
     """The check for one object and its bodies.
 
     Args:
-        mesh: quadratic tetrahedra.
+        mesh: quadratic tetrahedra, or the triangles of a sheet, wound outwards, whose rim lies in a plane.
         bodies: the rigid bodies (K).
         size: element size [m].
         device: Warp device.
         coupled: whether the object's inner points go with its boundary. The tier `vsf` has columns under its boundary
-            and no state of what lies inside them: there only the boundary and points of the bodies are looked at.
+            and no state of what lies inside them: there, and of a sheet, only the boundary and points of the bodies are
+            looked at.
         sinks: how deep bodies sink in locally by `local_indentation`, over the element size [-]. The elements do not
             show it, so that bodies may lie so much deeper inside.
+        steps: of the grid on a face at the least.
     """
 
     tolerance: float
     """Depth above which a body counts as inside the object [m]."""
     lost: float
-    """Depth above which a body that was in contact when a step began has been lost in it [m]."""
+    """Depth above which a body that was in contact when a step began has been lost in it [m]; infinite for a sheet."""
     fine: float
     """Penetration of a face above which it gets more contact points [m]."""
 
-    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str,
-                 coupled: bool = True, sinks: float = 0.0):
-        self.device, self.kernels, self._coupled = device, kernels(), coupled
-        k = self.kernels
-        small = min(inner_radius(s) for s in bodies.shapes)
-        self.tolerance = min((DEEP + sinks) * size, _SMALL * small)
-        self.lost = LOST * self.tolerance
+    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str, coupled: bool = True,
+                 sinks: float = 0.0, steps: int = _GRID[0]):
+        self.device, solid, radii = device, mesh.faces.shape[1] == 6, [inner_radius(s) for s in bodies.shapes]
+        self._coupled, small = coupled and solid, min(radii)
+        self.tolerance = min((DEEP if solid else _SHEET) * size + sinks * size, _SMALL * small)
+        self.lost = LOST * self.tolerance if solid else np.inf
         sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
-        self._set, self._count = bodies.upload(k.sdf, device), len(bodies)
-        samples = [body_samples(s, _SPACING * min(size, inner_radius(s))) for s in bodies.shapes]
-        self._owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
-        self._samples = wp.array(np.concatenate(samples), dtype=k.vec3, device=device)
-        self._starts = wp.array(np.cumsum([0, *(len(s) for s in samples)]), dtype=wp.int32, device=device)
-        steps = int(np.clip(np.ceil(3.0 * size / small), *_GRID)) if np.isfinite(small) else _GRID[0]
+        cone, tip = (np.zeros((0, 3)), np.zeros((0, 3))) if solid else rim_cone(mesh.faces, mesh.points)
+        self._gaps, self._surface = Gaps(bodies, device), Enclosure(mesh.faces, cone, device=device)
+        # of a sheet a body that went through has most of its points behind it
+        self._samples = BodySurfaces([body_samples(s, _SPACING * (min(size, r) if solid else r))
+                                      for s, r in zip(bodies.shapes, radii, strict=True)], device)
+        steps = int(np.clip(np.ceil(3.0 * size / small), steps, _GRID[1])) if solid and np.isfinite(small) else steps
         bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
-        self._grid = wp.array(shape_values(bary), dtype=wp.float64, device=device)
-        self._tets = wp.array(mesh.tets, dtype=wp.int32, device=device)
-        self._faces = torch.as_tensor(mesh.faces[None].astype(np.int32), device=device)
-        self._rest = torch.as_tensor(mesh.points, device=device)
+        self._grid, self._faces, self._tets, self._rest, self._tip = (torch.as_tensor(a, device=device) for a in (
+            shape_values(bary) if solid else bary, mesh.faces.astype(np.int64), mesh.tets.astype(np.int64),
+            mesh.points, tip))
 
     def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> Overlap:
         """The overlap of the touches ``columns`` (k,) at poses (B, K, 4, 4) and displacements u (3 n, B) [m]."""
-        k, device, count = self.kernels, self.device, len(columns)
-        host = columns.cpu().numpy()
-        origin = wp.array(pose[host][..., :3, 3], dtype=k.vec3, device=device)
-        turn = wp.array(pose[host][..., :3, :3], dtype=k.mat33, device=device)
-        moved = u[:, columns].view(-1, 3, count).permute(2, 0, 1)
-        at = wp.from_torch((self._rest + moved).contiguous(), dtype=k.vec3)
-
-        surface = wp.from_torch(self._faces.expand(count, -1, -1))
-
-        def zeros(*size: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
-            return torch.zeros(size, dtype=dtype, device=device)
-
-        faces, balls = zeros(count, self._faces.shape[1]), zeros(count, self._faces.shape[1], 4)
-        wp.launch(k.surface, dim=faces.shape, device=device, inputs=[
-            self._set, self._count, surface, self._grid, origin, turn, at, wp.from_torch(faces),
-            wp.from_torch(balls, dtype=k.vec4)])
-        penetration, near = faces.amax(dim=1), torch.zeros_like(faces)
-        inner, held = zeros(count, len(self._tets)), zeros(count, len(self._samples), dtype=torch.int32)
-        wp.launch(k.volume, dim=inner.shape, device=device, inputs=[
-            self._set, self._count, self._tets, self._samples, self._starts, origin, turn, at, wp.from_torch(inner),
-            wp.from_torch(held)])
-        inside = inner.amax(dim=1) if self._coupled else zeros(count)
-        touch, sample = held.nonzero(as_tuple=True)
-        if len(touch):
-            depth, face = zeros(len(touch)), zeros(len(touch), dtype=torch.int32)
-            body = torch.as_tensor(self._owner, device=device)[sample]
-            wp.launch(k.depth, dim=len(touch), device=device, inputs=[
-                surface, self._samples, wp.from_torch(touch.to(torch.int32)),
-                wp.from_torch(sample.to(torch.int32)), wp.from_torch(body.to(torch.int32)), origin, turn, at,
-                wp.from_torch(balls, dtype=k.vec4), wp.from_torch(depth), wp.from_torch(face)])
-            inside = inside.scatter_reduce(0, touch, depth, "amax")
-            flat = touch * faces.shape[1] + face.long()
-            near = near.flatten().scatter_reduce(0, flat, depth, "amax").view_as(faces)
-        return Overlap(penetration, inside, faces, near)
+        count, here = len(columns), pose[columns.cpu().numpy()]
+        x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
+        faces = x.new_zeros(count, len(self._faces))
+        # the grid of those faces that a body may reach, padded to the most of any touch
+        ball = closest_point.balls(x, self._surface.faces)
+        reached = self._gaps.nearest(here[None], ball[:, :, :3].transpose(0, 1)).T < ball[:, :, 3]
+        if most := int(reached.sum(dim=1).amax()):
+            at = torch.sort(reached.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
+            corners = x[torch.arange(count, device=self.device)[:, None, None], self._faces[at]]
+            gap = self._gaps.nearest(here[None], (self._grid @ corners).flatten(1, 2).transpose(0, 1))
+            faces.scatter_(1, at, (-gap.T.view(count, most, -1).amin(dim=2)).clamp(min=0.0))
+        inside = x.new_zeros(count)
+        if self._coupled:
+            # the middle of a quadratic tetrahedron: its corners count -1/8, its edges 1/4
+            tets = x[:, self._tets]
+            middle = 0.25 * tets[:, :, 4:].sum(dim=2) - 0.125 * tets[:, :, :4].sum(dim=2)
+            gap = self._gaps.nearest(here[None], torch.cat([x, middle], dim=1).transpose(0, 1))
+            inside = (-gap.amin(dim=0)).clamp(min=0.0)
+        closed = torch.cat([x, self._tip.expand(count, -1, -1)], dim=1)
+        depth, face = self._surface.depth(closed, self._samples.placed(here))
+        near = torch.zeros_like(faces).scatter_reduce(1, face.long(), depth, "amax")
+        return Overlap(faces.amax(dim=1), torch.maximum(inside, near.amax(dim=1)), faces, near)
 
     def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, coarse: torch.Tensor,
              touched: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -140,180 +182,78 @@ class Intrusion:
                 nothing.
 
         Returns:
-            Penetration and depth inside (2, k) [m], the faces that meet a body (B, F) bool, and those that need more
-            points (B, F) bool.
+            The larger of penetration and depth inside (k,) [m], the faces that meet a body (B, F) bool, and those that
+            need more points (B, F) bool.
         """
         found = self.check(columns, pose, u)
         met, cut = torch.zeros_like(coarse), torch.zeros_like(coarse)
         inside = found.near > self.tolerance
         met[columns], cut[columns] = (found.faces > 0.0) | inside, (found.faces > self.fine) | inside
-        depth = torch.stack([found.penetration, found.inside])
+        depth = torch.maximum(found.penetration, found.inside)
         if touched is not None:
-            jumped = columns[touched[columns] & (depth.amax(dim=0) > self.lost)]
+            jumped = columns[touched[columns] & (depth > self.lost)]
             met[jumped], cut[jumped] = False, False
         return depth, met, cut & coarse
 
 
+def rim_cone(faces: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles (d, 3) that close a sheet of triangles (f, 3) at ``points`` (n, 3) [m] behind its rim, none if it has
+    no rim, and their common point (1, 3) [m], which has the number n."""
+    disk = rim_disk(faces)
+    ring = points[disk[:, 1]] if len(disk) else points[:1]
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    outward = np.cross(b - a, c - a).sum(axis=0)
+    far = _FAR * np.linalg.norm(np.ptp(ring, axis=0)) / max(float(np.linalg.norm(outward)), 1e-300)
+    disk[:, 0] = len(points)
+    return disk, (ring.mean(axis=0) - far * outward)[None]
+
+
+def rim_disk(faces: np.ndarray) -> np.ndarray:
+    """Triangles (d, 3) that close a sheet of triangles (f, 3) along its rim; none if it has no rim."""
+    edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
+    there = {(a, b) for a, b in edges}
+    rim = [(a, b) for a, b in edges if (b, a) not in there]
+    return np.array([(rim[0][0], b, a) for a, b in rim], np.int32).reshape(-1, 3)
+
+
 @functools.cache
 def kernels() -> Any:
-    """The kernels of the check and their types."""
+    """The kernel of the check and its types."""
     vec4 = wp.types.vector(length=4, dtype=real)
     module = "vsfsim_intrusion"
-    probe = sdf.functions(real, module)
     closest = closest_point.functions(module)
-    inversions = wp.constant(_INVERSIONS)
 
     @wp.kernel(module=module, enable_backward=False)
-    def surface(
+    def behind(
         # model
-        bodies: probe.Bodies,
-        count: int,
+        nodes: int,
         faces: wp.array3d(dtype=wp.int32),
-        grid: wp.array2d(dtype=real),
+        closing: wp.array2d(dtype=wp.int32),
         # state in
-        origin: wp.array2d(dtype=vec3),
-        turn: wp.array2d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
-        # state out
-        depth_out: wp.array2d(dtype=real),
-        ball_out: wp.array2d(dtype=vec4),
-    ):
-        # a ball about each face, and the depth of its deepest grid point inside any body
-        b, f = wp.tid()
-        middle = vec3()
-        for a in range(6):
-            middle += x_in[b, faces[b, f, a]] / real(6.0)
-        radius = real(0.0)
-        for a in range(6):
-            radius = wp.max(radius, wp.length(x_in[b, faces[b, f, a]] - middle))
-        radius = real(1.5) * radius  # a quadratic face bulges beyond its nodes
-        ball_out[b, f] = vec4(middle[0], middle[1], middle[2], radius)
-        deepest = real(0.0)
-        for j in range(count):
-            if probe.gap(bodies, j, wp.transpose(turn[b, j]) * (middle - origin[b, j])) < radius:
-                for s in range(grid.shape[0]):
-                    p = vec3()
-                    for a in range(6):
-                        p += grid[s, a] * x_in[b, faces[b, f, a]]
-                    deepest = wp.max(deepest,
-                                     -probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j])))
-        depth_out[b, f] = deepest
-
-    @wp.func(module=module)
-    def place(t: int, b: int, l: vec3, tets: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):  # noqa: E741
-        # point of a quadratic tetrahedron at barycentric coordinates 1, 2, 3, and its derivatives by them
-        one = real(1.0)
-        two = real(2.0)
-        four = real(4.0)
-        l0 = one - l[0] - l[1] - l[2]
-        x0 = x[b, tets[t, 0]]
-        x1 = x[b, tets[t, 1]]
-        x2 = x[b, tets[t, 2]]
-        x3 = x[b, tets[t, 3]]
-        x01 = x[b, tets[t, 4]]
-        x12 = x[b, tets[t, 5]]
-        x20 = x[b, tets[t, 6]]
-        x03 = x[b, tets[t, 7]]
-        x13 = x[b, tets[t, 8]]
-        x23 = x[b, tets[t, 9]]
-        p = (l0 * (two * l0 - one) * x0 + l[0] * (two * l[0] - one) * x1 + l[1] * (two * l[1] - one) * x2
-             + l[2] * (two * l[2] - one) * x3
-             + four * (l0 * l[0] * x01 + l[0] * l[1] * x12 + l[1] * l0 * x20 + l0 * l[2] * x03
-                       + l[0] * l[2] * x13 + l[1] * l[2] * x23))
-        d0 = (four * l0 - one) * x0 + four * (l[0] * x01 + l[1] * x20 + l[2] * x03)
-        d1 = (four * l[0] - one) * x1 + four * (l0 * x01 + l[1] * x12 + l[2] * x13)
-        d2 = (four * l[1] - one) * x2 + four * (l[0] * x12 + l0 * x20 + l[2] * x23)
-        d3 = (four * l[2] - one) * x3 + four * (l0 * x03 + l[0] * x13 + l[1] * x23)
-        return p, d1 - d0, d2 - d0, d3 - d0
-
-    @wp.kernel(module=module, enable_backward=False)
-    def volume(
-        # model
-        bodies: probe.Bodies,
-        count: int,
-        tets: wp.array2d(dtype=wp.int32),
-        samples: wp.array(dtype=vec3),
-        starts: wp.array(dtype=wp.int32),
-        # state in
-        origin: wp.array2d(dtype=vec3),
-        turn: wp.array2d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
-        # state out
-        depth_out: wp.array2d(dtype=real),
-        held_out: wp.array2d(dtype=wp.int32),
-    ):
-        # depth of an element's nodes and middle inside any body; which samples of the bodies are inside the element
-        b, t = wp.tid()
-        quarter = real(0.25)
-        middle, _t1, _t2, _t3 = place(t, b, vec3(quarter, quarter, quarter), tets, x_in)
-        radius = real(0.0)
-        for a in range(10):
-            radius = wp.max(radius, wp.length(x_in[b, tets[t, a]] - middle))
-        radius = real(1.2) * radius
-        deepest = real(0.0)
-        for j in range(count):
-            gap = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (middle - origin[b, j]))
-            deepest = wp.max(deepest, -gap)
-            if gap < radius:
-                for a in range(10):
-                    x = wp.transpose(turn[b, j]) * (x_in[b, tets[t, a]] - origin[b, j])
-                    deepest = wp.max(deepest, -probe.gap(bodies, j, x))
-            if gap < radius and gap > -radius:
-                for s in range(starts[j], starts[j + 1]):
-                    p = origin[b, j] + turn[b, j] * samples[s]
-                    if wp.length(p - middle) < radius:
-                        l = vec3(quarter, quarter, quarter)  # noqa: E741
-                        near = int(1)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
-                        for _ in range(inversions):
-                            if near == 1:
-                                at, d1, d2, d3 = place(t, b, l, tets, x_in)
-                                r = p - at
-                                det = wp.dot(d1, wp.cross(d2, d3))
-                                if wp.abs(det) > real(1e-30):
-                                    l = l + vec3(wp.dot(r, wp.cross(d2, d3)), wp.dot(d1, wp.cross(r, d3)),  # noqa: E741
-                                                 wp.dot(d1, wp.cross(d2, r))) / det
-                                if wp.length(l) > real(4.0):
-                                    near = int(0)  # noqa: UP018, RUF046
-                        low = wp.min(wp.min(l[0], l[1]), wp.min(l[2], real(1.0) - l[0] - l[1] - l[2]))
-                        if near == 1 and low > real(-1e-6):
-                            at, d1, d2, d3 = place(t, b, l, tets, x_in)
-                            if wp.length(p - at) < real(1e-3) * radius:
-                                held_out[b, s] = 1
-        depth_out[b, t] = deepest
-
-    @wp.kernel(module=module, enable_backward=False)
-    def depth(
-        # model
-        faces: wp.array3d(dtype=wp.int32),
-        samples: wp.array(dtype=vec3),
-        touch: wp.array(dtype=wp.int32),
-        sample: wp.array(dtype=wp.int32),
-        body: wp.array(dtype=wp.int32),
-        # state in
-        origin: wp.array2d(dtype=vec3),
-        turn: wp.array2d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
+        point: wp.array2d(dtype=vec3),
+        low: wp.array(dtype=vec3),
+        high: wp.array(dtype=vec3),
         ball_in: wp.array2d(dtype=vec4),
+        x_in: wp.array2d(dtype=vec3),
         # state out
-        depth_out: wp.array(dtype=real),
-        face_out: wp.array(dtype=wp.int32),
+        depth_out: wp.array2d(dtype=real),
+        face_out: wp.array2d(dtype=wp.int32),
     ):
-        # distance of a body's sample from the deformed boundary, and the nearest face
-        i = wp.tid()
-        b = touch[i]
-        j = body[i]
-        p = origin[b, j] + turn[b, j] * samples[sample[i]]
+        b, s = wp.tid()
+        p = point[b, s]
+        for i in range(3):
+            if p[i] < low[b][i] or p[i] > high[b][i]:
+                return
         least = real(1e30)
-        nearest = int(0)  # noqa: UP018, RUF046
+        height = real(0.0)
+        nearest = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
         for f in range(faces.shape[1]):
             ball = ball_in[b, f]
             if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least:
-                _values, c, _n = closest.nearest(p, b, f, 6, faces, x_in)
-                away = wp.length(p - c)
-                if away < least:
-                    least = away
-                    nearest = f
-        depth_out[i] = least
-        face_out[i] = nearest
+                _values, c, n = closest.nearest(p, b, f, nodes, faces, x_in)
+                least, height, nearest = closest.nearer(p, c, n, f, least, height, nearest)
+        if height < real(0.0) and closest.encloses(p, height, least, b, nodes, faces, closing, x_in):
+            depth_out[b, s] = least
+            face_out[b, s] = nearest
 
-    return SimpleNamespace(surface=surface, volume=volume, depth=depth, vec3=vec3, vec4=vec4, mat33=mat33, sdf=probe)
+    return SimpleNamespace(behind=behind, vec4=vec4)

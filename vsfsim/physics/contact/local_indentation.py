@@ -24,9 +24,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-import warp as wp
 
 from vsfsim.core.shape import ProbeShape
+from vsfsim.physics.contact.face_sums import nodal_sums
 from vsfsim.physics.contact.patch import PENALTY, POINTS, WEIGHTS, Patch, shape_values, smooth_radius
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.linear.rest_factor import Response
@@ -103,7 +103,7 @@ class LocalIndentation:
         self._soft = (SATURATED * self._edge).clamp(max=self._deepest)
         self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
         self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor] | None = None
-        self.arrays = (wp.from_torch(self._share), wp.from_torch(self._soft))
+        self.arrays = {"share": self._share, "soft": self._soft}
         if missing is not None:
             missing.see(patches, self._cover, self._edge, points)
 
@@ -221,7 +221,7 @@ class MissingCompliance:
         model: the object, of quadratic tetrahedra.
         response: of the body at rest to forces.
         compliance: of the patches of the touches (B, 3 s, 3 s) [m/N].
-        values: shape values of the contact points at the nodes of the patches (B, 6 f, s).
+        faces: nodes and shape values of the parts of the patches, see `face_sums`.
     """
 
     @staticmethod
@@ -229,9 +229,10 @@ class MissingCompliance:
         """Whether an object of these elements lacks anything under bodies of these ``shapes``."""
         return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in shapes)
 
-    def __init__(self, model: Model, response: Response, compliance: torch.Tensor, values: torch.Tensor):
-        self._response, self._compliance, self._values = response, compliance, values
-        tensor = functools.partial(torch.as_tensor, device=values.device)
+    def __init__(self, model: Model, response: Response, compliance: torch.Tensor,
+                 faces: tuple[torch.Tensor, torch.Tensor]):
+        self._response, self._compliance, self._parts = response, compliance, faces
+        tensor = functools.partial(torch.as_tensor, device=compliance.device)
         self._nu, mesh = poisson_ratio(model) or 0.0, model.mesh
         a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
         self._of_face, across = model.surface_modulus, np.cross(b - a, c - a)
@@ -299,8 +300,8 @@ class MissingCompliance:
         """Work [m/N] of the touches ``at`` (k,) under forces along ``normal`` (k, 3), which its contact points share by
         their ``weight`` (k, 6 f), twice it."""
         out = []
-        for b, share, n in zip(at.tolist(), weight, normal, strict=True):
-            nodes = share @ self._values[b]
+        shares = nodal_sums(*(part[at] for part in self._parts), weight[:, :, None], self._compliance.shape[1] // 3)
+        for b, nodes, n in zip(at.tolist(), shares[:, :, 0], normal, strict=True):
             some = nodes.nonzero()[:, 0]
             force = (nodes[some, None] * n).flatten()
             dof = (3 * some[:, None] + torch.arange(3, device=some.device)).flatten()

@@ -65,12 +65,6 @@ def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
     return shape_values(bary.reshape(-1, 3)).reshape(len(parts), len(POINTS), 6)
 
 
-def shape_grid(steps: int) -> np.ndarray:
-    """Shape values (s, 6) of a linear triangle on a grid of ``steps`` along each edge."""
-    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
-    return np.hstack([bary, np.zeros_like(bary)])
-
-
 def shape_tables(corners: int, cuts: Sequence[int]) -> tuple[np.ndarray, dict[int, int]]:
     """The tables of `shape_table` for several numbers of cuts, one after the other, and the first row of each."""
     tables = [shape_table(corners, c) for c in cuts]

@@ -15,21 +15,21 @@ import warp as wp
 from vsfsim.physics.contact import body_points, condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
-from vsfsim.physics.contact.face_sums import FaceSums
+from vsfsim.physics.contact.face_sums import at_points
 from vsfsim.physics.contact.friction import Relaxation
-from vsfsim.physics.contact.growth import grow, restore
+from vsfsim.physics.contact.growth import grow, remember
+from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
-from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
+from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.rigid_stiffness import PointStiffness
-from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.mount import Mount, Springs
 
 
-class RigidContact(PointStiffness):
+class RigidContact(PointStiffness, Contact):
     """`Contact` of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
 
     Args:
@@ -44,7 +44,7 @@ class RigidContact(PointStiffness):
     """
 
     potential_trusted_above, decrease = 0.05, 0.5
-    deadline, patience = float("inf"), 10**9  # the limit on iterations ends a touch
+    patience = 10**9  # the limit on iterations ends a touch
     _begun: np.ndarray | None = None
 
     patches: list[Patch]
@@ -74,22 +74,18 @@ class RigidContact(PointStiffness):
         self._by_place = local and by_place and MissingCompliance.serves(model, bodies.shapes)
         self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
         self.has_friction = bool((friction > 0.0).any())
-        self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
+        self._coefficient = torch.as_tensor(friction, dtype=torch.float64, device=device)
         self.springs = None if mount is None else Springs(mount, device)
-        self._set = bodies.upload(self.kernels.sdf, device)
         self.solid = (corners := model.mesh.faces.shape[1]) == 6
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self.solid else sheet_contact(bodies, model.element_size)
-        self._parts = cuts**2  # of a linear face; those of a quadratic one differ
+        self._parts, self._finest = cuts**2, CUTS[-1] if self.solid else 0  # cuts of a linear face do not change
         self._table, self._rows_of = shape_tables(corners, CUTS if self.solid else (cuts,))
-        # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
-        self._fine = torch.as_tensor(np.zeros((0, 6)) if self.solid else shape_grid(3 * cuts), device=device)
-        sinks = SATURATED_BY_PLACE * self._by_place
-        check = functools.partial(Intrusion, coupled=model.coupled, sinks=sinks) if self.solid else SheetIntrusion
-        self._passage = check(model.mesh, bodies, model.element_size, device=device)
+        self._passage = Intrusion(model.mesh, bodies, model.element_size, device=device,
+                                  coupled=self.solid and model.coupled, sinks=SATURATED_BY_PLACE * self._by_place,
+                                  **({} if self.solid else {"steps": 3 * cuts}))
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
-        self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
-        self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local, by_place=self._by_place,
-                            sprung=mount is not None)
+        self._overlap = torch.zeros(poses.shape[1], dtype=torch.float64, device=device)
+        self._reach = Reach(model, bodies, device, local=local, by_place=self._by_place, sprung=mount is not None)
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
@@ -97,6 +93,9 @@ class RigidContact(PointStiffness):
         self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
         self.softening, self.coulomb, self.relief = (
             torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0, 1.0))
+        # origins and rotations of the bodies, now and when the step began
+        self._now, self._before = ([torch.zeros(size, dtype=torch.float64, device=device) for size in (
+            (*poses.shape[1:3], 3), (*poses.shape[1:3], 3, 3))] for _ in range(2))
         self._upload()
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
@@ -105,30 +104,22 @@ class RigidContact(PointStiffness):
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points, self._table)
+        padded = self._padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points,
+                                                self._table)
         listed, local, part = padded.nodes, padded.local, padded.part
         faces, nodes = local.shape[1], listed.shape[1]
         tensor = functools.partial(torch.as_tensor, device=self.device)
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
         same = hasattr(self, "dof") and np.array_equal(self.dof.cpu().numpy(), dof)
-        self.dof, self._index = tensor(dof), tensor(dof).clamp(min=0)
+        self.dof = tensor(dof)
         self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
-        self._sums: FaceSums | None = None
-        if self.solid:
-            # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
-            at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
-            self._values = tensor(padded.table)[tensor(part.astype(np.int64))]  # (B, f, 6 points, 6 nodes)
-            self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, self._values.view(batch, 6 * faces, 6))
-        else:
-            self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes, device=self.device)
-        self._shape = wp.array(padded.table, dtype=wp.float64, device=self.device)
-        self._hosts = [wp.array(a, dtype=d, device=self.device) for a, d in padded.hosts(k.vec3)]
-        self._part, self._local = (wp.array(a, dtype=wp.int32, device=self.device) for a in (part, local))
+        # of every contact point; a padded part has all its nodes at 0 and no stiffness
+        self._local, self._values = tensor(local), tensor(padded.table)[tensor(part.astype(np.int64))]
         self._member, self._of_body = tensor(padded.member), tensor(padded.host >= 0)
-        self._stiffness = wp.array(padded.stiffness, dtype=wp.float64, device=self.device)
+        self._stiffness = tensor(padded.stiffness)
         size = (batch, 6 * faces)
         self.gap, self._energy = zeros(size) + 1e30, zeros(batch, faces)
         self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
@@ -140,54 +131,59 @@ class RigidContact(PointStiffness):
         self._anchor, self._across, self.limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
         self._friction = self._anchor, self._owner, self.limit, self._across
-        self._relaxation = Relaxation(cut := (batch, faces, 6), self.device)
-        self._arrays = rigid_kernels.views(
-            cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self.limit, "owner": self._owner},
-            {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across, "held":
-             self.held}, {"rows": self._rows, "geometric": self._geometric, "coupling": self._coupling})
-        self._arrays |= {
-            "energy": wp.from_torch(self._energy), "wrong_side": wp.from_torch(self._wrong_side),
-            "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
-            "softening": wp.from_torch(self.softening), "relief": wp.from_torch(self.relief)}
+        self._relaxation = relaxation = Relaxation(cut := (batch, faces, 6), self.device)
+        self._points = k.Points()
+        self._points.onset = self._onset
+        rigid_kernels.bind(k.Points, self._points, {
+            "shape": tensor(padded.table), "part": tensor(part), "local": self._local, "stiffness": self._stiffness,
+            "host": tensor(padded.host), "spot": tensor(padded.spot), "leave": tensor(padded.normal),
+            "softening": self.softening, "coulomb": self.coulomb, "coefficient": self._coefficient, "x": self._x,
+            "origin": self._now[0], "turn": self._now[1], "origin_before": self._before[0],
+            "turn_before": self._before[1],
+            "x_before": self._x_before, "anchor": self._anchor, "owner": self._owner, "limit": self.limit,
+            "across": self._across, "relief": self.relief, **vars(relaxation),
+            "gap": self.gap, "body": self.body, "normal": self.normal,
+            "force": self.force, "rows": self._rows, "geometric": self._geometric, "coupling": self._coupling,
+            "slips": self.slips, "held": self.held, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
         if not same:  # the same nodes may have more points
             self.response: Response = response(self.model.factor if self._exact else self.model.predictor(self.device),
                                                self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
-        missing = self._by_place and MissingCompliance(self.model, self.response, self.compliance, self._points)
-        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, self.places(
-            self.rest.view(batch, nodes, 3)), on=self._sinks, missing=missing or None)
+        missing = self._by_place and MissingCompliance(self.model, self.response, self.compliance,
+                                                       (self._local, self._values))
+        at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
+        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, at_rest,
+                                                   on=self._sinks, missing=missing or None)
         self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
+        rigid_kernels.bind(k.Points, self._points, self._local_indentation.arrays, cut)
 
-    def places(self, x: torch.Tensor) -> torch.Tensor:
-        """Vectors at the nodes of the patches (B, s, 3) interpolated to the Gauss points (B, 6 f, 3)."""
-        return self._points @ x if self._sums is None else self._sums.places(x)
-
-    def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
-        return (wp.array(pose[..., :3, 3], dtype=self.kernels.vec3, device=self.device),
-                wp.array(pose[..., :3, :3], dtype=self.kernels.mat33, device=self.device))
+    def _place(self, bodies: list[torch.Tensor], pose: np.ndarray) -> None:
+        for own, values in zip(bodies, (pose[..., :3, 3], pose[..., :3, :3]), strict=True):
+            own.copy_(torch.as_tensor(values))
 
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
-        """See `Contact`."""
-        self._u_before, self._begun, self._before = u.clone(), before, self._placed(before)
+        self._u_before, self._begun = u.clone(), before
+        self._place(self._before, before)
         if self.springs is not None:  # where they let the bodies begin
             self._plan_for(before)
-            self._pose = self._before
+            self._place(self._now, before)
             self.evaluate(torch.arange(self.batch, device=self.device), self.gather(u))
+            self._before[0].copy_(self._now[0])
             self._begun = self.springs.poses(before)
         self._relaxation.begin_step()
         self._body_points.begin_step()
         self._stand(u)
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
-        """See `Contact`."""
         kept = self.friction_state()
         if (self._begun is not None and columns is not None  # the first move of a step
                 and self._body_points.add(columns, (self._begun, self._held_at(pose)), self._u_before, self.patches)):
             self._renew(pose, kept)
-        self._pose, self._begun = self._placed(self._held_at(pose)), None
+        self._place(self._now, self._held_at(pose))
+        self._begun = None
         self._plan_for(pose)
         self._sink(pose)
-        self._overlap[:, slice(None) if columns is None else columns] = 0.0
+        self._overlap[columns] = 0.0
 
     def _plan_for(self, pose: np.ndarray) -> None:
         """The mounts, or the bodies without any, are at ``pose`` (B, K, 4, 4)."""
@@ -217,19 +213,14 @@ class RigidContact(PointStiffness):
             self.restore_friction(torch.arange(self.batch, device=self.device), kept)
             self._stand(self._u_before)
 
-    def gather(self, u: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        return u.gather(0, self._index.T).T * self.mask
-
     def _stand(self, u: torch.Tensor) -> None:
         self._x_before.copy_((self.rest + self.gather(u)).view_as(self._x_before))
 
-    def _launch(self, kernel: object, columns: torch.Tensor, model: list[object], names: str,
-                *more: wp.array) -> None:
-        """Run a kernel over the faces of ``columns``; arrays are found by their ``names``, the poses before by "<"."""
-        state = [a for name in names.split() for a in (self._before if name == "<" else (self._arrays[name],))]
-        wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device,
-                  inputs=[self._shape, self._part, *model, *self._pose, *state, *more])
+    def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
+        """Run a kernel over the parts of faces of ``columns`` (k,)."""
+        wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
+            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)),
+            rigid_kernels.STICK])
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor, pushed: torch.Tensor | None = None) -> None:
         """See `Contact`; springs give way to the forces ``pushed`` (k, 3 s) [N], or until they are in balance."""
@@ -244,54 +235,36 @@ class RigidContact(PointStiffness):
     def evaluate_at_mounts(self, columns: torch.Tensor) -> None:
         """Evaluate the contact of ``columns`` (k,) with the bodies where springs let them."""
         if self.springs is not None:
-            wp.to_torch(self._pose[0])[columns] = self.springs.placed(self._mounts)[columns]
-        self._launch(self.kernels.evaluate, columns,
-                     [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
-                      self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
-                      self._onset, self._coefficient, wp.from_torch(self.coulomb), rigid_kernels.STICK],
-                     "x anchor owner limit across relief gap body normal force rows geometric coupling slips held "
-                     "wrong_side energy")
+            self._now[0][columns] = self.springs.placed(self._mounts)[columns]
+        self._launch(self.kernels.evaluate, columns)
 
     def update_friction(self, columns: torch.Tensor) -> None:
-        """See `Contact`."""
         if self.has_friction:
             self._relaxation.renewals[columns] += 1
-            self._launch(self.kernels.update_friction, columns,
-                         [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
-                          *self._local_indentation.arrays, *self._hosts[:2], self._arrays["softening"],
-                          self._onset, self._coefficient, wp.from_torch(self.coulomb),
-                          wp.from_torch(self._relaxation.renewals)],
-                         "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
+            self._launch(self.kernels.update_friction, columns)
 
     def end_step(self, columns: torch.Tensor) -> None:
-        """See `Contact`."""
         if self.has_friction and len(columns):
-            self._launch(self.kernels.end_step, columns,
-                         [wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, rigid_kernels.STICK],
-                         "x gap body limit across anchor owner")
+            self._launch(self.kernels.end_step, columns)
 
     def friction_state(self) -> tuple[Any, ...]:
         """See `Contact`; empty without friction."""
-        return (list(self.patches), list(self._body_points.met),
-                *(t.clone() for t in self._friction)) if self.has_friction else ()
+        return (self._padded, *(t.clone() for t in self._friction)) if self.has_friction else ()
 
     def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
         """See `Contact`; a patch that has grown since takes what its old points remembered."""
         if state:
-            restore(columns.tolist(), self._friction, state, (self.patches, self._body_points.met), self._table,
-                    self._body_points.body, self.model.mesh, self._u_before, self._before[1].numpy())
+            remember(self._friction, state[1:], (state[0], self._padded), columns.tolist(), self.model.mesh.points,
+                     self._u_before, self._before[1].cpu().numpy())
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return self._relaxation.friction_residual(columns)
 
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return self._energy[columns].sum(dim=1)
 
     def carried(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        return self._energy.new_zeros(len(columns)) if self.springs is None else self.springs.energy(columns)
+        return super().carried(columns) if self.springs is None else self.springs.energy(columns)
 
     def given(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """How far forces (k, 3 s) [N] of the contact move the nodes against bodies that springs carry (k, 3 s) [m]."""
@@ -301,93 +274,58 @@ class RigidContact(PointStiffness):
         return series * (series * force).sum(dim=1, keepdim=True)
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         own = (self._energy[columns] * self._of_body[columns]).sum(dim=1)
-        return own + self._local_indentation.energy(self.gap[columns], wp.to_torch(self._stiffness)[columns], columns)
+        return own + self._local_indentation.energy(self.gap[columns], self._stiffness[columns], columns)
 
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return self._wrong_side[columns].sum(dim=1)
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return self.nodal_of(columns, self.force[columns])
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
 
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return -(self._held(columns).mT @ self.force[columns])
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        places, origin = self.places(self._x)[columns], wp.to_torch(self._pose[0])[columns]  # origin (k, K, 3)
+        places, origin = self.places(columns, self._x[columns]), self._now[0][columns]  # origin (k, K, 3)
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
 
     def touches(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return (self.gap[columns] < 0.0).any(dim=1)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`: over the Gauss points, a finer grid between them, and the bodies' own points."""
-        deepest = torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[:, columns].amax(dim=0))
-        if len(self._fine):
-            used = wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0  # not padding
-            local = wp.to_torch(self._local)[columns, ::self._parts].long()
-            pose = tuple(wp.to_torch(a)[columns][None] for a in self._pose)
-            deepest = torch.maximum(deepest, self._reach.depth(self._fine, self._x[columns], local, used, pose))
-        return deepest
+        return torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[columns])
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         inside = self.gap[columns] < 0.0  # a point that has left may still have a limit in this step
         return (self.slips[columns] * inside).sum(dim=1) / inside.sum(dim=1).clamp(min=1)
 
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """See `Contact`."""
         return self._local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
 
     def local_share(self, columns: torch.Tensor) -> torch.Tensor:
         """See `LocalIndentation.share`."""
-        gone = (self.places(self._x - self.rest.view_as(self._x)) * self.normal)[columns].sum(dim=2)
+        gone = self.places(columns, (self._x - self.rest.view_as(self._x))[columns])
+        gone = (gone * self.normal[columns]).sum(dim=2)
         return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Contact`."""
         return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance,
                                staged=False, deadline=self.deadline)
 
-    def remember(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`: the nodal forces (k, 3 s)."""
-        return self.nodal(columns)
-
-    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        return remembered
-
-    def no_force(self) -> torch.Tensor:
-        """See `Contact`."""
-        return torch.zeros_like(self.rest)
-
-    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
-        """See `Contact`."""
-        return self._overlap[:, columns].amax(dim=0) > times * self._passage.tolerance
-
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
-        """See `Contact`."""
         pose, mounts = self._held_at(pose), pose
-        cut, moved, kept = torch.zeros_like(self._member), [], self.friction_state()
-        if isinstance(self._passage, Intrusion):
-            self._overlap[:, columns], met, cut = self._passage.grow(
-                columns, pose, u, torch.as_tensor(self._cuts < CUTS[-1], device=self.device), touched)
-            moved, beside = self._body_points.renew(columns, pose, u, self.patches)
-            met |= torch.as_tensor(beside, device=self.device)
-        else:
-            self._overlap[1, columns], met = self._passage.check(columns, pose, u), self._reach.met(pose, u)
+        kept, coarse = self.friction_state(), torch.as_tensor(self._cuts < self._finest, device=self.device)
+        self._overlap[columns], met, cut = self._passage.grow(columns, pose, u, coarse, touched)
+        moved, beside = self._body_points.renew(columns, pose, u, self.patches)
+        met |= torch.as_tensor(beside, device=self.device)
         met &= ~self._member  # (B, faces)
         if not (moved or bool((met | cut)[columns].any())):
             return False

@@ -35,20 +35,21 @@ FACING = 0.5
 side."""
 
 
-def views(cut: tuple[int, int, int], scalars: Mapping[str, torch.Tensor], vectors: Mapping[str, torch.Tensor],
-          matrices: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-    """Values at contact points, their number in the second dimension of a tensor, as Warp arrays of the form ``cut``
-    (touches, parts, 6)."""
-    k = kernels()
-    return ({name: wp.from_torch(t.view(cut)) for name, t in scalars.items()}
-            | {name: wp.from_torch(t.view(*cut, 3), dtype=k.vec3) for name, t in vectors.items()}
-            | {name: wp.from_torch(t.view(*cut, 3, 3), dtype=k.mat33) for name, t in matrices.items()})
+def bind(struct: Any, points: Any, tensors: Mapping[str, torch.Tensor], cut: tuple[int, ...] = ()) -> None:
+    """Let ``points``, an instance of a Warp ``struct``, hold ``tensors`` by their names; those of contact points, whose
+    number is in their second dimension, take the form ``cut`` (touches, parts, 6)."""
+    for name, tensor in tensors.items():
+        kind = struct.vars[name].type
+        if tensor.dim() < kind.ndim + len(getattr(kind.dtype, "_shape_", ())):
+            tensor = tensor.view(*cut, *tensor.shape[2:])
+        setattr(points, name, wp.from_torch(tensor, dtype=kind.dtype))
 
 
 @functools.cache
 def kernels() -> Any:
     """The contact kernels, their types, and the signed distances that they use (``sdf``).
 
+    ``Points`` are the contact points of B touches, six for each of f parts; arrays are written in place.
     The owner of an anchor is a code: -1 is none, j >= 0 is body j, and -2 - j is body j with an anchor that this step
     made and may still move.
     """
@@ -58,13 +59,60 @@ def kernels() -> Any:
     most_anchorings = wp.constant(friction.ANCHORINGS)
     facing = wp.constant(real(FACING))
 
+    class Points:
+        # model
+        shape: wp.array3d(dtype=real)  # shape values of the points of all kinds of parts (p, 6, 6)
+        part: wp.array2d(dtype=wp.int32)  # row of each part there (B, f)
+        local: wp.array3d(dtype=wp.int32)  # nodes of each part (B, f, 6)
+        stiffness: wp.array3d(dtype=real)  # w_q (B, f, 6) [N/m]
+        share: wp.array3d(dtype=real)  # of it that acts down to the depth `soft`, see `local_indentation` [-]
+        soft: wp.array2d(dtype=real)  # (B, f) [m]
+        host: wp.array2d(dtype=wp.int32)  # body whose point a part is, see `body_points`; -1 for parts of faces
+        spot: wp.array2d(dtype=vec3)  # that point, in its body's frame [m]
+        leave: wp.array2d(dtype=vec3)  # direction in which it leaves the object [-]
+        softening: wp.array(dtype=real)  # (B,), as in `interface`
+        coulomb: wp.array(dtype=real)
+        coefficient: wp.array(dtype=real)  # of friction, of each body (K,) [-]
+        onset: real  # of a sheet, see `patch.sheet_contact` [m]
+        # bodies (B, K) and nodes of the patches (B, s), now and when the step began
+        origin: wp.array2d(dtype=vec3)
+        turn: wp.array2d(dtype=mat33)
+        origin_before: wp.array2d(dtype=vec3)
+        turn_before: wp.array2d(dtype=mat33)
+        x: wp.array2d(dtype=vec3)
+        x_before: wp.array2d(dtype=vec3)
+        # memory of friction, and its iteration in a step, see `friction`
+        anchor: wp.array3d(dtype=vec3)
+        owner: wp.array3d(dtype=wp.int32)
+        limit: wp.array3d(dtype=real)
+        across: wp.array3d(dtype=vec3)
+        relief: wp.array(dtype=real)
+        renewals: wp.array(dtype=wp.int32)
+        anchorings: wp.array3d(dtype=wp.int32)
+        damping: wp.array3d(dtype=real)
+        change: wp.array3d(dtype=real)
+        residual: wp.array3d(dtype=real)
+        # what `evaluate` finds
+        gap: wp.array3d(dtype=real)
+        body: wp.array3d(dtype=wp.int32)
+        normal: wp.array3d(dtype=vec3)
+        force: wp.array3d(dtype=vec3)
+        rows: wp.array3d(dtype=mat33)
+        geometric: wp.array3d(dtype=mat33)
+        coupling: wp.array3d(dtype=mat33)
+        slips: wp.array3d(dtype=wp.int32)
+        held: wp.array3d(dtype=vec3)
+        wrong_side: wp.array2d(dtype=wp.int32)
+        energy: wp.array2d(dtype=real)
+
+    Points = wp.struct(Points, module=module)
+
     @wp.func(module=module)
-    def place(shape: wp.array3d(dtype=real), part: wp.array2d(dtype=wp.int32), q: int, b: int, f: int,
-              local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
-        # Gauss point q of part f of touch b; part: its row of the table of shape values
+    def place(c: Points, x: wp.array2d(dtype=vec3), b: int, f: int, q: int):
+        # Gauss point q of part f of touch b
         out = vec3()
         for a in range(6):
-            out += shape[part[b, f], q, a] * x[b, local[b, f, a]]
+            out += c.shape[c.part[b, f], q, a] * x[b, c.local[b, f, a]]
         return out
 
     @wp.func(module=module)
@@ -85,55 +133,15 @@ def kernels() -> Any:
         return (force + w * more, w, real(0.5) * force * soft + force * more + real(0.5) * w * more * more)
 
     @wp.kernel(module=module, enable_backward=False)
-    def evaluate(
-        # model
-        shape: wp.array3d(dtype=real),
-        part: wp.array2d(dtype=wp.int32),
-        bodies: probe.Bodies,
-        count: int,
-        columns: wp.array(dtype=wp.int32),
-        local: wp.array3d(dtype=wp.int32),
-        stiffness: wp.array3d(dtype=real),
-        share: wp.array3d(dtype=real),
-        soft: wp.array2d(dtype=real),
-        host: wp.array2d(dtype=wp.int32),
-        spot: wp.array2d(dtype=vec3),
-        leave: wp.array2d(dtype=vec3),
-        softening: wp.array(dtype=real),
-        onset: real,
-        coefficient: wp.array(dtype=real),
-        coulomb: wp.array(dtype=real),
-        stick: real,
-        # state in
-        origin: wp.array2d(dtype=vec3),
-        turn: wp.array2d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
-        anchor_in: wp.array3d(dtype=vec3),
-        owner_in: wp.array3d(dtype=wp.int32),
-        limit_in: wp.array3d(dtype=real),
-        across_in: wp.array3d(dtype=vec3),
-        relief: wp.array(dtype=real),
-        # state out
-        gap_out: wp.array3d(dtype=real),
-        body_out: wp.array3d(dtype=wp.int32),
-        normal_out: wp.array3d(dtype=vec3),
-        force_out: wp.array3d(dtype=vec3),
-        rows_out: wp.array3d(dtype=mat33),
-        geometric_out: wp.array3d(dtype=mat33),
-        coupling_out: wp.array3d(dtype=mat33),
-        slips_out: wp.array3d(dtype=wp.int32),
-        held_out: wp.array3d(dtype=vec3),
-        wrong_side_out: wp.array2d(dtype=wp.int32),
-        energy_out: wp.array2d(dtype=real),
-    ):
+    def evaluate(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
         f, k = wp.tid()
         b = columns[k]
         energy = real(0.0)
         wrong = int(0)  # noqa: UP018, RUF046
-        corner = x_in[b, local[b, f, 0]]
-        outward = wp.cross(x_in[b, local[b, f, 1]] - corner, x_in[b, local[b, f, 2]] - corner)
+        corner = c.x[b, c.local[b, f, 0]]
+        outward = wp.cross(c.x[b, c.local[b, f, 1]] - corner, c.x[b, c.local[b, f, 2]] - corner)
         outward = outward / wp.max(wp.length(outward), real(1e-30))
-        for q in range(shape.shape[1]):
+        for q in range(c.shape.shape[1]):
             force = vec3()
             rows = mat33()
             geometric = mat33()
@@ -141,204 +149,149 @@ def kernels() -> Any:
             gap = real(1e30)
             held = vec3()
             slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
-            w = softening[b] * stiffness[b, f, q]
+            w = c.softening[b] * c.stiffness[b, f, q]
             if w > real(0.0):
-                p = place(shape, part, q, b, f, local, x_in)
-                near = host[b, f]
-                n = -leave[b, f]
+                p = place(c, c.x, b, f, q)
+                near = c.host[b, f]
+                n = -c.leave[b, f]
                 if near >= 0:  # a point of body ``near`` against the face
-                    gap = wp.dot(n, p - (origin[b, near] + turn[b, near] * spot[b, f]))
+                    gap = wp.dot(n, p - (c.origin[b, near] + c.turn[b, near] * c.spot[b, f]))
                 else:
                     near = int(0)  # noqa: UP018, RUF046
                     for j in range(count):
-                        g = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j]))
+                        g = probe.gap(bodies, j, wp.transpose(c.turn[b, j]) * (p - c.origin[b, j]))
                         if g < gap:
                             gap = g
                             near = j
                     if gap < real(0.0):
-                        r = turn[b, near]
-                        inside = wp.transpose(r) * (p - origin[b, near])
+                        r = c.turn[b, near]
+                        inside = wp.transpose(r) * (p - c.origin[b, near])
                         n = r * probe.normal(bodies, near, inside)
                         geometric = -(r * probe.curvature(bodies, near, inside) * wp.transpose(r))
                         if wp.dot(n, outward) > facing:
                             # the nearest way out leads through the object: the surface has passed the body's middle
                             wrong += 1
                             gap = real(0.0)
-                body_out[b, f, q] = near
-                limit = limit_in[b, f, q]
+                c.body[b, f, q] = near
+                limit = c.limit[b, f, q]
                 slope = real(0.0)
                 if gap < real(0.0):
-                    normal_out[b, f, q] = n
-                    size, slope, work = push(w, share[b, f, q], soft[b, f], onset, -gap)
+                    c.normal[b, f, q] = n
+                    size, slope, work = push(w, c.share[b, f, q], c.soft[b, f], c.onset, -gap)
                     force = size * n
                     root = wp.sqrt(slope)
-                    for c in range(3):
-                        rows[0, c] = root * n[c]
+                    for i in range(3):
+                        rows[0, i] = root * n[i]
                     geometric = size * geometric
                     energy += work
-                    if coulomb[b] > real(0.0) and limit > real(0.0):
-                        limit = coefficient[near] * size
+                    if c.coulomb[b] > real(0.0) and limit > real(0.0):
+                        limit = c.coefficient[near] * size
                 else:
                     geometric = mat33()
                     # the limit that was found last acts on points that have left since, too: only so there is a
                     # potential
-                    limit = (real(1.0) - coulomb[b]) * limit
+                    limit = (real(1.0) - c.coulomb[b]) * limit
                 if limit > real(0.0):
-                    owner = owner_in[b, f, q]
+                    owner = c.owner[b, f, q]
                     if owner < -1:
                         owner = -2 - owner
-                    m = across_in[b, f, q]
-                    d = friction.tangential(p - (origin[b, owner] + turn[b, owner] * anchor_in[b, f, q]), m)
+                    m = c.across[b, f, q]
+                    d = friction.tangential(p - (c.origin[b, owner] + c.turn[b, owner] * c.anchor[b, f, q]), m)
                     v = stick * w
                     energy += friction.energy(wp.length(d), v, limit)
                     held = friction.force(d, v, limit)
                     along, sideways = friction.hessian_roots(d, m, v, limit)
                     way = d
                     slides = not friction.sticks(wp.length(d), v, limit)
-                    if relief[b] < real(1.0):
-                        way = friction.trial(d, held_out[b, f, q], v, relief[b])
+                    if c.relief[b] < real(1.0):
+                        way = friction.trial(d, c.held[b, f, q], v, c.relief[b])
                         slides = not friction.sticks(wp.length(way), v, limit)
-                        held, along, sideways = friction.linearised(d, held_out[b, f, q], m, v, limit, relief[b])
+                        held, along, sideways = friction.linearised(d, c.held[b, f, q], m, v, limit, c.relief[b])
                     force -= held
-                    for c in range(3):
-                        rows[1, c] = along[c]
-                        rows[2, c] = sideways[c]
+                    for i in range(3):
+                        rows[1, i] = along[i]
+                        rows[2, i] = sideways[i]
                     if slides:
                         slips = 1
                         # of a limit that follows the normal force
-                        coupling = (-coulomb[b] * coefficient[near] * slope) * wp.outer(way / wp.length(way), n)
-            gap_out[b, f, q] = gap
-            force_out[b, f, q] = force
-            rows_out[b, f, q] = rows
-            geometric_out[b, f, q] = geometric
-            coupling_out[b, f, q] = coupling
-            slips_out[b, f, q] = slips
-            held_out[b, f, q] = held
-        energy_out[b, f] = energy
-        wrong_side_out[b, f] = wrong
+                        coupling = (-c.coulomb[b] * c.coefficient[near] * slope) * wp.outer(way / wp.length(way), n)
+            c.gap[b, f, q] = gap
+            c.force[b, f, q] = force
+            c.rows[b, f, q] = rows
+            c.geometric[b, f, q] = geometric
+            c.coupling[b, f, q] = coupling
+            c.slips[b, f, q] = slips
+            c.held[b, f, q] = held
+        c.energy[b, f] = energy
+        c.wrong_side[b, f] = wrong
 
     @wp.kernel(module=module, enable_backward=False)
-    def update_friction(
-        # model
-        shape: wp.array3d(dtype=real),
-        part: wp.array2d(dtype=wp.int32),
-        bodies: probe.Bodies,
-        columns: wp.array(dtype=wp.int32),
-        local: wp.array3d(dtype=wp.int32),
-        stiffness: wp.array3d(dtype=real),
-        share: wp.array3d(dtype=real),
-        soft: wp.array2d(dtype=real),
-        host: wp.array2d(dtype=wp.int32),
-        spot: wp.array2d(dtype=vec3),
-        softening: wp.array(dtype=real),
-        onset: real,
-        coefficient: wp.array(dtype=real),
-        coulomb: wp.array(dtype=real),
-        renewals: wp.array(dtype=wp.int32),
-        # state in
-        origin: wp.array2d(dtype=vec3),
-        turn: wp.array2d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
-        origin_before: wp.array2d(dtype=vec3),
-        turn_before: wp.array2d(dtype=mat33),
-        x_before: wp.array2d(dtype=vec3),
-        gap_in: wp.array3d(dtype=real),
-        body_in: wp.array3d(dtype=wp.int32),
-        normal_in: wp.array3d(dtype=vec3),
-        # state out
-        anchor_out: wp.array3d(dtype=vec3),
-        owner_out: wp.array3d(dtype=wp.int32),
-        limit_out: wp.array3d(dtype=real),
-        across_out: wp.array3d(dtype=vec3),
-        anchorings_out: wp.array3d(dtype=wp.int32),
-        damping_out: wp.array3d(dtype=real),
-        change_out: wp.array3d(dtype=real),
-        residual_out: wp.array3d(dtype=real),
-    ):
+    def update_friction(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         f, k = wp.tid()
         b = columns[k]
-        for q in range(shape.shape[1]):
+        for q in range(c.shape.shape[1]):
             limit = real(0.0)
-            g = gap_in[b, f, q]
+            g = c.gap[b, f, q]
             if g < real(0.0):
-                j = body_in[b, f, q]
-                size, _slope, _work = push(softening[b] * stiffness[b, f, q], share[b, f, q],
-                                          soft[b, f], onset, -g)
-                limit = coefficient[j] * size
-                across_out[b, f, q] = wp.normalize(normal_in[b, f, q])
-                owner = owner_out[b, f, q]
-                if owner != j and (owner != -2 - j or anchorings_out[b, f, q] < most_anchorings):
-                    anchorings_out[b, f, q] = anchorings_out[b, f, q] + 1
+                j = c.body[b, f, q]
+                size, _slope, _work = push(c.softening[b] * c.stiffness[b, f, q], c.share[b, f, q],
+                                          c.soft[b, f], c.onset, -g)
+                limit = c.coefficient[j] * size
+                c.across[b, f, q] = wp.normalize(c.normal[b, f, q])
+                owner = c.owner[b, f, q]
+                if owner != j and (owner != -2 - j or c.anchorings[b, f, q] < most_anchorings):
+                    c.anchorings[b, f, q] = c.anchorings[b, f, q] + 1
                     # where the body's surface met the point in this step if the point had stood still; where the point
                     # is now if it did not, because the object bulged up
-                    p0 = place(shape, part, q, b, f, local, x_before)
-                    start = wp.transpose(turn_before[b, j]) * (p0 - origin_before[b, j])
-                    stop = wp.transpose(turn[b, j]) * (p0 - origin[b, j])
+                    p0 = place(c, c.x_before, b, f, q)
+                    start = wp.transpose(c.turn_before[b, j]) * (p0 - c.origin_before[b, j])
+                    stop = wp.transpose(c.turn[b, j]) * (p0 - c.origin[b, j])
                     g0 = wp.max(probe.gap(bodies, j, start), real(0.0))
                     g1 = probe.gap(bodies, j, stop)
-                    if host[b, f] >= 0:
-                        anchor_out[b, f, q] = spot[b, f]
+                    if c.host[b, f] >= 0:
+                        c.anchor[b, f, q] = c.spot[b, f]
                     elif g1 < real(0.0):
-                        anchor_out[b, f, q] = start + (g0 / (g0 - g1)) * (stop - start)
+                        c.anchor[b, f, q] = start + (g0 / (g0 - g1)) * (stop - start)
                     else:
-                        p1 = place(shape, part, q, b, f, local, x_in)
-                        anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
-                    owner_out[b, f, q] = -2 - j
+                        p1 = place(c, c.x, b, f, q)
+                        c.anchor[b, f, q] = wp.transpose(c.turn[b, j]) * (p1 - c.origin[b, j])
+                    c.owner[b, f, q] = -2 - j
             residual = real(0.0)
-            if coulomb[b] == real(0.0):
-                limit, damping, change, residual = friction.relaxed(limit, limit_out[b, f, q], damping_out[b, f, q],
-                                                                    change_out[b, f, q], renewals[b])
-                damping_out[b, f, q] = damping
-                change_out[b, f, q] = change
-            limit_out[b, f, q] = limit
-            residual_out[b, f, q] = residual
+            if c.coulomb[b] == real(0.0):
+                limit, damping, change, residual = friction.relaxed(limit, c.limit[b, f, q], c.damping[b, f, q],
+                                                                    c.change[b, f, q], c.renewals[b])
+                c.damping[b, f, q] = damping
+                c.change[b, f, q] = change
+            c.limit[b, f, q] = limit
+            c.residual[b, f, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)
-    def end_step(
-        # model
-        shape: wp.array3d(dtype=real),
-        part: wp.array2d(dtype=wp.int32),
-        columns: wp.array(dtype=wp.int32),
-        local: wp.array3d(dtype=wp.int32),
-        stiffness: wp.array3d(dtype=real),
-        stick: real,
-        # state in
-        origin: wp.array2d(dtype=vec3),
-        turn: wp.array2d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
-        gap_in: wp.array3d(dtype=real),
-        body_in: wp.array3d(dtype=wp.int32),
-        limit_in: wp.array3d(dtype=real),
-        across_in: wp.array3d(dtype=vec3),
-        # state out
-        anchor_out: wp.array3d(dtype=vec3),
-        owner_out: wp.array3d(dtype=wp.int32),
-    ):
+    def end_step(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
         # points that slipped drag their anchor along, points that left lose it
         f, k = wp.tid()
         b = columns[k]
-        for q in range(shape.shape[1]):
-            owner = owner_out[b, f, q]
-            if gap_in[b, f, q] >= real(0.0):
-                owner_out[b, f, q] = -1
+        for q in range(c.shape.shape[1]):
+            owner = c.owner[b, f, q]
+            if c.gap[b, f, q] >= real(0.0):
+                c.owner[b, f, q] = -1
             elif owner != -1:
                 if owner < -1:
                     owner = -2 - owner
-                j = body_in[b, f, q]
+                j = c.body[b, f, q]
                 if owner != j:
-                    owner_out[b, f, q] = -1
+                    c.owner[b, f, q] = -1
                 else:
-                    owner_out[b, f, q] = j
-                    m = across_in[b, f, q]
-                    at = origin[b, j] + turn[b, j] * anchor_out[b, f, q]
-                    d = friction.tangential(place(shape, part, q, b, f, local, x_in) - at, m)
+                    c.owner[b, f, q] = j
+                    m = c.across[b, f, q]
+                    at = c.origin[b, j] + c.turn[b, j] * c.anchor[b, f, q]
+                    d = friction.tangential(place(c, c.x, b, f, q) - at, m)
                     way = wp.length(d)
-                    v = stick * stiffness[b, f, q]
-                    limit = limit_in[b, f, q]
+                    v = stick * c.stiffness[b, f, q]
+                    limit = c.limit[b, f, q]
                     if not friction.sticks(way, v, limit):
                         at = at + (real(1.0) - limit / (v * way)) * d
-                        anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (at - origin[b, j])
+                        c.anchor[b, f, q] = wp.transpose(c.turn[b, j]) * (at - c.origin[b, j])
 
     @wp.kernel(module=module, enable_backward=False)
     def nearest(
@@ -364,4 +317,4 @@ def kernels() -> Any:
         gap_out[i, b] = least
 
     return SimpleNamespace(evaluate=evaluate, update_friction=update_friction, end_step=end_step, nearest=nearest,
-                           vec3=vec3, mat33=mat33, sdf=probe)
+                           Points=Points, vec3=vec3, mat33=mat33, sdf=probe)

@@ -93,7 +93,7 @@ class Sensitivity(Solver):
         u = moved.numpy().reshape(-1, 3, len(every))
         for block, rows, force in zip(self.model.blocks, self._element, forces, strict=True):
             out[:, rows] = np.einsum("macb,macb->bm", u[block.nodes], force.reshape(*block.nodes.shape, 3, -1))
-        at = contact.places(contact.gather(moved).view(len(every), -1, 3))  # l at the contact points (B, q, 3)
+        at = contact.places(every, contact.gather(moved).view(len(every), -1, 3))  # l at the contact points (B, q, 3)
         along = (pushed * axis[:, None]).sum(dim=2)
         back = (at * change).sum(dim=(1, 2))
         rest = 0.0 if springs is None else (back / (springs.stiffness + stiff))[:, None] * along

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 
 from vsfsim.physics.contact.body_samples import has_edges
-from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.mesh.resolved import corner_det_f, mesh_error
@@ -85,15 +82,6 @@ def mark(out: Rows, where: np.ndarray, why: Reason) -> None:
     out["unbalanced_force"][where], out["reason"][where], out["converged"][where] = out["force"][where], why, False
     for name in OF_AN_EQUILIBRIUM:
         out[name][where] = np.nan
-
-
-def on_nodes(patches: Sequence[Patch], force: torch.Tensor, converged: np.ndarray, nodes: int) -> np.ndarray:
-    """Contact forces (B, 3 s) [N] on the patches of B touches as forces on all ``nodes`` (n, 3, B) [N]; NaN on the
-    patches of touches that have not ``converged`` (B,)."""
-    out = np.zeros((nodes, 3, len(patches)))
-    for b, (patch, pushed) in enumerate(zip(patches, force.cpu().numpy(), strict=True)):
-        out[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)] if converged[b] else np.nan
-    return out
 
 
 def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,6 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
 _TOGETHER = 1024  # elements whose tangents are made at once
-_CHUNKS = 64  # partial sums of the energy of a touch: enough threads for a GPU, and the same sum on every device
 
 
 @functools.cache
@@ -50,96 +49,6 @@ def kernels() -> Any:
             node_out[3 * i + c, b] = total[c] * free[3 * i + c]
 
     @wp.kernel(module=module, enable_backward=False)
-    def remember(index: wp.array(dtype=wp.int32), u_in: wp.array2d(dtype=real), at_out: wp.array2d(dtype=real)):
-        i, k = wp.tid()
-        at_out[i, index[k]] = u_in[i, index[k]]
-
-    @wp.kernel(module=module, enable_backward=False)
-    def partial(
-        # model
-        index: wp.array(dtype=wp.int32),
-        chunk: int,
-        # state in
-        energy_in: wp.array2d(dtype=real),
-        det_in: wp.array2d(dtype=real),
-        # state out
-        energy_out: wp.array2d(dtype=wp.float64),
-        det_out: wp.array2d(dtype=real),
-    ):
-        p, k = wp.tid()
-        b = index[k]
-        total = wp.float64(0.0)
-        least = real(1e30)
-        for t in range(p * chunk, wp.min((p + 1) * chunk, energy_in.shape[0])):
-            total += wp.float64(energy_in[t, b])
-            least = wp.min(least, det_in[t, b])
-        energy_out[p, b] = total
-        det_out[p, b] = least
-
-    @wp.kernel(module=module, enable_backward=False)
-    def whole(
-        # model
-        index: wp.array(dtype=wp.int32),
-        # state in
-        energy_in: wp.array2d(dtype=wp.float64),
-        det_in: wp.array2d(dtype=real),
-        # state out
-        energy_out: wp.array(dtype=wp.float64),
-        det_out: wp.array(dtype=real),
-    ):
-        b = index[wp.tid()]
-        total = wp.float64(0.0)
-        least = real(1e30)
-        for p in range(energy_in.shape[0]):
-            total += energy_in[p, b]
-            least = wp.min(least, det_in[p, b])
-        energy_out[b] = total
-        det_out[b] = least
-
-    @wp.kernel(module=module, enable_backward=False)
-    def add_part(
-        # model
-        index: wp.array(dtype=wp.int32),
-        compact: int,  # as in `gather`
-        chunk: int,
-        # state in
-        share_in: wp.array2d(dtype=wp.float64),
-        # state out
-        part_out: wp.array2d(dtype=wp.float64),
-    ):
-        p, k = wp.tid()
-        b = k
-        if compact == 0:
-            b = index[k]
-        total = wp.float64(0.0)
-        for t in range(p * chunk, wp.min((p + 1) * chunk, share_in.shape[0])):
-            total += share_in[t, b]
-        part_out[p, b] = total
-
-    @wp.kernel(module=module, enable_backward=False)
-    def add_parts(
-        # model
-        index: wp.array(dtype=wp.int32),
-        compact: int,
-        # state in
-        part_in: wp.array2d(dtype=wp.float64),
-        # state out
-        number_out: wp.array(dtype=wp.float64),
-    ):
-        k = wp.tid()
-        b = k
-        if compact == 0:
-            b = index[k]
-        total = wp.float64(0.0)
-        for p in range(part_in.shape[0]):
-            total += part_in[p, b]
-        number_out[b] = total
-
-    @wp.kernel(module=module, enable_backward=False)
-    def mark(index: wp.array(dtype=wp.int32), value: wp.float64, out: wp.array(dtype=wp.float64)):
-        out[index[wp.tid()]] = value
-
-    @wp.kernel(module=module, enable_backward=False)
     def add_blocks(
         # model
         block: wp.array3d(dtype=wp.int32),
@@ -158,8 +67,7 @@ def kernels() -> Any:
                         for d in range(3):
                             values_out[at, c, d] += wp.float64(matrix_in[t, 3 * i + c, 3 * j + d])
 
-    return SimpleNamespace(gather=gather, remember=remember, partial=partial, whole=whole, add_part=add_part,
-                           add_parts=add_parts, mark=mark, add_blocks=add_blocks)
+    return SimpleNamespace(gather=gather, add_blocks=add_blocks)
 
 
 class Collective:
@@ -169,7 +77,8 @@ class Collective:
     Args:
         block: a block of the model.
         model: its nodes and parameters on the device.
-        own, shared: kernels of the element and of `Elasticity`.
+        own: kernels of the element.
+        device: Warp device.
     """
 
     number: wp.array
@@ -177,31 +86,23 @@ class Collective:
     response: wp.array
     """The response to it (RESPONSES, B), float64; see `elements/block.py`."""
 
-    def __init__(self, block: Block, model: list[wp.array], own: Any, shared: Any, device: str):
-        self._rows, self._model, self._own, self._shared, self._device = len(block), model, own, shared, device
+    def __init__(self, block: Block, model: list[wp.array], own: Any, device: str):
+        self._rows, self._model, self._own, self._device = len(block), model, own, device
         self._responses, self._law = block.element.RESPONSES, own.law(block, device)
-        self._chunk = -(-self._rows // _CHUNKS)
 
     def begin(self, batch: int) -> None:
         """Room for ``batch`` touches."""
-        new = {"dtype": wp.float64, "device": self._device}
-        self._shares, self._parts = wp.zeros((self._rows, batch), **new), wp.zeros((_CHUNKS, batch), **new)
-        self.number, self.response = wp.zeros(batch, **new), wp.zeros((self._responses, batch), **new)
-        self._tangent_number = wp.zeros(batch, **new)
-        self._tangent_response = wp.zeros((self._responses, batch), **new)
-        self._true, self._change = wp.zeros(batch, **new), wp.zeros(batch, **new)
+        sizes = (self._rows, batch), batch, (self._responses, batch), batch, (self._responses, batch), batch, batch
+        (self._shares, self.number, self.response, self._tangent_number, self._tangent_response, self._true,
+         self._change) = (wp.zeros(size, dtype=wp.float64, device=self._device) for size in sizes)
 
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
 
-    def _add(self, index: wp.array, compact: int, number: wp.array) -> None:
-        k = self._shared
-        self._launch(k.add_part, (_CHUNKS, len(index)), [index, compact, self._chunk, self._shares, self._parts])
-        self._launch(k.add_parts, (len(index),), [index, compact, self._parts, number])
-
     def _respond(self, index: wp.array, u: wp.array, number: wp.array, response: wp.array) -> None:
         self._launch(self._own.share, (self._rows, len(index)), [*self._model, index, u, self._shares])
-        self._add(index, 0, number)
+        at = wp.to_torch(index).long()
+        wp.to_torch(number)[at] = wp.to_torch(self._shares)[:, at].sum(dim=0)
         self._launch(self._own.respond, (len(index),), [self._law, index, number, response])
 
     def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
@@ -212,13 +113,14 @@ class Collective:
     def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
         """Store the response at u, and whether the tangent is the true one."""
         self._respond(index, u, self._tangent_number, self._tangent_response)
-        self._launch(self._shared.mark, (len(index),), [index, wp.float64(0.0 if projected else 1.0), self._true])
+        wp.to_torch(self._true)[wp.to_torch(index).long()] = float(not projected)
 
     def multiply(self, index: wp.array, at: wp.array, x: wp.array, force: wp.array) -> None:
         """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
-        self._launch(self._own.share_change, (self._rows, len(index)), [*self._model, index, at, x, self._shares])
-        self._add(index, 1, self._change)
-        self._launch(self._own.multiply, (self._rows, len(index)),
+        size = self._rows, len(index)
+        self._launch(self._own.share_change, size, [*self._model, index, at, x, self._shares])
+        wp.to_torch(self._change)[:len(index)] = wp.to_torch(self._shares)[:, :len(index)].sum(dim=0)
+        self._launch(self._own.multiply, size,
                      [*self._model, index, at, self._tangent_response, self._true, self._change, x, force])
 
 
@@ -244,8 +146,8 @@ class Elasticity:
         self._of = [block.kernels() for block in self.blocks]
         self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
                        for block, k in zip(self.blocks, self._of, strict=True)]
-        self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i,
-                          block in enumerate(self.blocks) if block.collective}
+        self._together = {i: Collective(block, self._model[i], self._of[i], device)
+                          for i, block in enumerate(self.blocks) if block.collective}
         # slot s of the element forces belongs to node flat[s]; slots of one node in increasing order
         flat = np.concatenate([block.nodes.ravel() for block in self.blocks])
         count = np.bincount(flat, minlength=self._points)
@@ -270,8 +172,6 @@ class Elasticity:
             self._part.append((force, self._energies[own], self._dets[own]))
         self._state = [wp.zeros((len(block), block.element.state_size(block), batch), **new) for block in self.blocks]
         self._at = wp.zeros((3 * self._points, batch), **new)
-        self._partial_energy = wp.zeros((_CHUNKS, batch), dtype=wp.float64, device=self.device)
-        self._partial_det = wp.zeros((_CHUNKS, batch), **new)
         self.internal = wp.zeros((3 * self._points, batch), **new)
         self.energy = wp.zeros(batch, dtype=wp.float64, device=self.device)
         self.least_det = wp.zeros(batch, **new)
@@ -299,23 +199,23 @@ class Elasticity:
     def forces(self, index: wp.array, u: wp.array) -> None:
         """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B)
         [m]."""
-        k, count = self.kernels, len(index)
+        count = len(index)
         for i, (block, own, model, part) in enumerate(zip(self.blocks, self._of, self._model, self._part, strict=True)):
             if i in self._together:
                 self._together[i].forces(index, u, part)
             else:
                 self._launch(own.forces, (len(block), count), [*model, index, u, *part])
-        self._launch(k.gather, (self._points, count), [self._start, self._slot, self._every, index, 0, self._force,
-                                                       self.internal])
-        chunk = -(-self._energies.shape[0] // _CHUNKS)
-        self._launch(k.partial, (_CHUNKS, count), [index, chunk, self._energies, self._dets, self._partial_energy,
-                                                   self._partial_det])
-        self._launch(k.whole, (count,), [index, self._partial_energy, self._partial_det, self.energy, self.least_det])
+        self._launch(self.kernels.gather, (self._points, count),
+                     [self._start, self._slot, self._every, index, 0, self._force, self.internal])
+        at = wp.to_torch(index).long()
+        wp.to_torch(self.energy)[at] = wp.to_torch(self._energies)[:, at].sum(dim=0)
+        wp.to_torch(self.least_det)[at] = wp.to_torch(self._dets)[:, at].amin(dim=0)
 
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
         """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it
         is."""
-        self._launch(self.kernels.remember, (3 * self._points, len(index)), [index, u, self._at])
+        at = wp.to_torch(index).long()
+        wp.to_torch(self._at)[:, at] = wp.to_torch(u)[:, at]
         for i, (block, own, model, state) in enumerate(zip(self.blocks, self._of, self._model, self._state,
                                                            strict=True)):
             if i in self._together:

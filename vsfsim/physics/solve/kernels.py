@@ -7,7 +7,6 @@ from typing import Any
 
 from vsfsim.physics.contact import intrusion, rigid_kernels
 from vsfsim.physics.contact.pair import kernels as pair_kernels
-from vsfsim.physics.contact.pair import rows
 from vsfsim.physics.elements.block import kernels_of
 from vsfsim.physics.linear.multifrontal import factor_kernels
 from vsfsim.physics.solve import elasticity
@@ -16,13 +15,13 @@ from vsfsim.physics.solve import elasticity
 def solver_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
     """One kernel of each module that the solver launches for a body of ``elements`` of these kinds and laws, see
     `tiers.elements` and `block.elements_of`."""
-    solid = [intrusion.kernels().surface, *factor_kernels()] if any(law for _, law in elements) else []
+    solid = [intrusion.kernels().behind, *factor_kernels()] if any(law for _, law in elements) else []
     return [rigid_kernels.kernels().evaluate, *_body_kernels(elements), *solid]
 
 
 def coupled_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
     """As `solver_kernels`, for a sensor and an object that touch."""
-    return [pair_kernels.kernels().evaluate, *_body_kernels(elements), rows.kernels().gram]
+    return [pair_kernels.kernels().evaluate, *_body_kernels(elements)]
 
 
 def _body_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:

@@ -4,14 +4,12 @@ frame."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact import condensed
-from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.newton import Equilibrium, State
@@ -44,7 +42,7 @@ class LinearTier:
         load = (model.load * model.free)[:, None]
         sag = model.factor.solve(load) if load.any() else np.zeros_like(load)  # a back-solve is as long as a frame
         self._sag = torch.as_tensor(np.repeat(sag, len(balance.every), axis=1), device=balance.device)
-        self._last = list(self._contact.patches), self._contact.no_force()  # of the last frame that arrived
+        self._last = torch.zeros_like(self._sag)  # contact forces (3 n, B) [N] of the last frame that arrived
 
     @property
     def accept(self) -> float:
@@ -65,7 +63,7 @@ class LinearTier:
             deadline: `clock.now` after which no iteration begins [s].
 
         Returns:
-            The contact forces on the patches (B, 3 s) [N] and the state of all touches.
+            The contact forces (3 n, B) [N] and the state of all touches.
         """
         balance, contact = self._balance, self._contact
         every, contact.deadline = balance.every, deadline
@@ -91,16 +89,7 @@ class LinearTier:
                  "measure": torch.maximum(balance.measure(residual, acting), error), "det": det,
                  "energy": 0.5 * (u * internal).sum(dim=0), "wrong_side": contact.wrong_side(every), **on_bodies}
         contact.end_step(every)
-        return force, state
-
-    def _on_grown(self, old: Sequence[Patch], force: torch.Tensor) -> torch.Tensor:
-        """Contact forces (B, 3 s) [N] on the present patches: ``force`` (B, 3 s) [N] at the nodes of the ``old`` ones.
-        From no force under a deep body the next solution may lie on its other side."""
-        out, place = self._contact.no_force(), np.zeros(len(self._balance.model.mesh.points), np.int64)
-        for b, (before, now) in enumerate(zip(old, self._contact.patches, strict=True)):
-            place[now.nodes] = np.arange(len(now.nodes))
-            out[b].view(-1, 3)[place[before.nodes]] = force[b].view(-1, 3)[:len(before.nodes)]
-        return out
+        return acting, state
 
     def _arrive(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor, deadline: float,
                 halvings: int) -> tuple[torch.Tensor, torch.Tensor, State]:
@@ -110,7 +99,6 @@ class LinearTier:
         every = balance.every
         contact.move(pose, every)
         for growths in range(_GROWTHS, -1, -1):
-            old = list(contact.patches)
             with clock.measure("contact"):
                 force, error = self._solve(start, deadline)
                 for _ in range(_FOLLOWED):
@@ -121,26 +109,27 @@ class LinearTier:
             arrived = bool((error <= self.accept).all())
             if not arrived and halvings and clock.now() <= deadline:
                 middle = increments.between(before, pose, 0.5)
-                force, lost, _ = self._arrive(before, middle, self._on_grown(*self._last), deadline, halvings - 1)
+                force, lost, _ = self._arrive(before, middle, contact.gather(self._last), deadline, halvings - 1)
                 force, error, on_bodies = self._arrive(middle, pose, force, deadline, halvings - 1)
                 return force, _followed(force, error, lost), on_bodies
             # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
+            whole = spread(contact.dof, force, len(balance.u))
             self.checked = growths > 0 and clock.now() <= deadline
             if not self.checked or not contact.extend_patch(every, pose, balance.u):
                 break
-            start = self._on_grown(old, force)
+            start = contact.gather(whole)  # from no force under a deep body the next may lie on its other side
         if arrived:
-            self._last = list(contact.patches), force
+            self._last = whole
         return force, error, on_bodies
 
     def _through(self, before: np.ndarray, pose: np.ndarray, force: torch.Tensor) -> torch.Tensor:
         """Touches (B,) whose bodies went from ``before`` to ``pose`` (B, K, 4, 4) along the force that they had on the
         object, and have none (B, 3 s) [N] there: they went through it, or slipped off."""
         moved = torch.as_tensor((pose - before)[:, :, :3, 3].sum(axis=1), device=force.device)
-        pushed = self._last[1].view(len(force), -1, 3).sum(dim=1)
+        pushed = self._last.view(-1, 3, len(force)).sum(dim=0).T
         return (force == 0.0).all(dim=1) & ((pushed * moved).sum(dim=1) > 0.0)
 
     def _solve(self, start: torch.Tensor, deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -177,24 +166,3 @@ def _followed(force: torch.Tensor, error: torch.Tensor, lost: torch.Tensor) -> t
     """Relative errors (B,) at the end of a way: those ``lost`` on it count where no ``force`` (B, 3 s) [N] is left, for
     the body may have come through the object there."""
     return torch.where((force == 0.0).all(dim=1), torch.maximum(error, lost), error)
-
-
-def first_force(equilibria: Sequence[Any], last: torch.Tensor, pose: np.ndarray, has_friction: bool) -> torch.Tensor:
-    """Contact forces (B, 3 s) [N] that a frame begins with: those of this very pose if it is known, else the last two
-    extrapolated.
-
-    Args:
-        equilibria: that are known, with ``pose`` and ``force`` each, in order.
-        last: forces of the last one (B, 3 s) [N].
-        pose: of the frame (B, K, 4, 4).
-        has_friction: whether the forces depend on the path.
-    """
-    known = [k for k in equilibria if k.force.shape == last.shape]
-    for k in () if has_friction else reversed(known):
-        if np.array_equal(k.pose, pose):
-            return k.force
-    if len(known) < 2:
-        return last
-    first, second = known[-2:]
-    ratio = torch.as_tensor(increments.ratio(first.pose, second.pose, pose), device=last.device)
-    return second.force + ratio[:, None] * (second.force - first.force)

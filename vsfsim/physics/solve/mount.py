@@ -13,7 +13,7 @@ e being the translation of all nodes along the press: the mount's compliance is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,21 +28,6 @@ _EXACT = 1e-7  # the same difference that ends the search: what is left must not
 _FAR = 0.5  # of that difference over the spring's force: from here on the force goes with the square of the depth
 _TOUCH = 1e-7  # how far the probe goes in past its first contact [m]
 _FOLLOWED = 2e-4  # change of w over w after which the local indentation is that of another place
-
-
-class Pressed(Protocol):
-    """What is asked of the contact, see `rigid_contact.RigidContact`."""
-
-    gap: torch.Tensor
-    """Gap of each Gauss point (B, q) [m]."""
-    force: torch.Tensor
-    """Contact force at each Gauss point (B, q, 3) [N]."""
-
-    def evaluate_at_mounts(self, columns: torch.Tensor) -> None:
-        """Evaluate the contact of ``columns`` (k,) with the bodies where the springs let them."""
-
-    def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
-        """Stiffness of the contact points (k, q, 3, 3) [N/m]."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +86,8 @@ class Springs:
         """Let the springs give way to forces of the contact (k, 3 s) [N] on the object."""
         self.give[columns] = self.along(columns, force) / self.stiffness
 
-    def settle(self, contact: Pressed, columns: torch.Tensor) -> None:
-        """Evaluate the contact of ``columns`` (k,) at w in balance.
+    def settle(self, contact: Any, columns: torch.Tensor) -> None:
+        """Evaluate the `RigidContact` of ``columns`` (k,) at w in balance.
 
         Newton's method in a bracket, with the slope of the contact points. Far from the root the force goes with the
         square of the depth, as under a ball; a probe that has lost contact goes in by its gap.

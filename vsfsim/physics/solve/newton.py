@@ -103,6 +103,10 @@ class Equilibrium:
         with clock.measure("forces"):
             self.elasticity.forces(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
 
+    def contact_force(self) -> torch.Tensor:
+        """Contact forces (3 n, B) [N] that the last evaluation found, of all touches."""
+        return spread(self.contact.dof, self.contact.nodal(self.every), len(self.u))
+
     def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
         """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
         dof = self.contact.dof[columns]

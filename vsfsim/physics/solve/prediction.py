@@ -10,7 +10,6 @@ import torch
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.newton import Equilibrium
 
@@ -28,9 +27,7 @@ class Known(NamedTuple):
     u: torch.Tensor
     """Displacements (3 n, B) [m]."""
     force: torch.Tensor
-    """Contact forces, see `Contact.remember` [N]."""
-    dof: torch.Tensor
-    """Degrees of freedom of the patches that they act on (B, 3 s), see `Contact`."""
+    """Contact forces (3 n, B) [N]."""
 
 
 def guesses(equilibria: Sequence[Known], present: tuple[torch.Tensor, torch.Tensor], pose: np.ndarray,
@@ -48,18 +45,10 @@ def guesses(equilibria: Sequence[Known], present: tuple[torch.Tensor, torch.Tens
     out = [present]
     if len(equilibria) > 1:
         first, second = equilibria[-2:]
-        f0, f1 = (_on_patches(known, contact) for known in (first, second))
+        f0, f1 = (contact.gather(known.force) for known in (first, second))
         ratio = torch.as_tensor(increments.ratio(first.pose, second.pose, pose), device=f1.device)
         out.append((second.u + (ratio * (second.u - first.u)), f1 + ratio[:, None] * (f1 - f0)))
     return out
-
-
-def _on_patches(known: Known, contact: Contact) -> torch.Tensor:
-    """The forces of an equilibrium on the present patches (B, 3 s) [N], which may have grown since."""
-    if known.force.shape == contact.no_force().shape:
-        return contact.recall(known.force)
-    everywhere = spread(known.dof, known.force, len(known.u))
-    return everywhere.gather(0, contact.dof.clamp(min=0).T).T * contact.mask
 
 
 def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:

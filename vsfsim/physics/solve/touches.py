@@ -29,7 +29,7 @@ from vsfsim.physics.solve import audit, increments, weight
 from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.linear_tier import LinearTier, first_force
+from vsfsim.physics.solve.linear_tier import LinearTier
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.prediction import Known, guesses, predict
@@ -99,7 +99,7 @@ class Solver:
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
-        self._contact_force = self.contact.no_force()
+        self._contact_force = torch.zeros_like(self._balance.u)
         if self.linear:
             self._linear_tier = LinearTier(self._balance)
         else:
@@ -135,7 +135,7 @@ class Solver:
         contact.deadline = deadline
         for part in way:
             begin, friction = self._step(self._at, part, deadline)
-            self._contact_force = contact.remember(balance.every)
+            self._contact_force = balance.contact_force()
             if part is way[-1]:
                 break
             measure = balance.evaluate(balance.every)["measure"] if balance.reason.any() else None
@@ -181,14 +181,14 @@ class Solver:
             contact.restore_friction(at, friction)
             contact.move(pose, balance.every)
             balance.evaluate(balance.every)
-            self._contact_force = contact.remember(balance.every)
+            self._contact_force = balance.contact_force()
         self._remember(pose, self._contact_force)
         return pose
 
     def _remember(self, pose: np.ndarray, force: torch.Tensor) -> None:
         """Keep this equilibrium for later frames to begin from: all of them without friction, the last two with it."""
         self._contact_force = force
-        self._equilibria.append(Known(pose, self._balance.u.clone(), force, self.contact.dof))
+        self._equilibria.append(Known(pose, self._balance.u.clone(), force))
         most = _EQUILIBRIA_BYTES["cpu" if self.device == "cpu" else "cuda"]
         if self.contact.has_friction or self._equilibria[0].u.nbytes * len(self._equilibria) > most:
             del self._equilibria[:-2]
@@ -196,7 +196,9 @@ class Solver:
     def _record(self, converged: np.ndarray) -> None:
         """Keep the displacements and forces of this frame for the caller; forces are NaN where it did not converge."""
         self.history.append(self._balance.u.clone().cpu().numpy())
-        force = audit.on_nodes(self.contact.patches, self._contact_force, converged, len(self.model.mesh.points))
+        force = self._contact_force.cpu().numpy().reshape(-1, 3, len(converged)).copy()
+        for b in np.flatnonzero(~converged):
+            force[self.contact.patches[b].nodes, :, b] = np.nan
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
@@ -206,7 +208,7 @@ class Solver:
         displacements (3 n, B) [m] and the state of friction that it began with."""
         balance, contact = self._balance, self.contact
         begin, friction = balance.u.clone(), contact.friction_state()
-        self._touched = (contact.recall(self._contact_force) != 0.0).any(dim=1)
+        self._touched = (contact.gather(self._contact_force) != 0.0).any(dim=1)
         self._start(balance.every, before, pose)
         self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
         return begin, friction
@@ -220,19 +222,23 @@ class Solver:
         self._branch.bar(columns, before, pose)
         contact.begin_step(before, balance.u)
         contact.move(pose, columns)
-        for known in reversed([] if contact.has_friction else self._equilibria):
-            if np.array_equal(known.pose, pose):
-                balance.u.copy_(known.u)
-                return
+        if (known := self._known(pose)) is not None:
+            balance.u.copy_(known.u)
+            return
         moved = torch.as_tensor((pose != before).any(axis=(1, 2, 3)) | (not self._equilibria), device=self.device)
         if bool(moved.any()):
             self._predict(columns[moved[columns]], pose)
+
+    def _known(self, pose: np.ndarray) -> Known | None:
+        """The equilibrium at this very ``pose`` (B, K, 4, 4) if it is known and does not depend on the way."""
+        known = [] if self.contact.has_friction else self._equilibria
+        return next((k for k in reversed(known) if np.array_equal(k.pose, pose)), None)
 
     def _predict(self, columns: torch.Tensor, pose: np.ndarray, here: Known | None = None) -> None:
         """Begin ``columns`` at a prediction for the bodies' ``pose`` (B, K, 4, 4); ``here``: see `_guesses`."""
         balance, contact = self._balance, self.contact
         balance.evaluate(columns)
-        last = contact.recall(self._contact_force)
+        last = contact.gather(self._contact_force)
         meets = columns[contact.touches(columns) | (last[columns] != 0.0).any(dim=1)]
         if len(meets):
             predict(balance, meets, self._guesses(balance.u.clone(), last, pose, here))
@@ -255,8 +261,8 @@ class Solver:
         # where a half step begins the bodies overlap the object by all of it, and Newton's method goes far astray
         predicts = halvings < self.options.halvings and contact.solid and not contact.has_friction
         if predicts:
-            self._contact_force = contact.remember(balance.every)  # at ``before``, where `SolutionBranch.bar` was last
-            here = Known(before, begin, self._contact_force, contact.dof)
+            self._contact_force = balance.contact_force()  # at ``before``, where `SolutionBranch.bar` was last
+            here = Known(before, begin, self._contact_force)
         contact.begin_step(before, begin)
         contact.move(pose, columns)
         if predicts:
@@ -316,7 +322,6 @@ class Solver:
             grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
             intruded = columns[contact.intruded(columns)]
             if grown:
-                self._contact_force = contact.no_force()
                 # the new points feel a body that lies a little inside; not one that the object has closed around
                 closed = columns[contact.intruded(columns, LOST if contact.solid else 1.0)]
                 balance.u[:, closed] = begin[:, closed]
@@ -333,8 +338,9 @@ class Solver:
 
     def _linear_frame(self, before: np.ndarray, way: list[np.ndarray], deadline: float) -> Rows:
         """One frame of the `linear` tier."""
-        start = first_force(self._equilibria, self._contact_force, way[0], self.contact.has_friction)
-        balance = self._balance
+        balance, known, last = self._balance, self._known(way[0]), self.contact.gather(self._contact_force)
+        start = (guesses(self._equilibria, (balance.u, last), way[0], self.contact)[-1][1] if known is None
+                 else self.contact.gather(known.force))
         force, state = self._linear_tier.frame(before, way, start, deadline)
         self._remember(way[-1], force)
         balance.reset_counts()

@@ -14,14 +14,13 @@ the curved surfaces.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any
 
 import torch
 
 from vsfsim.physics import clock
-from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.pair import complementarity
-from vsfsim.physics.contact.pair.links import Links, times
+from vsfsim.physics.contact.pair.links import times
 
 _MOST_ITERATIONS = 8  # what has not converged by then cycles over facets
 _TIGHT = 1e-5  # tolerance at most: a gap's error must be small beside the penetration, a thousandth of the displacement
@@ -29,23 +28,9 @@ _STALLED = 0.5  # an error that shrinks by less than this factor is as small as 
 _CLOSE = 0.2  # of the margin of a step: nodes nearer than this are unknowns of the problem
 
 
-class LinkedContact(Contact, Protocol):
-    """What this problem asks of a contact besides: `contact.PairContact` answers it."""
-
-    def close_nodes(self, columns: torch.Tensor, part: float, close: list[torch.Tensor] | None) -> list[torch.Tensor]:
-        """Nodes of both sides (k, Q) bool nearer than ``part`` of the margin, and those ``close`` before."""
-
-    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor],
-                ) -> tuple[Links | None, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Links, gaps [m], penalty compliances [m/N] and contact (k, p) of the nodes ``close``."""
-
-    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
-        """Friction forces (k, 3 s) [N], and the links of their stiffness."""
-
-
-def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
           tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """As `condensed.solve`."""
+    """As `condensed.solve`, for a `PairContact`."""
     compliance = contact.compliance
     q = torch.zeros_like(base)
     u = base.clone()
@@ -74,7 +59,7 @@ def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pus
             inner = across.gram(inside)
             inner.diagonal(dim1=1, dim2=2).add_(1.0)
             inner = torch.linalg.cholesky(0.5 * (inner + inner.mT))
-            change = change - _sum(inside, torch.cholesky_solve(across.jump(change)[:, :, None], inner)[:, :, 0])
+            change = change - times(inside.mT, torch.cholesky_solve(across.jump(change)[:, :, None], inner)[:, :, 0])
         if normal is not None:
             answer = normal.responses(compliance, columns)
             matrix = normal.gram(answer)
@@ -85,15 +70,10 @@ def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pus
             matrix = 0.5 * (matrix + matrix.mT)
             matrix.diagonal(dim1=1, dim2=2).add_(give)
             answered = complementarity.solve(matrix, gap + normal.jump(change), held)
-            change = change + _sum(answer, answered)
+            change = change + times(answer.mT, answered)
             if across is not None:
-                change = change - _sum(inside, times(held_back, answered))
+                change = change - times(inside.mT, times(held_back, answered))
             force = force + normal.push(answered)
         q = force if across is None else force - across.push(across.jump(change))
         u = u + change
     return best, error
-
-
-def _sum(rows: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-    """Displacements (k, 3 s) under forces (k, r) along rows whose answers are (k, r, s, 3)."""
-    return times(rows.flatten(2).mT, force)

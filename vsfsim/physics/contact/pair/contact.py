@@ -13,13 +13,14 @@ import numpy as np
 import torch
 import warp as wp
 
+from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.pair import condensed
-from vsfsim.physics.contact.pair.chosen_nodes import choose, links_of, written
+from vsfsim.physics.contact.pair.chosen_nodes import ChosenNodes
 from vsfsim.physics.contact.pair.links import LinkBlock, Links, LinkStiffness
 from vsfsim.physics.contact.pair.overlap import PairOverlap
 from vsfsim.physics.contact.pair.response import PairResponse
 from vsfsim.physics.contact.pair.sides import Side
-from vsfsim.physics.contact.pair.surfaces import PairPatch, PairSurfaces
+from vsfsim.physics.contact.pair.surfaces import PairSurfaces
 from vsfsim.physics.contact.rigid_kernels import STICK
 from vsfsim.physics.model import Model
 
@@ -43,7 +44,7 @@ class _Evaluated:
     """Nodal friction forces (k, 3 s) [N]."""
 
 
-class PairContact:
+class PairContact(Contact):
     """`Contact` of an object with the surface of a sensor (K = 1); the patch is that of the present step.
 
     Args:
@@ -60,7 +61,6 @@ class PairContact:
     # rubber mostly sticks, and the limits of the prediction are nearly right
     friction_updated_below = 0.3
     # over flat facets a step may cycle, and half of such steps end elsewhere
-    deadline = float("inf")
     patience, solid, flat = 8, False, False
 
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
@@ -70,6 +70,8 @@ class PairContact:
         self._sides, self._kernels, self.batch = self.surfaces.sides, self.surfaces.kernels, self.surfaces.batch
         self.follows_below, self.coulomb = 0.0, torch.zeros(self.batch, dtype=torch.float64, device=device)
         self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
+        for side in self._sides:
+            side.points.softening = wp.from_torch(self.softening)
         self.response = PairResponse(model, sensor, self.surfaces)
         self._passage = PairOverlap(model, sensor, device=device)
         self._overlap = torch.zeros(self.batch, dtype=torch.float64, device=device)
@@ -77,27 +79,7 @@ class PairContact:
         # whose normals were blended once more in this step
         self._blended = torch.zeros(self.batch, dtype=torch.bool, device=device)
 
-    @property
-    def _patch(self) -> PairPatch:
-        return self.surfaces.patch
-
-    @property
-    def dof(self) -> torch.Tensor:
-        """See `Contact`."""
-        return self._patch.dof
-
-    @property
-    def mask(self) -> torch.Tensor:
-        """See `Contact`."""
-        return self._patch.mask
-
-    @property
-    def free(self) -> torch.Tensor:
-        """See `Contact`."""
-        return self._patch.free
-
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
-        """See `Contact`."""
         for side in self._sides:
             side.relaxation.begin_step()
         self.surfaces.begin_step(before, u)
@@ -110,6 +92,8 @@ class PairContact:
             self._use_patch()
 
     def _use_patch(self) -> None:
+        self._patch = self.surfaces.patch
+        self.dof, self.mask, self.free = self._patch.dof, self._patch.mask, self._patch.free
         self.compliance = self.response.compliance()
         self._evaluated = None
 
@@ -122,21 +106,17 @@ class PairContact:
         self.surfaces.place_at(columns, u)
         self._find_candidates(columns, blend=columns)
 
-    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
-        """See `Contact`."""
-        return self._overlap[columns] > times * self._passage.tolerance
-
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
         """See `Contact`: finds what may meet what again from where the surfaces are now. True if that finds new
         contact, or normals that have turned."""
-        before = [side.state["gap"][columns].clamp(max=0.0) for side in self._sides]
+        before = [side.tensors["gap"][columns].clamp(max=0.0) for side in self._sides]
         self.surfaces.place_at(columns, u)
         turned = columns[(self._turned() & ~self._blended)[columns]]
         self._blended[turned] = True  # once in a step: more would chase the last digit
         self._find_candidates(columns, blend=turned)
         self.evaluate(columns, self.gather(u)[columns])
-        if len(turned) > 0 or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
+        if len(turned) > 0 or any(bool(((old - side.tensors["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
                                   for side, old in zip(self._sides, before, strict=True)):
             return True
         self._overlap[columns] = self._passage.check(columns, self.surfaces.turn[columns],
@@ -147,62 +127,43 @@ class PairContact:
         """Whose normals have turned where they touch since they were blended (B,) bool."""
         out = torch.zeros(self.batch, dtype=torch.bool, device=self.device)
         for side in self._sides:
-            at, node = (side.state["gap"] < 0.0).nonzero(as_tuple=True)
-            face = side.state["face"][at, node].long()
-            change = (side.blended(self.surfaces.x)[at, face] - side.smooth[at, face]).norm(dim=2).amax(dim=1)
+            at, node = (side.tensors["gap"] < 0.0).nonzero(as_tuple=True)
+            face = side.tensors["face"][at, node].long()
+            change = side.blended(self.surfaces.x)[at, face] - side.tensors["smooth"][at, face]
+            change = change.norm(dim=2).amax(dim=1)
             out[at[change > _TURNED]] = True
         return out
 
-    def gather(self, u: torch.Tensor) -> torch.Tensor:
-        """See `Contact`; the sensor's displacements are in its frame."""
-        return u.gather(0, self._patch.index.T).T * self.mask
-
-    def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, inputs: list[Any]) -> None:
+    def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, *more: Any) -> None:
         """Run a kernel over the nodes of a side of the touches ``columns`` (k,)."""
-        wp.launch(kernel, dim=(side.stiffness.shape[1], len(columns)), device=self.device,
-                  inputs=[side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first, *inputs])
+        wp.launch(kernel, dim=(side.tensors["stiffness"].shape[1], len(columns)), device=self.device,
+                  inputs=[side.points, wp.from_torch(columns.to(torch.int32)), *more])
 
     def _positions(self, x: torch.Tensor) -> wp.array:
         return wp.from_torch(x, dtype=self._kernels.vec3)
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
-        """See `Contact`."""
         self.surfaces.displace(columns, displacement)
-        here, softening = self._positions(self.surfaces.x), wp.from_torch(self.softening)
         for side in self._sides:
-            self._launch(self._kernels.evaluate, side, columns, [
-                *side.arrays("facet stiffness faces smooth"), softening, STICK, here,
-                *side.arrays("candidates anchored anchor_face anchor_shape limit across"),
-                *side.arrays("gap face shape normal slope push drag slip rows slips wrong_side energy")])
+            self._launch(self._kernels.evaluate, side, columns, STICK, self._positions(self.surfaces.x))
         self._evaluated = None
 
     def update_friction(self, columns: torch.Tensor) -> None:
-        """See `Contact`."""
         if not self.has_friction:
             return
-        softening = wp.from_torch(self.softening)
-        before, swept = self._positions(self.surfaces.x_before), self._positions(self.surfaces.x_swept)
         for side in self._sides:
             side.relaxation.renewals[columns] += 1
-            self._launch(self._kernels.update_friction, side, columns, [
-                *side.arrays("stiffness faces"), softening, self._coefficient, wp.from_torch(side.relaxation.renewals),
-                *side.arrays("candidates"), before, swept,
-                *side.arrays("gap face shape normal anchored anchor_face anchor_shape limit across"),
-                *side.arrays("anchorings damping change residual")])
+            self._launch(self._kernels.update_friction, side, columns, self._coefficient,
+                         self._positions(self.surfaces.x_before), self._positions(self.surfaces.x_swept))
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return sum(side.relaxation.friction_residual(columns) for side in self._sides)
 
     def end_step(self, columns: torch.Tensor) -> None:
-        """See `Contact`."""
         if not self.has_friction or not len(columns):
             return
-        here = self._positions(self.surfaces.x)
         for side in self._sides:
-            self._launch(self._kernels.end_step, side, columns, [
-                *side.arrays("stiffness faces"), STICK, here,
-                *side.arrays("candidates gap limit across anchored anchor_face anchor_shape")])
+            self._launch(self._kernels.end_step, side, columns, STICK, self._positions(self.surfaces.x))
 
     def friction_state(self) -> list[dict[str, torch.Tensor]]:
         """See `Contact`; empty without friction."""
@@ -211,54 +172,37 @@ class PairContact:
         return [{key: value.clone() for key, value in side.memory.items()} for side in self._sides]
 
     def restore_friction(self, columns: torch.Tensor, state: list[dict[str, torch.Tensor]]) -> None:
-        """See `Contact`."""
         for side, kept in zip(self._sides, state, strict=False):
             for key, value in kept.items():
                 side.memory[key][columns] = value[columns]
 
     def _sum(self, name: str, columns: torch.Tensor) -> torch.Tensor:
-        return sum(side.state[name][columns].sum(dim=1) for side in self._sides)
+        return sum(side.tensors[name][columns].sum(dim=1) for side in self._sides)
 
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return self._sum("energy", columns)
 
-    def carried(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`; there are none."""
-        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
-
-    def follow(self) -> bool:
-        """See `Contact`; nothing does."""
-        return False
-
-    def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`; there is none."""
-        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
-
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         return self._sum("wrong_side", columns)
 
     def touches(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        return torch.stack([(side.state["gap"][columns] < 0.0).any(dim=1) for side in self._sides]).any(dim=0)
+        return torch.stack([(side.tensors["gap"][columns] < 0.0).any(dim=1) for side in self._sides]).any(dim=0)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`: over the nodes, and between them at the last `extend_patch`."""
-        at_nodes = torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0)
+        at_nodes = torch.stack([-side.tensors["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0)
         return torch.maximum(at_nodes, self._overlap[columns]).clamp(min=0.0)
 
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """See `Contact`; nodes have no area, and the radius is not measured."""
-        points = torch.stack([(side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides]).sum(dim=0)
+        points = torch.stack([(side.tensors["gap"][columns] < 0.0).sum(dim=1) for side in self._sides]).sum(dim=0)
         none = torch.full((len(columns),), torch.nan, dtype=torch.float64, device=self.device)
         return points, none, none[:, None]
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
         # a point that has left may still have a limit in this step
-        inside = [side.state["gap"][columns] < 0.0 for side in self._sides]
-        slips = sum((side.state["slips"][columns] * on).sum(dim=1)
+        inside = [side.tensors["gap"][columns] < 0.0 for side in self._sides]
+        slips = sum((side.tensors["slips"][columns] * on).sum(dim=1)
                     for side, on in zip(self._sides, inside, strict=True))
         return slips / sum(on.sum(dim=1) for on in inside).clamp(min=1)
 
@@ -266,28 +210,22 @@ class PairContact:
         """The points in contact, as they were evaluated last."""
         if self._evaluated is not None and torch.equal(self._evaluated.columns, columns):
             return self._evaluated
-        push = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
-        drag = torch.zeros_like(push)
-        active = [(side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0) for side in self._sides]
-        chosen = choose(self._sides, columns, active)
-        roots = [own.of("rows") * own.on[:, :, None, None] for own in chosen]
-        normal = links_of(self.surfaces, columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
-                          [r[:, :, :1] for r in roots],
-                          [r[:, :, :1].norm(dim=3, keepdim=True) * own.of("slope")[:, :, None]
-                           for own, r in zip(chosen, roots, strict=True)])
-        across = None
-        if normal is not None:
-            push = self._share(columns, normal, written(chosen, "push"))
+        none = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
+        self._evaluated = _Evaluated(columns.clone(), None, None, none, none)
+        chosen = ChosenNodes(self.surfaces, columns, [
+            (side.tensors["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0) for side in self._sides])
+        if chosen:
+            roots, axes = chosen.of("rows"), torch.eye(3, dtype=torch.float64, device=self.device)
+            axes, first = axes.expand(*roots.shape[:2], 3, 3), roots[:, :, :1]
+            normal = chosen.links("face", "shape", first,
+                                  first.norm(dim=3, keepdim=True) * chosen.of("slope")[:, :, None])
+            push = chosen.links("face", "shape", axes).push(chosen.of("push").flatten(1))
+            across, drag = None, none
             if self.has_friction:
-                across = links_of(self.surfaces, columns, chosen, [own.anchor() for own in chosen],
-                                  [r[:, :, 1:] for r in roots])
-                drag = self._share(columns, across, written(chosen, "drag"))
-        self._evaluated = _Evaluated(columns.clone(), normal, across, push, drag)
+                across = chosen.links("anchor_face", "anchor_shape", roots[:, :, 1:])
+                drag = chosen.links("anchor_face", "anchor_shape", axes).push(chosen.of("drag").flatten(1))
+            self._evaluated = _Evaluated(self._evaluated.columns, normal, across, push, drag)
         return self._evaluated
-
-    def _share(self, columns: torch.Tensor, links: Links, force: torch.Tensor) -> torch.Tensor:
-        """Nodal forces (k, 3 s) [N] of forces (k, a, 3) [N] of the world at the links."""
-        return links.share(force, force @ self.surfaces.turn[columns])
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`; in the frames of the unknowns."""
@@ -314,7 +252,6 @@ class PairContact:
         return LinkStiffness(self._all_links(columns), self.free[columns])
 
     def block(self, columns: torch.Tensor) -> LinkBlock:
-        """See `Contact`."""
         links = self._all_links(columns)
         assert links is not None, "the contact block exists only where there is contact"
         return LinkBlock.of(links, self.compliance, columns, self.free[columns])
@@ -325,30 +262,26 @@ class PairContact:
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Contact`."""
         return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
 
     def close_nodes(self, columns: torch.Tensor, part: float, close: list[torch.Tensor] | None) -> list[torch.Tensor]:
         """Nodes of both sides (k, Q) bool that are nearer to the other surface than ``part`` of the margin, and those
         ``close`` before."""
-        now = [side.state["gap"][columns] < part * self.surfaces.margin for side in self._sides]
+        now = [side.tensors["gap"][columns] < part * self.surfaces.margin for side in self._sides]
         return now if close is None else [a | b for a, b in zip(now, close, strict=True)]
 
     def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor],
                 ) -> tuple[Links | None, torch.Tensor, torch.Tensor, torch.Tensor]:
         """The nodes ``close``, padded to the largest number p: their links along the normals, gaps (k, p) [m], penalty
         compliances (k, p) [m/N], and whether they touch (k, p) bool. Padding has a gap of 1 m."""
-        chosen = choose(self._sides, columns, close)
+        chosen = ChosenNodes(self.surfaces, columns, close)
         if not chosen:
             none = torch.zeros((len(columns), 0), dtype=torch.float64, device=self.device)
             return None, none, none, none > 0.0
-        links = links_of(self.surfaces, columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
-                         [own.of("normal")[:, :, None] for own in chosen])
-        on = torch.cat([own.on for own in chosen], dim=1) > 0.0
-        gap = torch.cat([own.of("gap") for own in chosen], dim=1)
-        stiffness = self.softening[columns][:, None] * torch.cat([own.stiffness() for own in chosen], dim=1)
-        give = torch.where(on, 1.0 / stiffness.clamp(min=1e-12), 1.0)
-        return links, torch.where(on, gap, 1.0), give, on & (gap < 0.0)
+        gap, stiffness = chosen.of("gap"), self.softening[columns][:, None] * chosen.of("stiffness")
+        give = torch.where(chosen.on, 1.0 / stiffness.clamp(min=1e-12), 1.0)
+        return (chosen.links("face", "shape", chosen.of("normal")[:, :, None]), torch.where(chosen.on, gap, 1.0), give,
+                chosen.on & (gap < 0.0))
 
     def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
         """Friction forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make their stiffness (None
@@ -359,28 +292,16 @@ class PairContact:
         if not stuck or not self.has_friction:
             found = self._in_contact(columns)
             return found.drag, found.across
-        chosen = choose(self._sides, columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
+        chosen = ChosenNodes(self.surfaces, columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
         if not chosen:
             return torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device), None
-        penalty = torch.cat([own.stiffness() * own.on for own in chosen], dim=1)
-        stiffness = STICK * self.softening[columns][:, None] * penalty
-        normal = torch.cat([own.side.memory["across"][own.at] for own in chosen], dim=1)
+        stiffness = STICK * self.softening[columns][:, None] * chosen.of("stiffness")
+        normal = chosen.of("across")
         axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
         first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
-        directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2) * stiffness.sqrt()[:, :, None, None]
-        links = links_of(self.surfaces, columns, chosen, [own.anchor() for own in chosen], [directions])
-        slip = torch.cat([own.of("slip") for own in chosen], dim=1)
-        return self._share(columns, links, -stiffness[:, :, None] * slip), links
-
-    def remember(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`: nodal forces (3 N, B) [N] on all nodes of both bodies; ``columns`` are all touches."""
-        return self.no_force().scatter_add_(0, self._patch.index.T, self.nodal(columns).T)
-
-    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        return remembered.gather(0, self._patch.index.T).T * self.mask
-
-    def no_force(self) -> torch.Tensor:
-        """See `Contact`."""
-        size = 3 * (len(self.model.mesh.points) + len(self.sensor.mesh.points))
-        return torch.zeros((size, self.batch), dtype=torch.float64, device=self.device)
+        # the friction is along these two: its ways are across the normal
+        directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2)
+        root = stiffness.sqrt()[:, :, None]
+        links = chosen.links("anchor_face", "anchor_shape", directions * root[..., None])
+        ways = (directions @ chosen.of("slip")[..., None])[..., 0]
+        return links.push(-(root * ways).flatten(1)), links

@@ -37,7 +37,8 @@ FIXED, NEW = 1, 2
 
 @functools.cache
 def kernels() -> Any:
-    """The kernels of the pair and their types."""
+    """The kernels of the pair and their types. ``Side`` are the Q nodes of one surface and the F faces of the other
+    one that they may meet, of B touches; arrays are written in place."""
     vec6 = wp.types.vector(length=6, dtype=real)
     vec_most = wp.types.vector(length=CANDIDATES, dtype=real)
     module = "vsfsim_pair_contact"
@@ -47,10 +48,45 @@ def kernels() -> Any:
     most_anchorings = wp.constant(friction.ANCHORINGS)
     fixed, new = wp.constant(FIXED), wp.constant(NEW)
 
+    class Side:
+        corners: int  # nodes of a face, 3 or 6
+        first: int  # number of the first node in the positions x of a touch; the others follow it
+        facet: wp.array3d(dtype=wp.int32)  # corners of a face that each node is on (B, Q, 3)
+        stiffness: wp.array2d(dtype=real)  # penalty of each node (B, Q) [N/m]; 0 is padding
+        faces: wp.array3d(dtype=wp.int32)  # (B, F, corners)
+        count: wp.array(dtype=wp.int32)  # faces in use (B,)
+        smooth: wp.array3d(dtype=vec3)  # blended normals at the corners of the faces (B, F, corners) [-]
+        softening: wp.array(dtype=real)  # (B,), as in `interface`
+        candidates: wp.array3d(dtype=wp.int32)  # faces that each node may meet (B, Q, CANDIDATES); -1 is padding
+        # memory of friction, and its iteration in a step, see `friction`
+        anchored: wp.array2d(dtype=wp.int32)
+        anchor_face: wp.array2d(dtype=wp.int32)
+        anchor_shape: wp.array2d(dtype=vec6)
+        limit: wp.array2d(dtype=real)
+        across: wp.array2d(dtype=vec3)
+        renewals: wp.array(dtype=wp.int32)
+        anchorings: wp.array2d(dtype=wp.int32)
+        damping: wp.array2d(dtype=real)
+        change: wp.array2d(dtype=real)
+        residual: wp.array2d(dtype=real)
+        # what `evaluate` finds
+        gap: wp.array2d(dtype=real)
+        face: wp.array2d(dtype=wp.int32)
+        shape: wp.array2d(dtype=vec6)
+        normal: wp.array2d(dtype=vec3)
+        slope: wp.array2d(dtype=vec3)
+        push: wp.array2d(dtype=vec3)
+        drag: wp.array2d(dtype=vec3)
+        slip: wp.array2d(dtype=vec3)
+        rows: wp.array2d(dtype=mat33)
+        slips: wp.array2d(dtype=wp.int32)
+        wrong_side: wp.array2d(dtype=wp.int32)
+        energy: wp.array2d(dtype=real)
+
+    Side = wp.struct(Side, module=module)
+
     @wp.func(module=module)
-    def meet(p: vec3, b: int, q: int, nodes: int, candidates: wp.array3d(dtype=wp.int32),
-             faces: wp.array3d(dtype=wp.int32),
-             x: wp.array2d(dtype=vec3)):
+    def meet(s: Side, p: vec3, b: int, q: int, x: wp.array2d(dtype=vec3)):
         # the nearest point among the candidates: face (-1: none), shape values, signed distance, unit normal out of the
         # other body
         found = int(-1)  # noqa: UP018, RUF046
@@ -60,9 +96,9 @@ def kernels() -> Any:
         least = real(1e30)
         best_height = real(0.0)
         for k in range(most):
-            face = candidates[b, q, k]
+            face = s.candidates[b, q, k]
             if face >= 0:
-                n, c, out = near.nearest(p, b, face, nodes, faces, x)
+                n, c, out = near.nearest(p, b, face, s.corners, s.faces, x)
                 delta = p - c
                 far = wp.length(delta)
                 height = wp.dot(delta, out)
@@ -81,41 +117,29 @@ def kernels() -> Any:
         return found, shape, gap, normal
 
     @wp.func(module=module)
-    def place(b: int, face: int, nodes: int, shape: vec6, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+    def place(s: Side, b: int, face: int, shape: vec6, x: wp.array2d(dtype=vec3)):
         out = vec3()
-        for i in range(nodes):
-            out += shape[i] * x[b, faces[b, face, i]]
+        for i in range(s.corners):
+            out += shape[i] * x[b, s.faces[b, face, i]]
         return out
 
     @wp.kernel(module=module, enable_backward=False)
-    def search(
-        # model
-        columns: wp.array(dtype=wp.int32),
-        within: real,
-        first: int,
-        stiffness: wp.array2d(dtype=real),
-        faces: wp.array3d(dtype=wp.int32),
-        count: wp.array(dtype=wp.int32),
-        # state in
-        x_in: wp.array2d(dtype=vec3),
-        # state out
-        candidates_out: wp.array3d(dtype=wp.int32),
-    ):
+    def search(s: Side, columns: wp.array(dtype=wp.int32), within: real, x_in: wp.array2d(dtype=vec3)):
         # the nearest faces of the other surface to every point, no further than ``within``, nearest first
         q, k = wp.tid()
         b = columns[k]
         for i in range(most):
-            candidates_out[b, q, i] = -1
-        if stiffness[b, q] <= real(0.0):
+            s.candidates[b, q, i] = -1
+        if s.stiffness[b, q] <= real(0.0):
             return
-        p = x_in[b, first + q]
+        p = x_in[b, s.first + q]
         held = int(0)  # noqa: UP018, RUF046
         worst = within
         far_of = vec_most()
-        for face in range(count[b]):
-            x0 = x_in[b, faces[b, face, 0]]
-            x1 = x_in[b, faces[b, face, 1]]
-            x2 = x_in[b, faces[b, face, 2]]
+        for face in range(s.count[b]):
+            x0 = x_in[b, s.faces[b, face, 0]]
+            x1 = x_in[b, s.faces[b, face, 1]]
+            x2 = x_in[b, s.faces[b, face, 2]]
             middle = (x0 + x1 + x2) / real(3.0)
             reach = wp.max(wp.length(x0 - middle), wp.max(wp.length(x1 - middle), wp.length(x2 - middle)))
             if wp.length(p - middle) - reach < worst:
@@ -127,75 +151,31 @@ def kernels() -> Any:
                     at = held - 1
                     while at > 0 and far_of[wp.max(at - 1, 0)] > far:
                         far_of[at] = far_of[at - 1]
-                        candidates_out[b, q, at] = candidates_out[b, q, at - 1]
+                        s.candidates[b, q, at] = s.candidates[b, q, at - 1]
                         at -= 1
                     far_of[at] = far
-                    candidates_out[b, q, at] = face
+                    s.candidates[b, q, at] = face
                     if held == most:
                         worst = far_of[most - 1]
 
     @wp.kernel(module=module, enable_backward=False)
-    def mark(
-        # model
-        nodes: int,
-        columns: wp.array(dtype=wp.int32),
-        first: int,
-        faces: wp.array3d(dtype=wp.int32),
-        # state in
-        candidates_in: wp.array3d(dtype=wp.int32),
-        anchored_in: wp.array2d(dtype=wp.int32),
-        anchor_face_in: wp.array2d(dtype=wp.int32),
-        # state out
-        near_out: wp.array2d(dtype=wp.int32),
-    ):
+    def mark(s: Side, columns: wp.array(dtype=wp.int32), near_out: wp.array2d(dtype=wp.int32)):
         # nodes that may take part in this step; all threads write the same value
         q, k = wp.tid()
         b = columns[k]
-        if candidates_in[b, q, 0] >= 0 or anchored_in[b, q] > 0:
-            near_out[b, first + q] = 1
+        if s.candidates[b, q, 0] >= 0 or s.anchored[b, q] > 0:
+            near_out[b, s.first + q] = 1
             for c in range(most):
-                face = candidates_in[b, q, c]
+                face = s.candidates[b, q, c]
                 if face >= 0:
-                    for i in range(nodes):
-                        near_out[b, faces[b, face, i]] = 1
-            if anchored_in[b, q] > 0:
-                for i in range(nodes):
-                    near_out[b, faces[b, anchor_face_in[b, q], i]] = 1
+                    for i in range(s.corners):
+                        near_out[b, s.faces[b, face, i]] = 1
+            if s.anchored[b, q] > 0:
+                for i in range(s.corners):
+                    near_out[b, s.faces[b, s.anchor_face[b, q], i]] = 1
 
     @wp.kernel(module=module, enable_backward=False)
-    def evaluate(
-        # model
-        nodes: int,
-        columns: wp.array(dtype=wp.int32),
-        first: int,
-        facet: wp.array3d(dtype=wp.int32),
-        stiffness: wp.array2d(dtype=real),
-        faces: wp.array3d(dtype=wp.int32),
-        smooth: wp.array3d(dtype=vec3),
-        softening: wp.array(dtype=real),
-        stick: real,
-        # state in
-        x_in: wp.array2d(dtype=vec3),
-        candidates_in: wp.array3d(dtype=wp.int32),
-        anchored_in: wp.array2d(dtype=wp.int32),
-        anchor_face_in: wp.array2d(dtype=wp.int32),
-        anchor_shape_in: wp.array2d(dtype=vec6),
-        limit_in: wp.array2d(dtype=real),
-        across_in: wp.array2d(dtype=vec3),
-        # state out
-        gap_out: wp.array2d(dtype=real),
-        face_out: wp.array2d(dtype=wp.int32),
-        shape_out: wp.array2d(dtype=vec6),
-        normal_out: wp.array2d(dtype=vec3),
-        slope_out: wp.array2d(dtype=vec3),
-        push_out: wp.array2d(dtype=vec3),
-        drag_out: wp.array2d(dtype=vec3),
-        slip_out: wp.array2d(dtype=vec3),
-        rows_out: wp.array2d(dtype=mat33),
-        slips_out: wp.array2d(dtype=wp.int32),
-        wrong_side_out: wp.array2d(dtype=wp.int32),
-        energy_out: wp.array2d(dtype=real),
-    ):
+    def evaluate(s: Side, columns: wp.array(dtype=wp.int32), stick: real, x_in: wp.array2d(dtype=vec3)):
         q, k = wp.tid()
         b = columns[k]
         push = vec3()
@@ -210,18 +190,18 @@ def kernels() -> Any:
         shape = vec6()
         n = vec3()
         slope = vec3()
-        w = softening[b] * stiffness[b, q]
-        if w > real(0.0) and (candidates_in[b, q, 0] >= 0 or limit_in[b, q] > real(0.0)):
-            p = x_in[b, first + q]
-            if candidates_in[b, q, 0] >= 0:
-                face, shape, gap, slope = meet(p, b, q, nodes, candidates_in, faces, x_in)
+        w = s.softening[b] * s.stiffness[b, q]
+        if w > real(0.0) and (s.candidates[b, q, 0] >= 0 or s.limit[b, q] > real(0.0)):
+            p = x_in[b, s.first + q]
+            if s.candidates[b, q, 0] >= 0:
+                face, shape, gap, slope = meet(s, p, b, q, x_in)
                 n = vec3()
-                for i in range(nodes):
-                    n += shape[i] * smooth[b, face, i]
+                for i in range(s.corners):
+                    n += shape[i] * s.smooth[b, face, i]
                 n = wp.normalize(n)
                 if gap < real(0.0):
-                    y0 = x_in[b, facet[b, q, 0]]
-                    own = wp.normalize(wp.cross(x_in[b, facet[b, q, 1]] - y0, x_in[b, facet[b, q, 2]] - y0))
+                    y0 = x_in[b, s.facet[b, q, 0]]
+                    own = wp.normalize(wp.cross(x_in[b, s.facet[b, q, 1]] - y0, x_in[b, s.facet[b, q, 2]] - y0))
                     if wp.dot(n, own) > facing:
                         # the nearest way out leads on: the point has passed the middle of the other body
                         wrong = 1
@@ -231,10 +211,10 @@ def kernels() -> Any:
                     for c in range(3):
                         rows[0, c] = wp.sqrt(w) * n[c]
                     energy += real(0.5) * w * gap * gap
-            limit = limit_in[b, q]
+            limit = s.limit[b, q]
             if limit > real(0.0):
-                m = across_in[b, q]
-                d = friction.tangential(p - place(b, anchor_face_in[b, q], nodes, anchor_shape_in[b, q], faces, x_in),
+                m = s.across[b, q]
+                d = friction.tangential(p - place(s, b, s.anchor_face[b, q], s.anchor_shape[b, q], x_in),
                                         m)
                 v = stick * w
                 drag = -friction.force(d, v, limit)
@@ -245,131 +225,85 @@ def kernels() -> Any:
                     rows[2, c] = sideways[c]
                 if not friction.sticks(wp.length(d), v, limit):
                     slips = 1
-        gap_out[b, q] = gap
-        face_out[b, q] = face
-        shape_out[b, q] = shape
-        normal_out[b, q] = n
-        slope_out[b, q] = slope
-        push_out[b, q] = push
-        drag_out[b, q] = drag
-        slip_out[b, q] = d
-        rows_out[b, q] = rows
-        slips_out[b, q] = slips
-        wrong_side_out[b, q] = wrong
-        energy_out[b, q] = energy
+        s.gap[b, q] = gap
+        s.face[b, q] = face
+        s.shape[b, q] = shape
+        s.normal[b, q] = n
+        s.slope[b, q] = slope
+        s.push[b, q] = push
+        s.drag[b, q] = drag
+        s.slip[b, q] = d
+        s.rows[b, q] = rows
+        s.slips[b, q] = slips
+        s.wrong_side[b, q] = wrong
+        s.energy[b, q] = energy
 
     @wp.kernel(module=module, enable_backward=False)
-    def update_friction(
-        # model
-        nodes: int,
-        columns: wp.array(dtype=wp.int32),
-        first: int,
-        stiffness: wp.array2d(dtype=real),
-        faces: wp.array3d(dtype=wp.int32),
-        softening: wp.array(dtype=real),
-        coefficient: real,
-        renewals: wp.array(dtype=wp.int32),
-        # state in
-        candidates_in: wp.array3d(dtype=wp.int32),
-        x_before: wp.array2d(dtype=vec3),
-        x_swept: wp.array2d(dtype=vec3),
-        gap_in: wp.array2d(dtype=real),
-        face_in: wp.array2d(dtype=wp.int32),
-        shape_in: wp.array2d(dtype=vec6),
-        normal_in: wp.array2d(dtype=vec3),
-        # state out
-        anchored_out: wp.array2d(dtype=wp.int32),
-        anchor_face_out: wp.array2d(dtype=wp.int32),
-        anchor_shape_out: wp.array2d(dtype=vec6),
-        limit_out: wp.array2d(dtype=real),
-        across_out: wp.array2d(dtype=vec3),
-        anchorings_out: wp.array2d(dtype=wp.int32),
-        damping_out: wp.array2d(dtype=real),
-        change_out: wp.array2d(dtype=real),
-        residual_out: wp.array2d(dtype=real),
-    ):
+    def update_friction(s: Side, columns: wp.array(dtype=wp.int32), coefficient: real, x_before: wp.array2d(dtype=vec3),
+                        x_swept: wp.array2d(dtype=vec3)):
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         q, k = wp.tid()
         b = columns[k]
         limit = real(0.0)
-        g = gap_in[b, q]
+        g = s.gap[b, q]
         if g < real(0.0):
-            limit = -coefficient * softening[b] * stiffness[b, q] * g
-            across_out[b, q] = normal_in[b, q]
-            if anchored_out[b, q] == 0 or (anchored_out[b, q] == new and anchorings_out[b, q] < most_anchorings):
-                anchorings_out[b, q] = anchorings_out[b, q] + 1
+            limit = -coefficient * s.softening[b] * s.stiffness[b, q] * g
+            s.across[b, q] = s.normal[b, q]
+            if s.anchored[b, q] == 0 or (s.anchored[b, q] == new and s.anchorings[b, q] < most_anchorings):
+                s.anchorings[b, q] = s.anchorings[b, q] + 1
                 # where the other surface met the point in this step if both had kept their shapes; where the point is
                 # now if it did not, because a surface bulged up
-                face = face_in[b, q]
-                shape = shape_in[b, q]
-                face0, _shape0, g0, _n0 = meet(x_before[b, first + q], b, q, nodes, candidates_in, faces, x_before)
-                face1, shape1, g1, n1 = meet(x_swept[b, first + q], b, q, nodes, candidates_in, faces, x_swept)
+                face = s.face[b, q]
+                shape = s.shape[b, q]
+                face0, _shape0, g0, _n0 = meet(s, x_before[b, s.first + q], b, q, x_before)
+                face1, shape1, g1, n1 = meet(s, x_swept[b, s.first + q], b, q, x_swept)
                 if face1 >= 0 and g1 < real(0.0):
                     face = face1
                     shape = shape1
                     if face0 >= 0 and g0 > real(0.0):
                         part = g0 / (g0 - g1)
-                        p = (real(1.0) - part) * x_before[b, first + q] + part * x_swept[b, first + q]
+                        p = (real(1.0) - part) * x_before[b, s.first + q] + part * x_swept[b, s.first + q]
                         # the face that it met, at that part of its way
-                        c0 = place(b, face1, nodes, shape1, faces, x_before)
-                        c1 = place(b, face1, nodes, shape1, faces, x_swept)
+                        c0 = place(s, b, face1, shape1, x_before)
+                        c1 = place(s, b, face1, shape1, x_swept)
                         moved = c1 + friction.tangential(p - ((real(1.0) - part) * c0 + part * c1), n1)
-                        face, shape, _g2, _n2 = meet(moved, b, q, nodes, candidates_in, faces, x_swept)
-                anchor_face_out[b, q] = face
-                anchor_shape_out[b, q] = shape
-                anchored_out[b, q] = new
-        limit, damping, change, residual = friction.relaxed(limit, limit_out[b, q], damping_out[b, q],
-                                                            change_out[b, q], renewals[b])
-        limit_out[b, q] = limit
-        damping_out[b, q] = damping
-        change_out[b, q] = change
-        residual_out[b, q] = residual
+                        face, shape, _g2, _n2 = meet(s, moved, b, q, x_swept)
+                s.anchor_face[b, q] = face
+                s.anchor_shape[b, q] = shape
+                s.anchored[b, q] = new
+        limit, damping, change, residual = friction.relaxed(limit, s.limit[b, q], s.damping[b, q],
+                                                            s.change[b, q], s.renewals[b])
+        s.limit[b, q] = limit
+        s.damping[b, q] = damping
+        s.change[b, q] = change
+        s.residual[b, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)
-    def end_step(
-        # model
-        nodes: int,
-        columns: wp.array(dtype=wp.int32),
-        first: int,
-        stiffness: wp.array2d(dtype=real),
-        faces: wp.array3d(dtype=wp.int32),
-        stick: real,
-        # state in
-        x_in: wp.array2d(dtype=vec3),
-        candidates_in: wp.array3d(dtype=wp.int32),
-        gap_in: wp.array2d(dtype=real),
-        limit_in: wp.array2d(dtype=real),
-        across_in: wp.array2d(dtype=vec3),
-        # state out
-        anchored_out: wp.array2d(dtype=wp.int32),
-        anchor_face_out: wp.array2d(dtype=wp.int32),
-        anchor_shape_out: wp.array2d(dtype=vec6),
-    ):
+    def end_step(s: Side, columns: wp.array(dtype=wp.int32), stick: real, x_in: wp.array2d(dtype=vec3)):
         # points that slipped drag their anchor along, points that left lose it
         q, k = wp.tid()
         b = columns[k]
-        if gap_in[b, q] >= real(0.0):
-            anchored_out[b, q] = 0
-        elif anchored_out[b, q] > 0:
-            anchored_out[b, q] = fixed
-            m = across_in[b, q]
-            at = place(b, anchor_face_out[b, q], nodes, anchor_shape_out[b, q], faces, x_in)
-            d = friction.tangential(x_in[b, first + q] - at, m)
+        if s.gap[b, q] >= real(0.0):
+            s.anchored[b, q] = 0
+        elif s.anchored[b, q] > 0:
+            s.anchored[b, q] = fixed
+            m = s.across[b, q]
+            at = place(s, b, s.anchor_face[b, q], s.anchor_shape[b, q], x_in)
+            d = friction.tangential(x_in[b, s.first + q] - at, m)
             way = wp.length(d)
-            v = stick * stiffness[b, q]
-            if not friction.sticks(way, v, limit_in[b, q]):
+            v = stick * s.stiffness[b, q]
+            if not friction.sticks(way, v, s.limit[b, q]):
                 # the place on the surface that the point pulls at with its limit; the surfaces are curved, so it takes
                 # a few steps to find
-                left = limit_in[b, q] / v
+                left = s.limit[b, q] / v
                 for _i in range(4):
-                    face, shape, _g, _n = meet(at + (real(1.0) - left / way) * d, b, q, nodes, candidates_in, faces,
-                                               x_in)
+                    face, shape, _g, _n = meet(s, at + (real(1.0) - left / way) * d, b, q, x_in)
                     if face >= 0:
-                        anchor_face_out[b, q] = face
-                        anchor_shape_out[b, q] = shape
-                        at = place(b, face, nodes, shape, faces, x_in)
-                        d = friction.tangential(x_in[b, first + q] - at, m)
+                        s.anchor_face[b, q] = face
+                        s.anchor_shape[b, q] = shape
+                        at = place(s, b, face, shape, x_in)
+                        d = friction.tangential(x_in[b, s.first + q] - at, m)
                         way = wp.max(wp.length(d), real(1e-15))
 
     return SimpleNamespace(search=search, mark=mark, evaluate=evaluate, update_friction=update_friction,
-                           end_step=end_step, vec3=vec3, vec6=vec6, mat33=mat33)
+                           end_step=end_step, Side=Side, vec3=vec3, vec6=vec6, mat33=mat33)

@@ -1,20 +1,17 @@
 """Links between the points in contact of two surfaces, as sparse rows over the displacements of the patches.
 
-A link is a point of one surface and its place on the other, with one or more directions; J v is the relative
-displacement along each. Where forces act along other directions than the one along which a displacement counts, J^T is
-short for the rows of the forces. A row depends on a few nodes of the patch. A is the compliance of both bodies at rest.
+A link is a point of one surface and its place on the other. A row J is a direction of a link: J v is the relative
+displacement along it. Where forces act along other directions than the one along which a displacement counts, J^T is
+short for the rows of the forces. A row depends on a few nodes of the patch, so that products with compliances cost
+(rows x patch x nodes of a row). A is the compliance of both bodies at rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+from dataclasses import dataclass, replace
 
 import torch
-import warp as wp
-
-from vsfsim.physics.contact.pair import rows
-
-_OF_EACH = ("node", "weight", "world", "own", "slope_world", "slope_own", "table")  # tensors of `Links`
 
 
 @dataclass(frozen=True)
@@ -35,91 +32,85 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Links:
-    """Links of k touches, a each, with m directions; padding has weight 0."""
+    """Rows of k touches, r each; padding has weight 0."""
 
     split: int
     """First patch node of the sensor; the object's come before it."""
+    count: int
+    """Nodes of a patch s."""
     node: torch.Tensor
-    """Patch nodes that each link depends on (k, a, n), int32."""
-    weight: torch.Tensor
-    """Their weights (k, a, n) [-]."""
-    world: torch.Tensor
-    """Directions in the world, times any factor of the rows (k, a, m, 3)."""
-    own: torch.Tensor
-    """The same directions in the sensor's frame (k, a, m, 3)."""
-    slope_world: torch.Tensor
-    """Directions along which a displacement counts, in the world (k, a, m, 3); forces act along `world`."""
-    slope_own: torch.Tensor
-    """The same in the sensor's frame (k, a, m, 3)."""
-    table: torch.Tensor
-    """The weights of all patch nodes (k, a, s) [-]."""
+    """Patch nodes that each row depends on (k, r, n); those that have a weight differ."""
+    force: torch.Tensor
+    """Forces on these nodes under a unit force along the row (k, r, n, 3), the object's in the world, the sensor's in
+    its frame, times any factor of the row."""
+    slope: torch.Tensor
+    """How the displacements of these nodes count (k, r, n, 3), likewise."""
 
     @classmethod
-    def of(cls, split: int, count: int, node: torch.Tensor, weight: torch.Tensor, world: torch.Tensor,
-           own: torch.Tensor, slope_world: torch.Tensor, slope_own: torch.Tensor) -> Links:
-        """Links on a patch with ``count`` nodes; the nodes of a link that have a weight must differ."""
-        table = torch.zeros((*node.shape[:2], count), dtype=torch.float64, device=node.device)
-        table.scatter_add_(2, node, weight)  # padding adds 0
-        return cls(split, node.to(torch.int32), weight, world, own, slope_world, slope_own, table)
+    def of(cls, split: int, count: int, node: torch.Tensor, weight: torch.Tensor, turn: torch.Tensor,
+           world: torch.Tensor, slope: torch.Tensor | None = None) -> Links:
+        """The m rows of each of a links of k touches.
+
+        Args:
+            split, count: see the fields.
+            node, weight: patch nodes of each link (k, a, n) and their weights [-].
+            turn: rotations of the sensor (k, 3, 3).
+            world: directions in the world (k, a, m, 3).
+            slope: those along which a displacement counts, likewise; None for the same.
+        """
+        each, on_sensor = world.shape[2], (node >= split)[:, :, None, :, None]
+
+        def spread(direction: torch.Tensor) -> torch.Tensor:
+            own = torch.where(on_sensor, (direction @ turn[:, None])[:, :, :, None], direction[:, :, :, None])
+            return (weight[:, :, None, :, None] * own).flatten(1, 2)
+
+        force = spread(world)
+        return cls(split, count, node.repeat_interleave(each, dim=1), force, force if slope is None else spread(slope))
 
     def pick(self, which: torch.Tensor) -> Links:
         """Those of some of the touches (j,)."""
-        return Links(self.split, *(some(getattr(self, name), which) for name in _OF_EACH))
+        return replace(self, **{name: some(getattr(self, name), which) for name in ("node", "force", "slope")})
 
     def beside(self, other: Links) -> Links:
-        """These links and others of the same patches, each direction as a link of its own."""
-        one, two = self._single(), other._single()
-        return Links(self.split, *(torch.cat([getattr(one, name), getattr(two, name)], dim=1) for name in _OF_EACH))
-
-    def _single(self) -> Links:
-        m = self.world.shape[2]
-        if m == 1:
-            return self
-        node, weight, table = (getattr(self, name).repeat_interleave(m, dim=1) for name in ("node", "weight", "table"))
-        return Links(self.split, node, weight, *(d.flatten(1, 2)[:, :, None] for d in (
-            self.world, self.own, self.slope_world, self.slope_own)), table)
+        """These rows and others of the same patches."""
+        return replace(self, **{name: torch.cat([getattr(self, name), getattr(other, name)], dim=1)
+                                for name in ("node", "force", "slope")})
 
     def jump(self, v: torch.Tensor) -> torch.Tensor:
-        """J v (k, a m) for displacements v (k, 3 s)."""
-        x, split = v.view(len(v), -1, 3), self.split
-        world, own = self.table[:, :, :split] @ x[:, :split], self.table[:, :, split:] @ x[:, split:]
-        return ((self.slope_world * world[:, :, None]).sum(dim=3)
-                + (self.slope_own * own[:, :, None]).sum(dim=3)).flatten(1)
+        """J v (k, r) for displacements v (k, 3 s)."""
+        return torch.sparse.mm(self._counts, v.reshape(-1, 1)).view(self.node.shape[:2])
 
     def push(self, force: torch.Tensor) -> torch.Tensor:
-        """J^T f (k, 3 s) for f (k, a m)."""
-        f = force.view(*self.world.shape[:3], 1)
-        return self.share((f * self.world).sum(dim=2), (f * self.own).sum(dim=2))
-
-    def share(self, world: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-        """Nodal forces (k, 3 s) of a force at every link, given in both frames (k, a, 3)."""
-        return torch.cat([self.table[:, :, :self.split].mT @ world, self.table[:, :, self.split:].mT @ own],
-                         dim=1).flatten(1)
-
-    def _arrays(self, world: torch.Tensor, own: torch.Tensor) -> list[wp.array]:
-        vec3 = rows.kernels().vec3
-        return [wp.from_torch(self.node.contiguous()), wp.from_torch(self.weight.contiguous()),
-                wp.from_torch(world.contiguous(), dtype=vec3), wp.from_torch(own.contiguous(), dtype=vec3)]
+        """J^T f (k, 3 s) for f (k, r)."""
+        return torch.sparse.mm(self._pushes.t(), force.reshape(-1, 1)).view(len(force), 3 * self.count)
 
     def responses(self, compliance: Compliance, columns: torch.Tensor) -> torch.Tensor:
-        """J A (k, a m, s, 3) [m/N]: displacements of the patches of ``columns`` (k,) under a unit force along each
-        row."""
-        kernels, (k, a, m, _), s = rows.kernels(), self.world.shape, self.table.shape[2]
-        out = torch.empty((k, a * m, s, 3), dtype=torch.float64, device=self.node.device)
-        wp.launch(kernels.responses, dim=(k, a * m, s), device=str(out.device), inputs=[
-            wp.from_torch(columns.to(torch.int32)), self.split, wp.from_torch(compliance.on_object),
-            wp.from_torch(compliance.on_sensor), *self._arrays(self.world, self.own),
-            wp.from_torch(out, dtype=kernels.vec3)])
-        return out
+        """J A (k, r, 3 s) [m/N]: displacements of the patches of ``columns`` (k,) under a unit force along each row."""
+        bodies = (0, self.split, compliance.on_object), (self.split, self.count, compliance.on_sensor)
+        return torch.cat([torch.sparse.mm(self._rows(self.force, first, end), some(own, columns).flatten(0, 1)).view(
+            *self.node.shape[:2], 3 * (end - first)) for first, end, own in bodies], dim=2)
 
     def gram(self, x: torch.Tensor) -> torch.Tensor:
-        """J X^T (k, a m, r) for rows X (k, r, s, 3)."""
-        kernels, (k, a, m, _) = rows.kernels(), self.world.shape
-        out = torch.empty((k, a * m, x.shape[1]), dtype=torch.float64, device=self.node.device)
-        wp.launch(kernels.gram, dim=(k, x.shape[1], a), device=str(out.device), inputs=[
-            self.split, *self._arrays(self.slope_world, self.slope_own), wp.from_torch(x, dtype=kernels.vec3),
-            wp.from_torch(out)])
-        return out
+        """J X^T (k, r, q) for rows X (k, q, 3 s)."""
+        return torch.sparse.mm(self._counts, x.mT.flatten(0, 1)).view(*self.node.shape[:2], x.shape[1])
+
+    @functools.cached_property
+    def _pushes(self) -> torch.Tensor:
+        return self._rows(self.force, 0, self.count)
+
+    @functools.cached_property
+    def _counts(self) -> torch.Tensor:
+        return self._rows(self.slope, 0, self.count)
+
+    def _rows(self, values: torch.Tensor, first: int, end: int) -> torch.Tensor:
+        """The rows of all touches on the nodes from ``first`` to ``end`` of their patches, a block diagonal matrix
+        (k r, 3 k (end - first))."""
+        (k, r, _), width, three = self.node.shape, 3 * (end - first), torch.arange(3, device=values.device)
+        touch, row, at = ((self.node >= first) & (self.node < end) & (values != 0.0).any(dim=3)).nonzero(as_tuple=True)
+        column = (touch * width + 3 * (self.node[touch, row, at] - first))[:, None] + three
+        index = torch.stack([(touch * r + row)[:, None].expand(-1, 3), column]).flatten(1)
+        return torch.sparse_coo_tensor(index, values[touch, row, at].flatten(), (k * r, k * width),
+                                       check_invariants=False)
 
 
 def some(table: torch.Tensor, which: torch.Tensor) -> torch.Tensor:

@@ -15,17 +15,15 @@ import torch
 import warp as wp
 
 from vsfsim.physics.contact import closest_point
+from vsfsim.physics.contact.intrusion import rim_disk
 from vsfsim.physics.contact.patch import shape_values
-from vsfsim.physics.contact.sheet_intrusion import rim_disk
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
 _DEEP = 0.1  # that depth over the smaller of both element sizes
 _SPACING = 0.4  # of the points on a face over the smaller of both element sizes
 _STEPS = (3, 16)  # least and most steps of the grid on a face
-_PLAIN = 0.999  # cosine between a normal and the way to a point above which the nearest point is not on an edge
 _MOST_FACES = 96  # faces of the other body that are kept as those that may be close to a face
-_BULGE = 1.2  # of the ball about a quadratic face, which bulges beyond its nodes
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class PairOverlap:
         x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         x[:, self._count:] = x[:, self._count:] @ turn.mT + origin
         at = wp.from_torch(x.contiguous(), dtype=k.vec3)
-        balls = [self._balls(s, count, at) for s in (self._sensor, self._object)]
+        balls = [closest_point.balls(x, s.faces) for s in (self._sensor, self._object)]
         out = []
         for i, (own, other) in enumerate(((self._sensor, self._object), (self._object, self._sensor))):
             depth = torch.zeros((count, own.faces.shape[1]), dtype=torch.float64, device=self.device)
@@ -99,14 +97,6 @@ class PairOverlap:
                 *(wp.from_torch(balls[j], dtype=k.vec4) for j in (i, 1 - i)), at, wp.from_torch(depth)])
             out.append(depth)
         return torch.cat(out, dim=1).amax(dim=1)
-
-    def _balls(self, surface: _Surface, count: int, at: wp.array) -> torch.Tensor:
-        """Balls about the faces of a surface: middles and radii (k, F, 4) [m]."""
-        out = torch.zeros((count, surface.faces.shape[1], 4), dtype=torch.float64, device=self.device)
-        wp.launch(kernels().enclose, dim=out.shape[:2], device=self.device, inputs=[
-            surface.faces.shape[2], wp.from_torch(surface.faces.expand(count, -1, -1)), at,
-            wp.from_torch(out, dtype=kernels().vec4)])
-        return out
 
     def _within(self, balls: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
         """The faces (k, P) whose ``balls`` (k, F, 4) come within the margin of the box about ``others`` (k, G, 4),
@@ -126,59 +116,13 @@ def kernels() -> Any:
     vec4 = wp.types.vector(length=4, dtype=real)
     module = "vsfsim_pair_overlap"
     closest = closest_point.functions(module)
-    bulge = wp.constant(real(_BULGE))
-    plain = wp.constant(real(_PLAIN))
     most = wp.constant(_MOST_FACES)
     list_t = wp.types.vector(length=_MOST_FACES, dtype=wp.int32)
-    half_turn = wp.constant(real(np.pi))
-
-    @wp.kernel(module=module, enable_backward=False)
-    def enclose(
-        # model
-        nodes: int,
-        faces: wp.array3d(dtype=wp.int32),
-        # state in
-        x_in: wp.array2d(dtype=vec3),
-        # state out
-        ball_out: wp.array2d(dtype=vec4),
-    ):
-        # middle and radius of a ball about a face
-        b, f = wp.tid()
-        middle = vec3()
-        for i in range(nodes):
-            middle += x_in[b, faces[b, f, i]] / real(nodes)
-        radius = real(0.0)
-        for i in range(nodes):
-            radius = wp.max(radius, wp.length(x_in[b, faces[b, f, i]] - middle))
-        if nodes == 6:
-            radius = bulge * radius
-        ball_out[b, f] = vec4(middle[0], middle[1], middle[2], radius)
 
     @wp.func(module=module)
     def apart(one: vec4, two: vec4):
         # distance from the middle of the first ball to the second ball
         return wp.length(vec3(one[0] - two[0], one[1] - two[1], one[2] - two[2])) - two[3]
-
-    @wp.func(module=module)
-    def encloses(p: vec3, b: int, nodes: int, faces: wp.array3d(dtype=wp.int32), disk: wp.array2d(dtype=wp.int32),
-                 x: wp.array2d(dtype=vec3)):
-        # whether the surface goes around p: inside, the halves of the solid angles add up to a whole turn
-        angle = real(0.0)
-        for f in range(faces.shape[1]):
-            x0 = x[b, faces[b, f, 0]]
-            x1 = x[b, faces[b, f, 1]]
-            x2 = x[b, faces[b, f, 2]]
-            if nodes == 3:
-                angle += closest.half_angle(p, x0, x1, x2)
-            else:
-                x3 = x[b, faces[b, f, 3]]
-                x4 = x[b, faces[b, f, 4]]
-                x5 = x[b, faces[b, f, 5]]
-                angle += (closest.half_angle(p, x0, x3, x5) + closest.half_angle(p, x3, x1, x4)
-                          + closest.half_angle(p, x5, x4, x2) + closest.half_angle(p, x3, x4, x5))
-        for f in range(disk.shape[0]):
-            angle += closest.half_angle(p, x[b, disk[f, 0]], x[b, disk[f, 1]], x[b, disk[f, 2]])
-        return wp.abs(angle) > half_turn
 
     @wp.kernel(module=module, enable_backward=False)
     def behind(
@@ -249,19 +193,10 @@ def kernels() -> Any:
                 if g >= 0 and g != first:
                     if apart(here, ball_in[b, g]) < least:
                         _v, place, out = closest.nearest(p, b, g, other_nodes, other, x_in)
-                        away = wp.length(p - place)
-                        above = wp.dot(p - place, out)
-                        # of two faces that share the nearest point, the one that it is higher over tells the side
-                        if away < least - real(1e-12) or (away < least + real(1e-12)
-                                                          and wp.abs(above) > wp.abs(height)):
-                            if away < least - real(1e-12):
-                                guess = g
-                            least = away
-                            height = above
-            # where the nearest point is on an edge, the normal of one face may not tell the side
-            if height < real(0.0) and least > deepest and (
-                    -height > plain * least or encloses(p, b, other_nodes, other, disk, x_in)):
+                        least, height, guess = closest.nearer(p, place, out, g, least, height, guess)
+            if height < real(0.0) and least > deepest and closest.encloses(p, height, least, b, other_nodes, other,
+                                                                           disk, x_in):
                 deepest = least
         depth_out[b, f] = deepest
 
-    return SimpleNamespace(enclose=enclose, behind=behind, vec3=vec3, vec4=vec4)
+    return SimpleNamespace(behind=behind, vec3=vec3, vec4=vec4)

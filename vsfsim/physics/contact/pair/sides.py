@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 from scipy.spatial import cKDTree
 
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.pair.kernels import CANDIDATES, kernels
 from vsfsim.physics.contact.patch import PENALTY
+from vsfsim.physics.contact.rigid_kernels import bind
 from vsfsim.physics.model import Model
 
 _BULGE = 0.25
@@ -49,41 +49,25 @@ class Side:
     All tensors are only ever written in place.
     """
 
-    first: int
-    """Number of the first node; the others follow it."""
-    facet: torch.Tensor
-    """Corners of a face that each node is on (B, Q, 3), int32."""
-    stiffness: torch.Tensor
-    """Penalty stiffness of each node (B, Q) [N/m]; 0 is padding."""
-    faces: torch.Tensor
-    """Nodes of the faces of the other surface (B, F, 3 or 6), int32."""
-    count: torch.Tensor
-    """Faces in use (B,), int32."""
-    candidates: torch.Tensor
-    """Faces that each node may meet in this step (B, Q, CANDIDATES), int32; -1 is padding."""
-    state: dict[str, torch.Tensor]
-    """What the kernels wrote in the last evaluation, by name (B, Q, ...)."""
+    tensors: dict[str, torch.Tensor]
+    """All of them by name, as the struct ``Side`` of the kernels says."""
     memory: dict[str, torch.Tensor]
-    """Friction state by name: anchors, limits, normals of the tangent planes (B, Q, ...)."""
+    """Those of them that are the friction state: anchors, limits, normals of the tangent planes (B, Q, ...)."""
     relaxation: Relaxation
     """Iteration of the friction limits in this step."""
     around: torch.Tensor
     """Corners that share the node of each corner (B, F n, most), as face x n + node with n nodes a face; -1 is
     padding."""
-    smooth: torch.Tensor
-    """Normals at the corners of the faces, blended over smoothly joined faces (B, F, n, 3) [-]."""
-    views: dict[str, wp.array]
-    """All tensors as Warp arrays, by name."""
-
-    def arrays(self, names: str) -> list[wp.array]:
-        """Views by their names, separated by blanks."""
-        return [self.views[name] for name in names.split()]
+    first: int
+    """Number of the first node; the others follow it."""
+    points: Any
+    """That struct."""
 
     def blended(self, x: torch.Tensor) -> torch.Tensor:
         """`smooth` at the positions x (B, S, 3) [m] of all nodes."""
-        batch, faces, nodes = self.faces.shape
+        batch, faces, nodes = self.tensors["faces"].shape
         at = torch.arange(batch, device=x.device)[:, None, None]
-        x = x[at, self.faces.long()]  # (B, F, n, 3)
+        x = x[at, self.tensors["faces"].long()]  # (B, F, n, 3)
         first, second = x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]
         if nodes == 3:
             own = torch.linalg.cross(first, second)[:, :, None].expand(-1, -1, 3, -1)
@@ -162,16 +146,14 @@ def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarra
     memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32),
               "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
     relaxation = Relaxation(size, device)
-    model = {"facet": whole(facet), "stiffness": torch.as_tensor(stiffness, device=device), "faces": whole(faces),
-             "count": whole(count), "candidates": zeros(CANDIDATES, dtype=torch.int32) - 1}
-    smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=device)
-    types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33,
-             **dict.fromkeys(("normal", "slope", "push", "drag", "slip", "across", "smooth"), k.vec3)}
-    named = {**model, "smooth": smooth, **state, **memory}
-    views = {**{name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()},
-             **dict(zip(("anchorings", "damping", "change", "residual"), relaxation.arrays, strict=True))}
-    return Side(first, **model, state=state, memory=memory, relaxation=relaxation,
-                around=torch.as_tensor(_around(np.asarray(faces), count), device=device), smooth=smooth, views=views)
+    tensors = {"facet": whole(facet), "stiffness": torch.as_tensor(stiffness, device=device), "faces": whole(faces),
+               "count": whole(count), "candidates": zeros(CANDIDATES, dtype=torch.int32) - 1,
+               "smooth": torch.zeros((*faces.shape, 3), dtype=torch.float64, device=device), **state, **memory}
+    points = k.Side()
+    points.first, points.corners = first, faces.shape[2]
+    bind(k.Side, points, {**tensors, **vars(relaxation)})
+    around = torch.as_tensor(_around(np.asarray(faces), count), device=device)
+    return Side(tensors, memory, relaxation, around, first, points)
 
 
 def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:

@@ -166,15 +166,12 @@ class PairSurfaces:
         every, some = (wp.from_torch(which.to(torch.int32)) for which in (self._every, columns))
         self.near.zero_()
         for side in self.sides:
-            size = side.stiffness.shape
-            wp.launch(k.search, dim=(size[1], len(columns)), device=self.device,
-                      inputs=[some, within, side.first, *side.arrays("stiffness faces count"), x,
-                              *side.arrays("candidates")])
+            size = side.tensors["stiffness"].shape
+            wp.launch(k.search, dim=(size[1], len(columns)), device=self.device, inputs=[side.points, some, within, x])
             if len(blend):
-                side.smooth[blend] = side.blended(self.x)[blend]
+                side.tensors["smooth"][blend] = side.blended(self.x)[blend]
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device,
-                      inputs=[side.faces.shape[2], every, side.first,
-                              *side.arrays("faces candidates anchored anchor_face"), wp.from_torch(self.near)])
+                      inputs=[side.points, every, wp.from_torch(self.near)])
         self.patch = self._make_patch()
 
     def _make_patch(self) -> PairPatch:
