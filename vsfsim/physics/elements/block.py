@@ -46,7 +46,7 @@ A block that couples all of its nodes through one number, as a gas does through 
 
 share_out (m, B) float64 is each element's part of the number, or of its change along x. response_out (RESPONSES, B)
 float64 is a function of the number, for a gas the pressure, its derivative and the energy. ``law(block, device)`` is
-the array that `respond` takes. `Elasticity` adds the shares.
+the array that `respond` takes. `Elasticity` adds the shares in a fixed order.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
 _TOGETHER = 1024  # elements whose tangents are made at once
+_CHUNKS = 64  # partial sums of a touch: enough threads for a GPU, and the same sum on every device and in every batch
 
 
 @functools.cache
@@ -49,6 +50,26 @@ def kernels() -> Any:
             node_out[3 * i + c, b] = total[c] * free[3 * i + c]
 
     @wp.kernel(module=module, enable_backward=False)
+    def add(
+        # model
+        index: wp.array(dtype=wp.int32),
+        compact: int,  # as in `gather`
+        rows: int,  # that one sum is of
+        # state in
+        value_in: wp.array2d(dtype=real),
+        # state out
+        sum_out: wp.array2d(dtype=real),
+    ):
+        p, k = wp.tid()
+        b = k
+        if compact == 0:
+            b = index[k]
+        total = real(0.0)
+        for t in range(p * rows, wp.min((p + 1) * rows, value_in.shape[0])):
+            total += value_in[t, b]
+        sum_out[p, b] = total
+
+    @wp.kernel(module=module, enable_backward=False)
     def add_blocks(
         # model
         block: wp.array3d(dtype=wp.int32),
@@ -67,7 +88,15 @@ def kernels() -> Any:
                         for d in range(3):
                             values_out[at, c, d] += wp.float64(matrix_in[t, 3 * i + c, 3 * j + d])
 
-    return SimpleNamespace(gather=gather, add_blocks=add_blocks)
+    return SimpleNamespace(gather=gather, add=add, add_blocks=add_blocks)
+
+
+def _add(index: wp.array, compact: int, values: wp.array, parts: wp.array, out: wp.array) -> None:
+    """Sums of ``values`` (m, B) over its rows -> ``out`` (B,), by way of ``parts`` (_CHUNKS, B); see `gather`."""
+    whole = out.reshape((1, len(out)))
+    for rows, given, found in ((-(-values.shape[0] // _CHUNKS), values, parts), (_CHUNKS, parts, whole)):
+        wp.launch(kernels().add, dim=(found.shape[0], len(index)), inputs=[index, compact, rows, given, found],
+                  device=out.device)
 
 
 class Collective:
@@ -93,6 +122,7 @@ class Collective:
     def begin(self, batch: int) -> None:
         """Room for ``batch`` touches."""
         sizes = (self._rows, batch), batch, (self._responses, batch), batch, (self._responses, batch), batch, batch
+        self._parts = wp.zeros((_CHUNKS, batch), dtype=wp.float64, device=self._device)
         (self._shares, self.number, self.response, self._tangent_number, self._tangent_response, self._true,
          self._change) = (wp.zeros(size, dtype=wp.float64, device=self._device) for size in sizes)
 
@@ -101,8 +131,7 @@ class Collective:
 
     def _respond(self, index: wp.array, u: wp.array, number: wp.array, response: wp.array) -> None:
         self._launch(self._own.share, (self._rows, len(index)), [*self._model, index, u, self._shares])
-        at = wp.to_torch(index).long()
-        wp.to_torch(number)[at] = wp.to_torch(self._shares)[:, at].sum(dim=0)
+        _add(index, 0, self._shares, self._parts, number)
         self._launch(self._own.respond, (len(index),), [self._law, index, number, response])
 
     def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
@@ -119,7 +148,7 @@ class Collective:
         """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
         size = self._rows, len(index)
         self._launch(self._own.share_change, size, [*self._model, index, at, x, self._shares])
-        wp.to_torch(self._change)[:len(index)] = wp.to_torch(self._shares)[:, :len(index)].sum(dim=0)
+        _add(index, 1, self._shares, self._parts, self._change)
         self._launch(self._own.multiply, size,
                      [*self._model, index, at, self._tangent_response, self._true, self._change, x, force])
 
@@ -171,7 +200,7 @@ class Elasticity:
             own = slice(int(rows[i]), int(rows[i + 1]))
             self._part.append((force, self._energies[own], self._dets[own]))
         self._state = [wp.zeros((len(block), block.element.state_size(block), batch), **new) for block in self.blocks]
-        self._at = wp.zeros((3 * self._points, batch), **new)
+        self._at, self._parts = wp.zeros((3 * self._points, batch), **new), wp.zeros((_CHUNKS, batch), **new)
         self.internal = wp.zeros((3 * self._points, batch), **new)
         self.energy = wp.zeros(batch, dtype=wp.float64, device=self.device)
         self.least_det = wp.zeros(batch, **new)
@@ -208,7 +237,7 @@ class Elasticity:
         self._launch(self.kernels.gather, (self._points, count),
                      [self._start, self._slot, self._every, index, 0, self._force, self.internal])
         at = wp.to_torch(index).long()
-        wp.to_torch(self.energy)[at] = wp.to_torch(self._energies)[:, at].sum(dim=0)
+        _add(index, 0, self._energies, self._parts, self.energy)
         wp.to_torch(self.least_det)[at] = wp.to_torch(self._dets)[:, at].amin(dim=0)
 
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
