@@ -67,6 +67,7 @@ class Enclosure:
     def __init__(self, faces: np.ndarray, closing: np.ndarray, *, device: str):
         self.device, self.faces = device, torch.as_tensor(faces[None].astype(np.int32), device=device)
         self._closing = wp.array(closing.reshape(-1, 3), dtype=wp.int32, device=device)
+        self._nodes = torch.as_tensor(np.union1d(faces, closing).astype(np.int64), device=device)
 
     def depth(self, x: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Depths (k, m) [m] of ``points`` (k, m, 3) [m] inside the surface with the nodes at x (k, n, 3) [m], 0
@@ -76,7 +77,8 @@ class Enclosure:
                                                                       device=self.device)
         if not points.shape[1]:  # a plane has none
             return depth, face
-        low, high = (wp.from_torch(v.contiguous(), dtype=vec3) for v in (x.amin(dim=1), x.amax(dim=1)))
+        own = x[:, self._nodes]
+        low, high = (wp.from_torch(v.contiguous(), dtype=vec3) for v in (own.amin(dim=1), own.amax(dim=1)))
         wp.launch(k.behind, dim=depth.shape, device=self.device, inputs=[
             self.faces.shape[2], wp.from_torch(self.faces.expand(count, -1, -1)), self._closing,
             wp.from_torch(points.contiguous(), dtype=vec3), low, high,

@@ -55,7 +55,6 @@ class TangentFactors:
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact):
         self._model, self._elasticity, self._contact = model, elasticity, contact
         self._own: list[Multifrontal | None] = [None] * contact.batch
-        self._softening = np.ones(contact.batch)  # of the contact in each
         # iterations beyond the usual ones, and the most of a linear system, since the factor was made
         self._spent, self._most = np.zeros(contact.batch, int), np.zeros(contact.batch, int)
         self._tried = np.zeros(contact.batch, int)  # that most, before a factor that has not been used yet
@@ -78,15 +77,16 @@ class TangentFactors:
 
     def of(self, touch: int) -> Multifrontal | None:
         """The factor that preconditions a touch, or None for that of the rest state."""
-        return self._of_this_law(self._own[touch], touch)
+        return self._own[touch]
 
     def local_of(self, touch: int) -> LocalFactor | None:
         """The local factor that corrects the factor of a touch, or None."""
-        return self._of_this_law(self._local[touch], touch)
+        return self._local[touch]
 
-    def _of_this_law(self, factor: Any, touch: int) -> Any:
-        """``factor``, or None if the contact is no longer as soft as when it was made."""
-        return factor if factor and self._softening[touch] == float(self._contact.softening[touch]) else None
+    def forget(self) -> None:
+        """Drop all factors: the contact in them was another."""
+        batch = len(self._own)
+        self._own, self._local = [None] * batch, [None] * batch
 
     def count(self, columns: torch.Tensor, steps: torch.Tensor) -> None:
         """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,)."""
@@ -126,7 +126,6 @@ class TangentFactors:
                     self._local[b] = self._make_local(columns[k:k + 1], u)
                 made[k], self._near_spent[b] = True, 0
                 self._no_local[b] = self._local[b] is None
-                self._softening[b] = float(self._contact.softening[b])
             if not whole:
                 continue
             with clock.measure("tangent factors"):
@@ -134,7 +133,6 @@ class TangentFactors:
             made[k] = True
             self._lost[b] = self._own[b] is None
             self._local[b], self._begin[b] = None, u[:, b].clone().numpy()
-            self._softening[b] = float(self._contact.softening[b])
             self._spent[b] = self._near_spent[b] = 0
             self._tried[b], self._most[b] = self._most[b], 0
         return made
@@ -235,10 +233,6 @@ def touched_unknowns(contact: Contact, stiffness: Any, entry: int, touch: int) -
 
 
 def _entries(stiffness: Any, entry: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and values of contact's stiffness of one touch, with bodies that do not give way."""
-    stiffness = getattr(stiffness, "fixed", stiffness)
-    if hasattr(stiffness, "matrices"):
-        matrix = stiffness.matrices[entry].tocoo()
-        return matrix.row, matrix.col, matrix.data
-    row, col = (i.numpy() for i in stiffness[entry].nonzero(as_tuple=True))
-    return row, col, stiffness[entry].numpy()[row, col]
+    """Rows, columns and values of contact's stiffness of one touch on a CPU, with bodies that do not give way."""
+    matrix = getattr(stiffness, "fixed", stiffness).matrices[entry].tocoo()
+    return matrix.row, matrix.col, matrix.data

@@ -57,3 +57,4 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
     balance.load, balance.options = whole, options
     balance.u[:] = u
     contact.softening[:] = 1.0
+    balance.factors.forget()
