@@ -157,7 +157,13 @@ def ball(cuts):
     """A neo-Hookean sphere, held just enough not to move as a whole."""
     ball = trimesh.creation.icosphere(subdivisions=cuts, radius=R0)
     mesh = membrane_mesh.TriangleMesh.of(ball.vertices.view(np.ndarray), ball.faces.astype(np.int32), np.zeros(0, int))
-    block = triangle.block(mesh.faces, mesh.points, triangle.flat(mesh.points[mesh.faces]), 3.0 * MU_H)
+    # each triangle free of stress in a plane of its own: its edges a and b, with a along x
+    corners = mesh.points[mesh.faces]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length, rest = np.linalg.norm(a, axis=1), np.zeros((len(a), 3, 2))
+    rest[:, 1, 0], rest[:, 2, 0] = length, (a * b).sum(axis=1) / length
+    rest[:, 2, 1] = np.linalg.norm(np.cross(a, b), axis=1) / length
+    block = triangle.block(mesh.faces, mesh.points, rest, 3.0 * MU_H)
     free = np.ones_like(mesh.points)
     low, high = int(mesh.points[:, 2].argmin()), int(mesh.points[:, 2].argmax())
     side = int(np.where(np.abs(mesh.points[:, 1]) < 1e-9, mesh.points[:, 0], -1.0).argmax())

@@ -7,16 +7,14 @@ state, before that point.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from scipy.optimize import brentq, minimize_scalar
 
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.bubble.sheet import Balanced, Sheet
 
 _GROWTH, _MOST_TIMES = 1.4, 1e4  # ratio of the volumes of two steps, and of the last and the first one
 _LEAST = 1e-3  # smallest growth of the volume in a step
-_SECANT = 60  # iterations of regula falsi
 
 
 def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> Balanced:
@@ -95,50 +93,40 @@ def _ahead(states: list[Balanced], volume: float) -> tuple[np.ndarray, float]:
 
 
 def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
-    """The state of highest pressure between the first and the last of these (golden section in the volume)."""
-    low, high = around[0].volume, around[-1].volume
-    known = sorted(around, key=lambda s: s.volume)
-    golden = 0.5 * (math.sqrt(5.0) - 1.0)
-    best = max(known, key=lambda s: s.pressure)
-    for _ in range(24):
-        if high - low < 1e-4 * high:
-            break
-        middle = best.volume
-        # the larger part is divided
-        part = high - middle if high - middle > middle - low else low - middle
-        volume = middle + (1.0 - golden) * part
+    """The state of highest pressure between the first and the last of these."""
+    known = list(around)
+
+    def fall(volume: float) -> float:
         near = min(known, key=lambda s: abs(s.volume - volume))
         found = sheet.at_volume(near.displacement, near.pressure, volume)
-        if found is None:
-            break
-        known.append(found)
-        if found.pressure > best.pressure:
-            low, high = (middle, high) if volume > middle else (low, middle)
-            best = found
-        else:
-            low, high = (low, volume) if volume > middle else (volume, high)
-    return best
+        if found is not None:
+            known.append(found)
+        return 0.0 if found is None else -found.pressure
+
+    minimize_scalar(fall, bounds=(around[0].volume, around[-1].volume), method="bounded",
+                    options={"xatol": 1e-4 * around[-1].volume, "maxiter": 24})
+    return max(known, key=lambda s: s.pressure)
 
 
 def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
-    """Regula falsi in the volume, then Newton's method at the pressure. Where that does not converge, as near the limit
-    point, regula falsi alone."""
-    for _ in range(_SECANT):
-        span = high.pressure - low.pressure
-        share = min(0.95, max(0.05, (pressure - low.pressure) / span)) if span > 0.0 else 0.5
-        volume = low.volume + share * (high.volume - low.volume)
-        guess = low.displacement + share * (high.displacement - low.displacement)
-        found = sheet.at_volume(guess, low.pressure + share * span, volume)
+    """By the volume until the pressure is near, then Newton's method at the pressure. Where that does not converge, as
+    near the limit point, by the volume alone."""
+    known = [low, high]
+
+    def over(volume: float) -> float:
+        if volume in (low.volume, high.volume):
+            return known[volume == high.volume].pressure - pressure
+        found = sheet.at_volume(*_ahead([low, high], volume), volume)
         if found is None:
-            break
-        if abs(found.pressure - pressure) < 1e-12 * pressure:
-            return found
-        if abs(found.pressure - pressure) < 0.02 * pressure:
-            polished = sheet.at_pressure(found.displacement, pressure, iterations=12)
-            if polished is not None and low.volume <= polished.volume <= high.volume:
-                return polished
-        low, high = (found, high) if found.pressure < pressure else (low, found)
-    else:
-        return found
-    raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
-                     f"young_modulus, thickness and pre_stretch.")
+            raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; "
+                             f"check young_modulus, thickness and pre_stretch.")
+        known.append(found)
+        return found.pressure - pressure
+
+    for close in (1e-3, 1e-14):
+        brentq(over, low.volume, high.volume, xtol=close * high.volume, maxiter=200)
+        best = min(known, key=lambda s: abs(s.pressure - pressure))
+        polished = sheet.at_pressure(best.displacement, pressure, iterations=12)
+        if polished is not None and low.volume <= polished.volume <= high.volume:
+            return polished
+    return best

@@ -72,21 +72,16 @@ class Sheet:
         self._elastic.forces(self._index, self._at(u))
         return self._elastic.internal.numpy()[:, 0].copy()
 
-    def energy(self, u: np.ndarray) -> float:
-        """Elastic energy [J]."""
-        self._elastic.forces(self._index, self._at(u))
-        return float(self._elastic.energy.numpy()[0])
-
     def volume(self, u: np.ndarray) -> float:
         """Volume inside the surface at u (3 n,) [m^3]."""
         return gas.volume(self.points + u.reshape(-1, 3), self.closed)
 
-    def tangent(self, u: np.ndarray, pressure: float, *, projected: bool = False) -> sp.csr_matrix:
+    def tangent(self, u: np.ndarray, pressure: float) -> sp.csr_matrix:
         """Derivative of f - p grad V by the displacements, without supports (3 n, 3 n) [N/m]."""
-        self._elastic.tangent(self._index, self._at(u), projected=projected)
+        self._elastic.tangent(self._index, self._at(u), projected=False)
         parts = [block.element.matrices(block, self._elastic.remembered(i)[:, :, 0]) if constant is None else constant
                  for i, (block, constant) in enumerate(zip(self.blocks, self._constant, strict=True))]
-        parts.append(-(0.0 if projected else pressure) * gas.hessian(self.points + u.reshape(-1, 3), self.closed))
+        parts.append(-pressure * gas.hessian(self.points + u.reshape(-1, 3), self.closed))
         values = np.concatenate([part.ravel() for part in parts])
         return sp.coo_matrix((values, (self._rows, self._columns)), shape=(len(u), len(u))).tocsr()
 
@@ -102,67 +97,51 @@ class Sheet:
                   iterations: int = _ITERATIONS) -> Balanced | None:
         """The equilibrium with this volume [m^3] from the guess u (3 n,) [m] and pressure [Pa], or None if Newton's
         method does not converge."""
-        u = u.copy()
-        inside = self.volume(u)
-        residual, gradient, error = self._state(u, pressure)
-        for _ in range(iterations):
-            short = volume - inside
-            if error < _TIGHT and abs(short) < 1e-12 * volume:
-                break
-            tangent = self.tangent(u, pressure)[self._moves][:, self._moves]
-            whole = sp.bmat([[tangent, -gradient[:, None]], [-gradient[None], None]], format="csc")
-            try:
-                step = splu(whole, permc_spec="MMD_AT_PLUS_A",
-                            options={"SymmetricMode": False}).solve(np.append(residual, -short))
-            except RuntimeError:  # exactly singular
-                return None
-            if not np.isfinite(step).all():
-                return None
-            # one scale for the whole step, as the acting force changes with the pressure
-            acting = max(abs(pressure), abs(pressure + step[-1])) * np.abs(gradient).sum()
-            missing = np.abs(residual).sum() / acting + abs(short) / volume
-            for share in 0.5 ** np.arange(8):
-                trial = u.copy()
-                trial[self._moves] += share * step[:-1]
-                new = self._state(trial, pressure + share * step[-1])
-                now = self.volume(trial)
-                if np.abs(new[0]).sum() / acting + abs(volume - now) / volume < (1.0 - 0.1 * share) * missing:
-                    break
-            else:
-                if missing < _GOOD:
-                    break  # no further decrease because of rounding
-            u, pressure, inside = trial, pressure + share * step[-1], now
-            residual, gradient, error = new
-        if not (error < _GOOD and abs(volume - inside) < 1e-9 * volume):
-            return None
-        return Balanced(u, float(pressure), inside, error)
+        return self._newton(u, pressure, volume, iterations)
 
     def at_pressure(self, u: np.ndarray, pressure: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
         """The equilibrium at this gauge pressure [Pa] from the guess u (3 n,) [m], or None if Newton's method does not
         converge."""
+        return self._newton(u, pressure, None, iterations)
+
+    def _newton(self, u: np.ndarray, pressure: float, volume: float | None, iterations: int) -> Balanced | None:
+        """With ``volume`` None the pressure stays as it is; otherwise it is an unknown."""
+        def missing_volume(at: np.ndarray) -> float:
+            return 0.0 if volume is None else 1.0 - self.volume(at) / volume
+
         u = u.copy()
-        residual, _, error = self._state(u, pressure)
+        short = missing_volume(u)
+        residual, gradient, error = self._state(u, pressure)
         for _ in range(iterations):
-            if error < _TIGHT:
+            if error < _TIGHT and abs(short) < 1e-12:
                 break
-            tangent = self.tangent(u, pressure)[self._moves][:, self._moves].tocsc()
+            whole, right = self.tangent(u, pressure)[self._moves][:, self._moves].tocsc(), residual
+            if volume is not None:
+                whole = sp.bmat([[whole, -gradient[:, None]], [-gradient[None], None]], format="csc")
+                right = np.append(residual, -short * volume)
             try:
-                step = splu(tangent, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(residual)
-            except RuntimeError:
+                step = splu(whole, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": volume is None}).solve(right)
+            except RuntimeError:  # exactly singular
                 return None
             if not np.isfinite(step).all():
                 return None
-            scale = np.abs(residual).sum()
+            rise = 0.0 if volume is None else float(step[-1])
+            # one scale for the whole step, as the acting force changes with the pressure
+            acting = max(abs(pressure), abs(pressure + rise)) * np.abs(gradient).sum() + 1e-300
+            missing = np.abs(residual).sum() / acting + abs(short)
             for share in 0.5 ** np.arange(10):
                 trial = u.copy()
-                trial[self._moves] += share * step
-                new = self._state(trial, pressure)
-                if np.isfinite(new[2]) and np.abs(new[0]).sum() < (1.0 - 0.1 * share) * scale:
+                trial[self._moves] += share * step[:len(self._moves)]
+                new, now = self._state(trial, pressure + share * rise), missing_volume(trial)
+                if np.isfinite(new[2]) and np.abs(new[0]).sum() / acting + abs(now) < (1.0 - 0.1 * share) * missing:
                     break
             else:
-                if error < _GOOD:
-                    break
-                return None
-            u = trial
-            residual, _, error = new
-        return Balanced(u, pressure, self.volume(u), error) if error < _GOOD else None
+                if missing < _GOOD:
+                    break  # no further decrease because of rounding
+                if volume is None:
+                    return None
+            u, pressure, short = trial, pressure + share * rise, now
+            residual, gradient, error = new
+        if not (error < _GOOD and abs(short) < 1e-9):
+            return None
+        return Balanced(u, float(pressure), self.volume(u), error)

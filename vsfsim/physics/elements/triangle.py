@@ -55,18 +55,6 @@ def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.n
                                      "modulus": modulus.copy()})
 
 
-def flat(corners: np.ndarray) -> np.ndarray:
-    """Rest shapes (m, 3, 2) [m] of triangles that are stress-free with their corners in space at (m, 3, 3) [m]: each is
-    laid into a plane of its own."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    length = np.linalg.norm(a, axis=1)
-    out = np.zeros((len(corners), 3, 2))
-    out[:, 1, 0] = length
-    out[:, 2, 0] = (a * b).sum(axis=1) / length
-    out[:, 2, 1] = np.linalg.norm(np.cross(a, b), axis=1) / length
-    return out
-
-
 def state_size(block: Block) -> int:
     """A tangent stores the singular frame and the second derivatives of W in it."""
     return _STATE

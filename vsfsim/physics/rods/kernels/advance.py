@@ -41,8 +41,8 @@ WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # a frame, up to rounding
 @wp.func
 def capsules_cross(tree: Trees, touch: Touches, w: Work, me: Thread):
     """Number of segments of the plant, which stands still, that the capsules pass through in a stride."""
-    return crossing(tree, touch, w, me, 0, w.nodes.x, w.nodes.q, w.capsules.x_start, w.capsules.q_start, w.nodes.x,
-                    w.nodes.q, w.capsules.x, w.capsules.q)
+    return crossing(tree, touch.half, w.nodes.order, me, 0, w.nodes.x, w.nodes.q, w.capsules.x_start,
+                    w.capsules.q_start, w.nodes.x, w.nodes.q, w.capsules.x, w.capsules.q)
 
 
 @wp.func
@@ -113,8 +113,8 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
                     # a soft leaf, bent by less than the tolerance, would return through a link: it stays bent
                     through = 1
         if lane_count(through) == 0 and crossing(
-            tree, touch, w, me, 0, w.nodes.x_saved, w.nodes.q_saved, w.capsules.x, w.capsules.q, w.nodes.x, w.nodes.q,
-            w.capsules.x, w.capsules.q
+            tree, touch.half, w.nodes.order, me, 0, w.nodes.x_saved, w.nodes.q_saved, w.capsules.x, w.capsules.q,
+            w.nodes.x, w.nodes.q, w.capsules.x, w.capsules.q
         ) == 0:
             kept = 0
         else:

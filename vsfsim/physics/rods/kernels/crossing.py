@@ -4,6 +4,9 @@ Each of `PIECES` straight pieces of a fibre has one shortest way d from the caps
 unique) and d changes continuously with the state. A piece that goes from one side of the axis to the other takes d
 through zero, and its direction to the opposite. So a step is refused in which d turns by more than a right angle; a
 short enough part of it never does, unless the piece lies on the axis. The same holds for a ball, whose axis is a point.
+
+Functions that are not inlined take no `Work`: CUDA passes structs by value, and copies of its 130 arrays at five calls
+were two fifths of the kernel's instructions.
 """
 
 import warp as wp
@@ -12,8 +15,8 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.fibre import Fibre, fibre_in_capsule
 from vsfsim.physics.rods.kernels.lanes import lane_count
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, vec3
-from vsfsim.physics.rods.problem import Touches, Trees
-from vsfsim.physics.rods.workspace import Thread, Work
+from vsfsim.physics.rods.problem import Trees
+from vsfsim.physics.rods.workspace import Thread
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -47,8 +50,8 @@ def from_axis(a: vec3, b: vec3, half: real):
 
 
 @wp.func
-def segment_reach(tree: Trees, w: Work, me: Thread, i: int, p: int, x0: wp.array2d(dtype=vec3),
-                  q0: wp.array2d(dtype=quat), x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat)):
+def segment_reach(tree: Trees, me: Thread, i: int, p: int, x0: wp.array2d(dtype=vec3), q0: wp.array2d(dtype=quat),
+                  x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat)):
     """Radius around the middle of a segment's ends in the second state within which all its fibres are, plus the way
     that they move from the first state, at most [m]."""
     b = me.b
@@ -61,12 +64,10 @@ def segment_reach(tree: Trees, w: Work, me: Thread, i: int, p: int, x0: wp.array
 
 
 @wp.func(inline=False)
-def passes(tree: Trees, touch: Touches, me: Thread, i: int, p: int, k: int, x0: wp.array2d(dtype=vec3),
-           q0: wp.array2d(dtype=quat), cx0: vec3, cq0: quat, x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat),
-           cx1: vec3, cq1: quat):
-    """1 if a fibre of segment ``i`` passes through capsule ``k`` from the state (x0, q0), with the capsule at (cx0,
-    cq0), to the state (x1, q1), with the capsule at (cx1, cq1)."""
-    half = touch.half[k]
+def passes(tree: Trees, half: real, me: Thread, i: int, p: int, x0: wp.array2d(dtype=vec3), q0: wp.array2d(dtype=quat),
+           cx0: vec3, cq0: quat, x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat), cx1: vec3, cq1: quat):
+    """1 if a fibre of segment ``i`` passes through a capsule of the half length ``half`` from the state (x0, q0), with
+    the capsule at (cx0, cq0), to the state (x1, q1), with the capsule at (cx1, cq1)."""
     for j in range(tree.fibre[me.o + i], tree.fibre[me.o + i + 1]):
         if tree.tip[j] == 0:
             f0 = fibre_in_capsule(tree, me.b, me.o, p, i, j, x0, q0, cx0, cq0)
@@ -85,13 +86,15 @@ def passes(tree: Trees, touch: Touches, me: Thread, i: int, p: int, k: int, x0: 
 
 
 @wp.func(inline=False)
-def crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, x0: wp.array2d(dtype=vec3),
-             q0: wp.array2d(dtype=quat), cx0: wp.array2d(dtype=vec3), cq0: wp.array2d(dtype=quat),
-             x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat), cx1: wp.array2d(dtype=vec3),
-             cq1: wp.array2d(dtype=quat)):
+def crossing(tree: Trees, length: wp.array(dtype=real), order: wp.array2d(dtype=wp.int32), me: Thread, count: int,
+             x0: wp.array2d(dtype=vec3), q0: wp.array2d(dtype=quat), cx0: wp.array2d(dtype=vec3),
+             cq0: wp.array2d(dtype=quat), x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat),
+             cx1: wp.array2d(dtype=vec3), cq1: wp.array2d(dtype=quat)):
     """Number of segments that pass through a capsule between two states, see `passes`.
 
     Args:
+        length: half length of each capsule (K,) [m].
+        order: `Nodes.order` (B, N).
         count: number of active nodes, whose segments are looked at; 0 for all of them.
     """
     b = me.b
@@ -100,12 +103,12 @@ def crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, x0: w
     for r in range(1 + me.lane, last, me.lanes):
         i = r
         if count > 0:
-            i = w.nodes.order[b, r]
+            i = order[b, r]
         p = tree.parent[me.o + i]
-        reach = segment_reach(tree, w, me, i, p, x0, q0, x1, q1)
+        reach = segment_reach(tree, me, i, p, x0, q0, x1, q1)
         middle = HALF * (x1[b, p] + x1[b, i])
-        for k in range(touch.half.shape[0]):
-            half = touch.half[k]
+        for k in range(length.shape[0]):
+            half = length[k]
             turn = real(2.0) * wp.min(wp.length(cq1[b, k] - cq0[b, k]), wp.length(cq1[b, k] + cq0[b, k]))
             near = reach + wp.length(cx1[b, k] - cx0[b, k]) + turn * (half + reach)
             away = middle - cx1[b, k]
@@ -113,6 +116,6 @@ def crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, x0: w
                 local = wp.quat_rotate_inv(cq1[b, k], away)
                 z = local[2] - wp.clamp(local[2], -half, half)
                 if local[0] * local[0] + local[1] * local[1] + z * z < near * near:
-                    found = found + passes(tree, touch, me, i, p, k, x0, q0, cx0[b, k], cq0[b, k], x1, q1, cx1[b, k],
+                    found = found + passes(tree, half, me, i, p, x0, q0, cx0[b, k], cq0[b, k], x1, q1, cx1[b, k],
                                            cq1[b, k])
     return lane_count(found)

@@ -34,21 +34,20 @@ HOPELESS = wp.constant(5)  # consecutive frames without an equilibrium after whi
 PROTECTIVE = wp.constant(wp.float64(1.25))
 
 
-@wp.func
-def pose_at(touch: Touches, b: int, k: int, s: real):
+@wp.func(inline=False)
+def pose_at(position: wp.array3d(dtype=vec3), rotation: wp.array3d(dtype=quat), last: int, b: int, k: int, s: real):
     """Position and rotation of capsule ``k`` at position ``s`` of the way: at a pose exactly that pose, between two the
-    cubic through the four around them (Lagrange)."""
+    cubic through the four around them (Lagrange). The arguments are those of `Touches`."""
     i = int(wp.floor(s))
-    x = touch.position[b, i, k]
-    q = touch.rotation[b, i, k]
-    last = touch.last_pose[b]
+    x = position[b, i, k]
+    q = rotation[b, i, k]
     if s > real(i):
         if last < 3:
             f = s - real(i)
-            other = touch.rotation[b, i + 1, k]
+            other = rotation[b, i + 1, k]
             if wp.dot(q, other) < ZERO:
                 other = -other
-            x = x + f * (touch.position[b, i + 1, k] - x)
+            x = x + f * (position[b, i + 1, k] - x)
             q = q + f * (other - q)
         else:
             first = wp.clamp(i - 1, 0, last - 3)
@@ -61,10 +60,10 @@ def pose_at(touch: Touches, b: int, k: int, s: real):
                 for m in range(4):
                     if m != j:
                         weight = weight * (u - real(m)) / (real(j) - real(m))
-                other = touch.rotation[b, first + j, k]
+                other = rotation[b, first + j, k]
                 if wp.dot(near, other) < ZERO:
                     other = -other
-                x = x + weight * touch.position[b, first + j, k]
+                x = x + weight * position[b, first + j, k]
                 q = q + weight * other
         q = wp.normalize(q)
     return x, q
@@ -77,8 +76,8 @@ def place_capsules(touch: Touches, w: Work, me: Thread, before: real, goal: real
     b = me.b
     way = ZERO
     for k in range(me.lane, touch.half.shape[0], me.lanes):
-        x0, q0 = pose_at(touch, b, k, before)
-        x1, q1 = pose_at(touch, b, k, goal)
+        x0, q0 = pose_at(touch.position, touch.rotation, touch.last_pose[b], b, k, before)
+        x1, q1 = pose_at(touch.position, touch.rotation, touch.last_pose[b], b, k, goal)
         if wp.dot(q0, q1) < ZERO:
             q1 = -q1
         w.capsules.x_start[b, k] = x0 + from_part * (x1 - x0)

@@ -194,8 +194,8 @@ def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, le
 @wp.func
 def trial_crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int):
     """Number of active segments that pass through a capsule on the way to the trial state."""
-    return crossing(tree, touch, w, me, count, w.nodes.x, w.nodes.q, w.capsules.x, w.capsules.q, w.nodes.x_trial,
-                    w.nodes.q_trial, w.capsules.x, w.capsules.q)
+    return crossing(tree, touch.half, w.nodes.order, me, count, w.nodes.x, w.nodes.q, w.capsules.x, w.capsules.q,
+                    w.nodes.x_trial, w.nodes.q_trial, w.capsules.x, w.capsules.q)
 
 
 @wp.func
