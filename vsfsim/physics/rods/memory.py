@@ -96,10 +96,7 @@ def make_work(b: int, n: int, k: int, room: int, levels: int) -> Work:
 def make_results(b: int, t: int, k: int, n: int) -> Results:
     """Results of B touches of T frames by K capsules, with the states of N nodes unless ``n`` is 0."""
     nodes = (b, t if n else 0, n)
-    out = _allocate(Results, {2: (b, t), 3: (b, t, k)}, x=nodes, q=nodes)
-    for array in (out.residual, out.energy, out.heat, out.penetration, out.slipping, out.where):
-        array.fill_(np.nan)
-    return out
+    return _allocate(Results, {2: (b, t), 3: (b, t, k)}, x=nodes, q=nodes)
 
 
 @wp.kernel(enable_backward=False)
