@@ -45,8 +45,9 @@ class Skipped(Exception):
     """A peer that cannot run here, with the reason."""
 
 
-def python_of(peer: str, folder: Path | None) -> Path:
-    """The Python of a peer's venv in a folder, made and filled if it is not there; this one without a folder.
+def python_of(peer: str, folder: Path | None, packages: Sequence[str]) -> Path:
+    """The Python of a peer's venv in a folder, made and filled with packages if it is not there; this one without a
+    folder.
 
     Raises:
         Skipped: its package cannot be installed.
@@ -58,11 +59,11 @@ def python_of(peer: str, folder: Path | None) -> Path:
     done = where / "installed"
     if not done.exists():
         venv.create(where, with_pip=True, clear=True)
-        found = subprocess.run([str(python), "-m", "pip", "install", "-q", PEERS[peer][1]], capture_output=True,
+        found = subprocess.run([str(python), "-m", "pip", "install", "-q", *packages], capture_output=True,
                                text=True)
         if found.returncode:
             why = [line for line in found.stderr.splitlines() if line.startswith("ERROR")] or ["pip failed"]
-            raise Skipped(f"{PEERS[peer][1]} cannot be installed here: {why[-1].removeprefix('ERROR: ')}")
+            raise Skipped(f"{packages[0]} cannot be installed here: {why[-1].removeprefix('ERROR: ')}")
         done.write_text("")
     return python
 
@@ -80,8 +81,9 @@ def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
         out.unlink(missing_ok=True)
         try:
             runner = Path(__file__).parent / "pressing.py"
-            found = subprocess.run([str(python_of(peer, folder)), *map(str, (runner, script, case, out))],
-                                   capture_output=True, text=True, timeout=LIMIT)
+            python = python_of(peer, folder, PEERS[peer][1:2])
+            found = subprocess.run([str(python), *map(str, (runner, script, case, out))], capture_output=True,
+                                   text=True, timeout=LIMIT)
             if found.returncode:
                 why = f"its script ended with {(found.stderr.strip().splitlines() or ['no word'])[-1]}"
         except subprocess.TimeoutExpired:

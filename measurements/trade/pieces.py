@@ -44,7 +44,7 @@ class Piece:
         return f"object {self.number}, {self.touches} touches, {self.setting.key}{own}"
 
 
-@functools.lru_cache(maxsize=2)
+@functools.lru_cache(maxsize=8)
 def object_of(scene: str, number: int, touches: int) -> Touched:
     """The touches of one object of a scene.
 

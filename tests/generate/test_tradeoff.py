@@ -16,11 +16,16 @@ from vsfsim.core.plant import Plant
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.records import View
+from vsfsim.generate.effectors.probe import EFFECTOR
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.solid import prepare
 from vsfsim.generate.trade import command, front
 from vsfsim.generate.trade.arm import parted
 from vsfsim.generate.trade.curve import Curve, distance
 from vsfsim.generate.trade.front import Point, differences, sentence, with_front
 from vsfsim.generate.trade.made import Run
+from vsfsim.generate.trade.near import contact_edge, near
 from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.pictures import compared
 from vsfsim.generate.trade.runs import spread
@@ -240,3 +245,19 @@ def test_the_table_has_every_other_reading_in_its_unit():
     assert head[-2:] == ["direction deg", "pressure %"]
     assert [float(cell) for cell in row[-2:]] == pytest.approx([math.degrees(0.1), 2.0], rel=0.05)
     assert len(row) == len(head)
+
+
+def test_elements_are_small_over_the_whole_disc_of_a_contact(tmp_path):
+    more = "[touches]\ncount = 1\ndepth = 0.004\napproach = 0.004\n[camera]\nwidth = 32\nheight = 24\ndistance = 0.25\n"
+    subject = prepare(jobs_of(make_recipe(parse_scene('name = "tiny"' + BLOCK + more, tmp_path / "tiny.toml")),
+                              tmp_path / "tiny.toml", tmp_path, None)[0], device="cpu")
+    (aim,) = EFFECTOR.aim(subject, device="cpu")
+    reach = EFFECTOR.manner(subject.scene).reach
+    radius, size = contact_edge(aim, reach, 0)
+    mesh = near(subject, aim, reach, {"resolution": 0.02, "contact": 0}).model.mesh
+    corners = mesh.points[mesh.tets[:, :4]]
+    away = np.linalg.norm(corners - aim.target, axis=2).max(axis=1)
+    longest = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3).max(axis=(1, 2))
+    inside = away < radius
+    assert size == pytest.approx(0.5 * radius) and inside.sum() > 50
+    assert longest[inside].max() < 2.2 * size and longest.max() > 2.5 * size

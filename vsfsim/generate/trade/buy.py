@@ -17,7 +17,7 @@ from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.made import Touched, limits
 from vsfsim.generate.trade.runs import DatasetTouches
-from vsfsim.generate.trade.setting import LIMIT_TIER, PARTS, RATIO, Setting
+from vsfsim.generate.trade.setting import LIMIT_TIER, PARTS, RATIO, REFINED, Setting
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
@@ -28,9 +28,9 @@ MARKED = 0.25
 """Share of the frames in contact that may be marked, where another setting does with less [-]."""
 TOUCHES, OBJECTS = 3, 2
 """Of the pilot: touches of each of the first objects; of each class the first object alone."""
-SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None),
-         (1, LIMIT_TIER, 0), (0, LIMIT_TIER, 0), (-1, "linear", None), (-1, "fem-coarse", None), (-1, LIMIT_TIER, 0),
-         (-2, LIMIT_TIER, 1))
+_COARSE, _MIDDLE, _FINE, _FINEST = ((power, LIMIT_TIER, level) for power, level in REFINED)
+SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None), _COARSE, _MIDDLE,
+         (-1, "linear", None), (-1, "fem-coarse", None), _FINE, _FINEST)
 """Elements of the candidates, cheap ones first, as the scene's own times `RATIO` to such a power; tier; level of the
 elements where a touch meets the object."""
 CLASSES = 6

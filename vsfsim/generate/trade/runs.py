@@ -133,6 +133,8 @@ class ScenePress:
 
     def run(self, setting: Setting) -> Run:
         """See `Touched`."""
+        if setting.level is not None:
+            raise SceneError("a press has small elements where it touches at every setting.")
         if not self._warm:
             self._warm = True
             self._run(self._seeds[0], _brief(setting))

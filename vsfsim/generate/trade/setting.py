@@ -14,6 +14,9 @@ RATIO = 1.3
 LOCAL = 0.5
 """Longest edge of the elements where a touch meets the object, over the radius of the contact, on level 0; on each
 further level smaller by `RATIO`, see `vsfsim.generate.trade.near` [-]."""
+REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
+"""Settings with small elements where each touch meets the object: those elsewhere as the scene's own times `RATIO` to
+such a power, and the level there."""
 PARTS = (1, 2, 4)
 """Beams of which each segment of a plant may be made."""
 LIMIT_TIER = "fem"
@@ -121,6 +124,9 @@ class Ground:
 
         names: Sequence[str | None] = self.pressable or (None,)
         out = {"mesh": [Setting(tier, size, device=self.device) for tier in names for size in sizes(tier)]}
+        if self.resolution is not None and LIMIT_TIER in self.pressable:
+            out["mesh"] += [Setting(LIMIT_TIER, self.resolution * RATIO**power, level=level, device=self.device)
+                            for power, level in REFINED]
         loose = 10.0 * tiers.TIERS[self.tier].tolerance if self.tier else 5e-3
         out["tolerance"] = [Setting(**base, tolerance=value) for value in (loose, loose / 100.0)]
         counts = [] if self.frames is None else sorted({max(1, self.frames // 2), 2 * self.frames} - {self.frames})
