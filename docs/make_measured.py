@@ -250,6 +250,7 @@ MEASURED: dict[str, partial[str]] = {
     "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
     "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None),
+    "render": partial(measurement, "render", 1, folder=ROOT / "renderers"),
     "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
                        workers=os.cpu_count() or 1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
@@ -258,7 +259,8 @@ LARGE: dict[str, Callable[[], str]] = {
     "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",
                        workers=os.cpu_count() or 1)}
 """Tables that take a large machine, made by their names alone."""
-MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent", "built": "built"}
+MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent", "built": "built",
+           "render": "render"}
 """Of measurements/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
 
 

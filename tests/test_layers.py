@@ -62,7 +62,7 @@ HEAVY = {
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy"},
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
-                   "newton"},
+                   "newton", "embreex", "open3d", "OpenGL", "pyrender"},
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},
     "active": {"numpy", "gymnasium"},
