@@ -45,12 +45,12 @@ from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Ground, Setting
 from vsfsim.physics.convergence import Limit
 
 UNKNOWN = "refused: of no touch of the pilot is the limit known"
-COLUMN = Path(__file__).parent / "column.toml"
-SCENES = ("foam-block", "shoes-v3-mini", "column", "shoes-v2-punyo-mini", "plants-mini")
-"""An even body, a shell of many parts, layers, a bubble on a shell, a plant under an arm."""
+OWN = {name: Path(__file__).parent / f"{name}.toml" for name in ("column", "bubble")}
+SCENES = ("foam-block", "shoes-v3-mini", "column", "bubble", "plants-mini")
+"""An even body, a shell of many parts, layers, a bubble on an even body, a plant under an arm."""
 ACCURACIES = (0.05, 0.02, 0.01)
 EAGER = 3
-"""Processes from which on the whole pilot is made at once, and not only as far as it chooses."""
+"""Processes from which on the pilot is made at once, but for the dearest setting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,7 +123,7 @@ def rows(trials: Sequence[Trial], accuracies: Sequence[float]) -> list[dict[str,
     """One a class and accuracy: what was chosen, kept and paid. The classes' pieces are made side by side."""
     pieces = trials[0].pieces
     if pieces.workers >= EAGER:
-        pieces.ask([p for t in trials for p in [*(t.piece(n, s) for s in reversed(t.settings) for n in t.pilot),
+        pieces.ask([p for t in trials for p in [*(t.piece(n, s) for s in reversed(t.settings[:-1]) for n in t.pilot),
                                                 *(p for ladder in t.ladders() for p in reversed(ladder))]])
     pilots = [_pilot(trial, accuracies) for trial in trials]
     others = [found for found in pilots if isinstance(found, dict)]
@@ -215,7 +215,7 @@ def measure(scenes: Sequence[str] = (), *, accuracies: Sequence[float] = ACCURAC
     until = time.perf_counter() + (math.inf if budget is None else budget)
     found = []
     for name in scenes or SCENES:
-        loaded = load_scene(COLUMN if name == "column" else find_scene(name))
+        loaded = load_scene(OWN.get(name) or find_scene(name))
         circumstances = {"scene": loaded.name, "scene_sha256": text_sha256(loaded.text), "version": vsfsim.__version__}
         progress(f"{loaded.name}: what it is")
         try:

@@ -48,7 +48,7 @@ def test_the_limit_of_meshes_that_scatter_has_the_error_of_their_scatter():
         found = curve_limit(EDGE, np.stack([shape * (1.0 + noise * s) for s in (0.3, -0.4, 1.0)]), tolerance=1e-6)
         assert found.order is None and found.known and (found.error >= noise * shape).all()
     lost = curve_limit(EDGE, np.stack([shape, 1.05 * shape, 0.9 * shape]), tolerance=1e-6)
-    assert not lost.known and "do not shrink" in lost.why
+    assert not lost.known and "no order" in lost.why and lost.size > 0.1
     assert not curve_limit(EDGE, np.stack([shape, shape * np.nan, shape]), tolerance=1e-6).known
     assert not curve_limit((0.01, 0.01, 0.007), np.stack([shape] * 3), tolerance=1e-6).known
 

@@ -39,7 +39,7 @@ class Imagined:
 
 
 def trial(times: float) -> promise.Trial:
-    return promise.Trial(load_scene(promise.COLUMN), GROUND, "", range(2), range(2, 5), 4, Imagined(times))
+    return promise.Trial(load_scene(promise.OWN["column"]), GROUND, "", range(2), range(2, 5), 4, Imagined(times))
 
 
 def test_what_is_bought_is_audited_on_other_objects():

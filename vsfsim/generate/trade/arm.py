@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import Touch
@@ -22,7 +21,7 @@ from vsfsim.generate.trade.made import Meter, Run
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.physics.runtime import compile_kernels
 
-CANDIDATES = 3
+CANDIDATES = 2
 """Lines that are drawn for each that is taken."""
 SLIP = 0.05
 """Share of the largest force that is lost from one frame to the next where a branch slips along the tool [-]."""
@@ -37,7 +36,7 @@ class ArmTouches:
     Each follows the line that the arm has found, as far as it goes on the scene's own beams before the force limit, and
     before a branch slips along the tool: where it slips is another frame on other beams, and what follows is of two
     equilibria, which cannot be compared. Of `CANDIDATES` times as many lines the first are taken that meet more than
-    `MET` until then.
+    `MET` until then; where these are too few, there are others of one frame, which met nothing.
 
     Args:
         loaded: the scene.
@@ -64,21 +63,18 @@ class ArmTouches:
         for job in jobs_of(recipe, loaded.path, ".", cache)[first:]:
             whole = prepare_job(job, device=device)
             (frames,) = solve([whole], device=device)
-            taken = 0
+            lines = []
             for k, a in enumerate(whole.aims):
                 end = min(int(frames.frames[k]), a.inward)
                 size = np.linalg.norm(frames.force[:end, k].sum(axis=1), axis=1)
                 force = np.where(frames.converged[:end, k], size, 0.0)
                 n = held(force)
-                if taken == touches or not force[:n].max(initial=0.0) > MET:
-                    continue
-                taken, slips = taken + 1, slips + (n < end)
-                own = dataclasses.replace(a, plan=a.plan[:n], inward=n)
+                lines.append((k, n, n < end) if force[:n].max(initial=0.0) > MET else (k, 1, False))
+            for k, n, slipped in sorted(lines, key=lambda one: one[1] == 1)[:touches]:
+                slips += slipped
+                own = dataclasses.replace(whole.aims[k], plan=whole.aims[k].plan[:n], inward=n)
                 self._alone.append(dataclasses.replace(whole, aims=[own], poses=whole.poses[:, k:k + 1],
                                                        scene=_without_limit(whole.scene)))
-            if taken < touches:
-                raise SceneError(f"{loaded.path}: {taken} of {len(whole.aims)} touches of object {job.object_index} "
-                                 f"meet more than {MET:g} N before a branch slips, and {touches} are asked for.")
         self.count = len(self._alone)
         self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} plant{'s' * (objects > 1)} along "
                      f"straight lines, {slips} of them as far as a branch slips")

@@ -259,12 +259,13 @@ def _said(bounds: list[dict[str, Limit]]) -> list[str]:
     for k, own in enumerate(bounds):
         force = own["force"]
         if not force.known:
-            out.append(f"touch {k}: not used, {force.why}")
+            out.append(f"touch {k}: not used, {force.why}"
+                       + (f", known to {100 * force.size:.2g} % only" if np.isfinite(force.size) else ""))
             continue
         order = "" if force.order is None else f", order {force.order:.1f}"
         top = float(np.abs(force.value).max())
         out.append(f"touch {k}: {force.why}{order}; largest force {top:.4g} N, known to "
-                   f"{100 * float(np.sqrt(np.mean(force.error**2))) / top:.2g} %")
+                   f"{100 * force.size:.2g} %")
     return out
 
 

@@ -58,8 +58,8 @@ class Point:
     front: bool = False
     """On the front: no ranked point is cheaper and as exact."""
     off: float = math.nan
-    """Of the touch that is worst: the root of the sum of squares of its error and of that of its limit, which know
-    nothing of one another [-]."""
+    """Of the touch that is worst, one whose limit does not count as known too: the root of the sum of squares of its
+    error and of that of its limit, which know nothing of one another [-]."""
 
     @property
     def ranked(self) -> bool:
@@ -83,10 +83,14 @@ def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], 
     error, bar, off = 0.0, 0.0, 0.0
     for curve, own, share in zip(run.curves, limits, shares, strict=True):
         for name in CHANNELS:
-            if name in own and own[name].known and (d := distance(name, curve, share, own[name])) is not None:
+            if name not in own or (d := distance(name, curve, share, own[name])) is None:
+                continue
+            if name == "force" and math.isfinite(d.bar):
+                off = max(off, math.hypot(d.rms, d.bar))
+            if own[name].known:
                 found.setdefault(name, []).append(d)
                 if name == "force":
-                    error, bar, off = max(error, d.rms), max(bar, d.bar), max(off, math.hypot(d.rms, d.bar))
+                    error, bar = max(error, d.rms), max(bar, d.bar)
     used = sum(own["force"].known for own in limits)
     if len(found.get("force", ())) < used:
         error = off = math.nan

@@ -109,6 +109,8 @@ def limits(ladder: Sequence[Run]) -> tuple[dict[str, Limit], np.ndarray]:
     for name, values in found.items():
         if name != "stiffness":
             found[name] = values[:, on] if few else np.where(on.reshape(-1, *[1] * (values.ndim - 2)), values, np.nan)
+        if name == "force" and not np.any(found[name]):
+            found[name] = np.full(found[name].shape, np.nan)  # it met nothing, and has no limit
     edge, tolerance = [run.edge[0] for run in ladder], tiers.TIERS[LIMIT_TIER].tolerance
     return ({name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()},
             curves[-1].share[on] if few else curves[-1].share)

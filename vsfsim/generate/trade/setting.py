@@ -102,11 +102,11 @@ class Ground:
     """Mode of its robot arm, or None."""
 
     def ladder(self, meshes: int = 3) -> list[Setting]:
-        """The meshes of the limit, coarsest first, all finer than the scene's own; a bubble's grow with the object's,
-        and beams are halved."""
+        """The meshes of the limit, coarsest first, all finer than the scene's own where they are touched; a bubble's
+        grow with the object's, and beams are halved."""
         if self.arm is not None:
             return [Setting(self.tier, parts=2 ** (k + 1), device=self.device) for k in range(meshes)]
-        return [Setting(LIMIT_TIER if self.tier else None, self.resolution and self.resolution / RATIO ** (k + 1),
+        return [Setting(LIMIT_TIER if self.tier else None, self.resolution and self.resolution / RATIO**k,
                         nodes=self.nodes and round(self.nodes * RATIO ** (2 * k)),
                         level=k + 1 if self.tier else None, device=self.device)
                 for k in range(meshes)]
