@@ -1,4 +1,5 @@
-"""Frames a second of a scene on a GPU, how busy it is, and what CPU cores make of the same: `vsfsim measure gpu`."""
+"""Frames a second of a scene on a GPU, how busy it is, what it could do, and what CPU cores make of the same:
+`vsfsim measure gpu`."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from measurements.datasets.hot_kernels import hot_kernels, kernel_table
 from measurements.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile, load_scene
@@ -29,7 +31,8 @@ _ASKED = "utilization.gpu,memory.used"
 def measure(scene: str, *, device: str = "cuda:0", objects: int | None = None, touches: int | None = None,
             workers: int | None = None, cores: int | None = None,
             progress: Progress = lambda _: None) -> Measurement:
-    """Make a dataset of the scene on a GPU, then on CPU cores, and compare times and forces.
+    """Make a dataset of the scene on a GPU, then on CPU cores, and compare times and forces; under a rigid probe, with
+    the hot kernels and the limit that they set.
 
     Args:
         scene: name or path.
@@ -46,7 +49,7 @@ def measure(scene: str, *, device: str = "cuda:0", objects: int | None = None, t
         raise VsfsimError("measure gpu: --device is 'cpu', which is no GPU. Give cuda:0.")
     loaded = load_scene(find_scene(scene))
     recipe: dict[str, Any] = {"objects": objects, "touches": touches}
-    make_recipe(loaded, device=device, **recipe)
+    made = make_recipe(loaded, device=device, **recipe)
     kernels = kernels_of(loaded.sample(0))
     count = os.cpu_count() or 1 if cores is None else cores
     rows: list[dict[str, Any]] = []
@@ -58,9 +61,14 @@ def measure(scene: str, *, device: str = "cuda:0", objects: int | None = None, t
             row: dict[str, Any] = {"device": where, "compile": time.perf_counter() - began, "workers": processes}
             progress(f"making the scene on {where}")
             rows.append({**row, **_made(loaded, Path(folder, where[:4]), where, processes, recipe)})
+        progress("timing its hot kernels")
+        hot, rows[0]["limit"] = hot_kernels(loaded, made, device)
         if count:
             rows[0]["ratio"] = rows[0]["rate"] / rows[1]["rate"]
             rows[0]["difference"] = compare(Path(folder, "cuda"), Path(folder, "cpu")).worst
+    service = Path(os.environ.get("CUDA_MPS_PIPE_DIRECTORY", "/tmp/nvidia-mps"), "control").exists()
+    note = (f"The multi-process service (nvidia-cuda-mps-control -d) was {'' if service else 'not '}there: without "
+            "it kernels of one process wait for those of another")
     settings = {"scene": scene, "device": device, **recipe, "workers": workers, "cores": count}
     return Measurement.of("gpu", settings, [Table(f"{scene}, start of the processes included", (
         Column("device", "device"), Column("workers", "processes", "1"),
@@ -68,7 +76,9 @@ def measure(scene: str, *, device: str = "cuda:0", objects: int | None = None, t
         Column("converged", "converged", "1", "%", ".1f"), Column("seconds", "time", "s", form=".0f"),
         Column("rate", "frames a second", "1/s", form=".1f"), Column("busy", "GPU busy", "1", "%", ".0f"),
         Column("memory", "its memory", "B", "GB", ".1f"), Column("ratio", "times the cores", "1", form=".2f"),
-        Column("difference", "worst difference of a force", "1", form=".0e")), rows, name="runs")])
+        Column("difference", "worst difference of a force", "1", form=".0e"),
+        Column("limit", "limit, frames a second", "1/s", form=".0f")), rows, name="runs"),
+        *kernel_table(hot)], notes=[note])
 
 
 def _made(loaded: SceneFile, out: Path, device: str, workers: int | None,

@@ -58,4 +58,6 @@ class Body:
         index = self.index(range(x.shape[1]))
         self.elements.begin(x.shape[1])
         self.elements.tangent(index, self.put(np.repeat(u[:, None], x.shape[1], axis=1)), projected=projected)
-        return self.elements.multiply(index, self.put(x)).numpy().astype(float)
+        out = self.put(np.full_like(x, np.nan))
+        self.elements.multiply(index, self.put(x), out)
+        return out.numpy().astype(float)

@@ -253,7 +253,9 @@ def sealed(sheet, mesh, start, ambient, gamma, device):
         whole = wp.array(np.repeat(u[:, None], n, axis=1), dtype=wp.float64, device=device)
         elements.forces(index, whole)
         elements.tangent(index, whole, projected=False)
-        tangent = elements.multiply(index, wp.array(np.eye(n), dtype=wp.float64, device=device)).numpy()
+        out = wp.empty((n, n), dtype=wp.float64, device=device)
+        elements.multiply(index, wp.array(np.eye(n), dtype=wp.float64, device=device), out)
+        tangent = out.numpy()
         u[moves] -= np.linalg.solve(tangent[np.ix_(moves, moves)], elements.internal.numpy()[moves, 0])
         # p V^gamma, whatever the state
         p, v = float(elements.pressure.numpy()[0]) + ambient, float(elements.volume.numpy()[0])

@@ -43,7 +43,7 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None, *, ob
         arm: model of the arm, of a scene with ``[arm]``; None for the scene's own.
         accuracy: largest error of the force over its largest value in a touch [-], for which a pilot chooses tier and
             element size, and by which some touches are audited; None for the scene's own tier.
-        workers: processes, None for one a CPU core, or one for 12 GiB of a GPU, eight at most.
+        workers: processes, None for one a CPU core, or one for 5 GiB of a GPU, 16 at most and one a core.
         cache: folder of meshes that were made before, None for the user's own cache.
         share: what is made and where (`vsfsim.generate.run.Share`), None for all of it on this machine.
         progress: called with (frames done, frames in all, what).

@@ -13,7 +13,7 @@ from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.cloud import cloud_normals, voxel_sample
 from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.model import Model
-from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.dynamics import simulate_each
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.observe import normal_force_rows
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
@@ -88,8 +88,8 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
-    for touch, probe in zip(touches, probes, strict=True):
-        moved = simulate(particles, probe, touch.probe_pose(), friction=friction, device=device)
+    moves = [(probe, touch.probe_pose()) for touch, probe in zip(touches, probes, strict=True)]
+    for touch, moved in zip(touches, simulate_each(particles, moves, friction=friction, device=device), strict=True):
         rows.append(normal_force_rows(moved, len(particles), touch.axis)[np.flatnonzero(touch.converged)])
         values.append(touch.normal_force()[touch.converged])
     w = sparse.csr_matrix(sparse.vstack(rows))

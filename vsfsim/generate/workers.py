@@ -31,9 +31,9 @@ _PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linal
             "trimesh", "warp")
 """What every worker imports, in 2.6 s of a core. No module of vsfsim: some start Warp, which opens a GPU's driver, and
 no fork survives that."""
-_ON_A_GPU, _ROOM = 8, 12 * 2**30
+_ON_A_GPU, _ROOM = 16, 5 * 2**30
 """Processes that share a GPU, at most, and its memory that each has [byte]. A process waits for its host most of the
-time: one keeps an H200 busy 9 % of it, eight 99 %. A shoe of 20,000 unknowns takes 5 GiB."""
+time: one keeps an H200 busy 24 % of it. A shoe of 20,000 unknowns takes 3 GiB, and twice that for a moment, in turn."""
 _LONGEST_FOLDER = 60
 """Of temporary files; the address of a socket has 108 characters."""
 
@@ -96,7 +96,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
     Args:
         jobs: what to make.
         device: Warp device.
-        workers: processes, or None for one a core on a CPU, and on a GPU for as many as keep it busy, eight at most.
+        workers: processes, or None for one a core on a CPU, and on a GPU for as many as keep it busy, 16 at most.
 
     Raises:
         VsfsimError: of the first view that fails; the others are then cancelled.

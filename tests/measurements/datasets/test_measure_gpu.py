@@ -9,7 +9,11 @@ from typer.testing import CliRunner
 
 from measurements.datasets import card
 from measurements.datasets.commands import app
+from measurements.datasets.hot_kernels import hot_kernels
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.recipe import make_recipe
 
 SMI = """#!/bin/sh
 echo "$*" > {folder}/asked
@@ -47,9 +51,20 @@ def test_rates_load_and_ratio(monkeypatch, tmp_path):
     monkeypatch.setattr(card, "compare", lambda one, other: SimpleNamespace(worst=2e-5))
     monkeypatch.setattr(card.time, "perf_counter", lambda: clock[0])
     monkeypatch.setattr(card, "make_recipe", lambda *_, **__: None)
+    kernel = {"kernel": "inverse", "seconds": 1e-3, "share": 0.9, "bandwidth": 0.6, "arithmetic": 0.1}
+    monkeypatch.setattr(card, "hot_kernels", lambda *_: ([kernel], 200.0))
     found = card.measure("shoes-v3-mini", objects=1, workers=8, cores=16)
     gpu, cpu = found.record()["runs"]
     assert asked == [(device, count, {"objects": 1, "touches": None}) for device, count in (("cuda:0", 8), ("cpu", 16))]
     assert (gpu["frames"], gpu["converged"], gpu["rate"], cpu["rate"]) == (20, 0.75, 40.0, 10.0)
     assert (gpu["busy"], gpu["memory"], gpu["ratio"], gpu["difference"]) == (0.4, 3000 * 2.0**20, 4.0, 2e-5)
+    assert gpu["limit"] == 200.0 and found.record()["kernels"] == [kernel]
     assert "-i GPU-17" in (tmp_path / "asked").read_text() and "times the cores" in found.text()
+
+
+@pytest.mark.slow
+def test_hot_kernels_and_the_limit_on_a_cpu():
+    loaded = load_scene(find_scene("shoes-mini"))
+    rows, limit = hot_kernels(loaded, make_recipe(loaded, objects=1, touches=2), "cpu")
+    assert sum(row["share"] for row in rows) == pytest.approx(1.0) and limit > 0.0
+    assert all(0.0 < row[name] < 1.5 for row in rows for name in ("bandwidth", "arithmetic"))

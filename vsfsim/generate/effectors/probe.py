@@ -36,7 +36,8 @@ from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import times, touch_path
 from vsfsim.vsf.stick_slip import stick_slip_kernel
 
-BATCH = 16  # touches that are solved together, as many as share a back-solve; part of what fixes the bits
+# touches that are solved together, on a CPU as many as share a back-solve; part of what fixes the bits
+BATCH = {"cpu": 16, "cuda": 64}
 
 
 class Probe:
@@ -128,7 +129,7 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, device:
     paths = paths or [touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth, approach=a.approach)
                       for a in aims]
     out: list[Touch] = []
-    for some in batches(len(aims), BATCH):
+    for some in batches(len(aims), BATCH[device.split(":")[0]]):
         part, poses = aims[some], np.stack(paths[some], axis=1)
         spring = scene.mount_stiffness
         mount = None if spring is None else Mount(spring, np.stack([a.axis for a in part]))

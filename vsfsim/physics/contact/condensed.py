@@ -19,12 +19,10 @@ import torch
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.line_search import AGAIN, CURVED, LineSearch
 
-_ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
 _FIRST_TOLERANCE = 1e-3  # of the contact without friction, which only leads the way
 _RELIEF = 0.01  # of the stick stiffness: about the stiffness of the body itself at a contact point
-_SHORTEST, _BACK = 1e-4, 0.1  # step of the line search; its least length over the one before
-_CURVED, _AGAIN = 0.01, 0.1  # error from which on the stiffness has its geometric term; part of it after a failure
 _PATIENCE = 8  # iterations without a new least error after which a problem is given up: its body slides about an edge
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
@@ -70,73 +68,42 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
 def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor,
             start: torch.Tensor | None, iterations: int, tolerance: float,
             deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
-    compliance = contact.compliance[columns]
+    compliance, yielding = contact.compliance[columns], contact.yielding[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q) if start is not None else base.clone()
     best, best_error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     live = None  # indices of the touches in the tensors, None for all; many are dropped at once, since indexing costs
-    dq, move = torch.zeros_like(q), torch.zeros_like(q)
-    level, slope, step = best_error.clone(), torch.zeros_like(best_error), torch.ones_like(best_error)
-    error, most = best_error.clone(), torch.full_like(best_error, _CURVED)
-    curved = torch.zeros_like(best_error, dtype=torch.bool)
-    wrong_side = torch.full_like(level, torch.iinfo(torch.int64).max, dtype=torch.int64)
-    best_change = best.clone()
-    running = torch.ones_like(best_error, dtype=torch.bool)
-    idle = torch.zeros_like(wrong_side)
+    dq, move, best_change = torch.zeros_like(q), torch.zeros_like(q), best.clone()
+    search = LineSearch(len(columns), tolerance, patience, base.device)
     for step_number in range(iterations):
         if step_number and clock.now() > deadline:
             break
         contact.evaluate(columns, trial, pushed + q)
         energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + contact.energy(columns) + contact.carried(columns)
-        crossed = contact.wrong_side(columns)
-        rises = energy > level - 1e-4 * step * slope + _ROUNDING * level.abs()
-        far = running & ((crossed > wrong_side) | rises) & (step > _SHORTEST)
-        # too far: go back to the least energy of a parabola along this step, by half of it at least
-        least = 0.5 * slope * step**2 / (energy - level + slope * step).clamp(min=1e-300)
-        shorter = torch.where(crossed > wrong_side, 0.5 * step, least.clamp(min=_BACK * step, max=0.5 * step))
-        back = torch.where(far, step - shorter, 0.0)[:, None]
-        step = torch.where(far, shorter, step)
-        most = torch.where(far & curved & (error < most), _AGAIN * error, most)
-        if bool((far | ~running).all()):
-            q, trial = q - back * dq, trial - back * move
-            continue
-        nodal = contact.nodal(columns)
-        rho = nodal - pushed - q
-        miss = _times(compliance, rho) + contact.given(columns, rho)
+        change = contact.nodal(columns) - pushed
+        rho = change - q
+        miss = _times(yielding, rho)
         size = miss.abs().amax(dim=1) / trial.abs().amax(dim=1).clamp(min=1e-9)
-        fresh = running & ~far
-        better = fresh & (size < error)
-        best_change = torch.where(better[:, None], nodal - pushed, best_change)
-        error = torch.where(better, size, error)
-        idle = torch.where(better, 0, idle + fresh.to(idle.dtype))
-        running = running & (far | (size >= tolerance)) & (idle < patience)
-        left = int(running.sum())
+        left, going = search.judge(energy, contact.wrong_side(columns), size)
+        best_change = torch.where(search.better[:, None], change, best_change)
         if left == 0:
             break
-        ahead = running & ~far
-        if bool(ahead.any()):
-            new, bent, up = _direction(contact, columns, rho, miss, ahead & (error < most))
-            curved, most = torch.where(ahead, bent, curved), torch.where(up, _AGAIN * error, most)
-            dq = torch.where(ahead[:, None], new, dq)
-            move = torch.where(ahead[:, None], _times(compliance, new), move)
-            level, slope = torch.where(ahead, energy, level), torch.where(ahead, (new * miss).sum(dim=1), slope)
-            step = torch.where(ahead, 1.0, step)
-            wrong_side = torch.where(ahead, crossed, wrong_side)
-        go = torch.where(ahead, 1.0, 0.0)[:, None] - back
-        q = q + go * dq
-        trial = trial + go * move
+        if going:
+            new, curved, up = _direction(contact, columns, rho, miss, search.bends)
+            search.turn((new * miss).sum(dim=1), curved, up)
+            dq = torch.where(search.ahead[:, None], new, dq)
+            move = torch.where(search.ahead[:, None], _times(compliance, new), move)
+        go = search.go[:, None]
+        q, trial = q + go * dq, trial + go * move
         if left < _COMPACT * len(columns):
-            keep = running.nonzero()[:, 0]
             where = slice(None) if live is None else live
-            best[where], best_error[where] = best_change, error
+            best[where], best_error[where] = best_change, search.error
+            keep = search.keep()
             live = keep if live is None else live[keep]
-            columns, compliance, base, pushed, q, trial, dq, move = (
-                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move))
-            level, slope, step, error, most, curved, best_change, wrong_side, idle = (
-                x[keep] for x in (level, slope, step, error, most, curved, best_change, wrong_side, idle))
-            running = torch.ones_like(keep, dtype=torch.bool)
+            columns, compliance, yielding, base, pushed, q, trial, dq, move, best_change = (
+                x[keep] for x in (columns, compliance, yielding, base, pushed, q, trial, dq, move, best_change))
     where = slice(None) if live is None else live
-    best[where], best_error[where] = best_change, error
+    best[where], best_error[where] = best_change, search.error
     return best, best_error
 
 
@@ -161,21 +128,21 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
     before expected of it, and whether it sticks is told by that force and a little of its way (`friction.linearised`;
     Alart and Curnier 1991). The solution is the same.
     """
-    compliance = contact.compliance[columns]
+    compliance, yielding = contact.compliance[columns], contact.yielding[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q)
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     held = None
     idle = torch.zeros(len(columns), dtype=torch.int64, device=base.device)
-    most, curved = torch.full_like(error, _CURVED), torch.zeros_like(idle, dtype=torch.bool)
+    most, curved = torch.full_like(error, CURVED), torch.zeros_like(idle, dtype=torch.bool)
     for step in range(iterations + 1):
         contact.evaluate(columns, trial, pushed + q)
         rho = contact.nodal(columns) - pushed - q
-        size = (_times(compliance, rho) + contact.given(columns, rho)).abs().amax(dim=1)
+        size = _times(yielding, rho).abs().amax(dim=1)
         size = size / trial.abs().amax(dim=1).clamp(min=1e-9)
         better = size < error
         best, error = torch.where(better[:, None], q, best), torch.where(better, size, error)
-        most = torch.where(curved & ~better, _AGAIN * error, most)
+        most = torch.where(curved & ~better, AGAIN * error, most)
         idle = torch.where(better, 0, idle + 1)
         running = ((error >= tolerance) & (idle < patience))[:, None]
         if step == iterations or not bool(running.any()) or (step and clock.now() > deadline):
@@ -187,10 +154,10 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         contact.relief[columns] = 1.0
         rho = contact.nodal(columns) - pushed - q
         curved = size < most
-        miss = _times(compliance, rho) + contact.given(columns, rho)
+        miss = _times(yielding, rho)
         dq = rho - contact.block(columns, torch.float32, curved).apply(miss)
         move = _times(compliance, dq)
-        held = contact.expected(columns, move + contact.given(columns, dq))
+        held = contact.expected(columns, _times(yielding, dq))
         q, trial = torch.where(running, q + dq, q), torch.where(running, trial + move, trial)
     return best, error
 

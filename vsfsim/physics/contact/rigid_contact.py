@@ -96,6 +96,8 @@ class RigidContact(PointStiffness, Contact):
         # origins and rotations of the bodies, now and when the step began
         self._now, self._before = ([torch.zeros(size, dtype=torch.float64, device=device) for size in (
             (*poses.shape[1:3], 3), (*poses.shape[1:3], 3, 3))] for _ in range(2))
+        self._pressed = (torch.zeros((self.batch, 3), dtype=torch.float64, device=device), torch.ones(
+            self.batch, dtype=torch.int32, device=device)) if self.springs is None else self.springs.pressed
         self._upload()
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
@@ -142,6 +144,7 @@ class RigidContact(PointStiffness, Contact):
             "turn_before": self._before[1],
             "x_before": self._x_before, "anchor": self._anchor, "owner": self._owner, "limit": self.limit,
             "across": self._across, "relief": self.relief, **vars(relaxation),
+            "press": self._pressed[0], "settling": self._pressed[1], "pressed": zeros(batch, faces, 3),
             "gap": self.gap, "body": self.body, "normal": self.normal,
             "force": self.force, "rows": self._rows, "geometric": self._geometric, "coupling": self._coupling,
             "slips": self.slips, "held": self.held, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
@@ -149,6 +152,7 @@ class RigidContact(PointStiffness, Contact):
             self.response: Response = response(self.model.factor if self._exact else self.model.predictor(self.device),
                                                self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
+            self.yielding = self.compliance if self.springs is None else self.springs.yielding(self.compliance)
         missing = self._by_place and MissingCompliance(self.model, self.response, self.compliance,
                                                        (self._local, self._values))
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
@@ -187,7 +191,8 @@ class RigidContact(PointStiffness, Contact):
 
     def _plan_for(self, pose: np.ndarray) -> None:
         """The mounts, or the bodies without any, are at ``pose`` (B, K, 4, 4)."""
-        self._plan, self._mounts = pose, torch.as_tensor(pose[..., :3, 3], device=self.device)
+        self._plan = pose
+        self._mounts = wp.array(pose[..., :3, 3], dtype=self.kernels.vec3, device=self.device)
 
     def _held_at(self, pose: np.ndarray) -> np.ndarray:
         """Poses (B, K, 4, 4) of the bodies whose mounts are at ``pose`` (B, K, 4, 4)."""
@@ -216,27 +221,25 @@ class RigidContact(PointStiffness, Contact):
     def _stand(self, u: torch.Tensor) -> None:
         self._x_before.copy_((self.rest + self.gather(u)).view_as(self._x_before))
 
-    def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
-        """Run a kernel over the parts of faces of ``columns`` (k,)."""
-        wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)),
-            rigid_kernels.STICK])
+    def _launch(self, kernel: Any, columns: torch.Tensor, *, later: bool = False) -> Any:
+        """Run a kernel over the parts of faces of ``columns`` (k,), or return its launch for ``later``."""
+        return wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, record_cmd=later,
+                         inputs=[self._points, self._reach.set, len(self.bodies),
+                                 wp.from_torch(columns.to(torch.int32)), rigid_kernels.STICK])
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor, pushed: torch.Tensor | None = None) -> None:
         """See `Contact`; springs give way to the forces ``pushed`` (k, 3 s) [N], or until they are in balance."""
-        self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
-        if self.springs is not None and pushed is None:
-            self.springs.settle(self, columns)
+        if not len(columns):
             return
-        if self.springs is not None and pushed is not None:
-            self.springs.pushed(columns, pushed)
-        self.evaluate_at_mounts(columns)
-
-    def evaluate_at_mounts(self, columns: torch.Tensor) -> None:
-        """Evaluate the contact of ``columns`` (k,) with the bodies where springs let them."""
+        self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
+        index = columns.to(torch.int32)
+        look = self._launch(self.kernels.evaluate, index, later=True)
         if self.springs is not None:
-            self._now[0][columns] = self.springs.placed(self._mounts)[columns]
-        self._launch(self.kernels.evaluate, columns)
+            self.springs.place(index, pushed, self._mounts, self._points)
+        if self.springs is None or pushed is not None:
+            look.launch()
+        else:
+            self.springs.settle(look.launch, index, self._mounts, self._points)
 
     def update_friction(self, columns: torch.Tensor) -> None:
         if self.has_friction:
@@ -265,13 +268,6 @@ class RigidContact(PointStiffness, Contact):
 
     def carried(self, columns: torch.Tensor) -> torch.Tensor:
         return super().carried(columns) if self.springs is None else self.springs.energy(columns)
-
-    def given(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """How far forces (k, 3 s) [N] of the contact move the nodes against bodies that springs carry (k, 3 s) [m]."""
-        if self.springs is None:
-            return torch.zeros_like(force)
-        series = self.springs.series(columns, force.shape[1] // 3)
-        return series * (series * force).sum(dim=1, keepdim=True)
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         own = (self._energy[columns] * self._of_body[columns]).sum(dim=1)

@@ -87,6 +87,9 @@ def kernels() -> Any:
         limit: wp.array3d(dtype=real)
         across: wp.array3d(dtype=vec3)
         relief: wp.array(dtype=real)
+        # springs that carry the bodies, see `mount`
+        press: wp.array(dtype=vec3)  # direction in which a spring gives way (B,) [-]; 0 without
+        settling: wp.array(dtype=wp.int32)  # 1 where the contact is evaluated, 0 where its spring is in balance (B,)
         renewals: wp.array(dtype=wp.int32)
         anchorings: wp.array3d(dtype=wp.int32)
         damping: wp.array3d(dtype=real)
@@ -104,6 +107,7 @@ def kernels() -> Any:
         held: wp.array3d(dtype=vec3)
         wrong_side: wp.array2d(dtype=wp.int32)
         energy: wp.array2d(dtype=real)
+        pressed: wp.array2d(dtype=vec3)  # force [N] and stiffness [N/m] along the press, and least gap [m] of a part
 
     Points = wp.struct(Points, module=module)
 
@@ -136,6 +140,9 @@ def kernels() -> Any:
     def evaluate(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
         f, k = wp.tid()
         b = columns[k]
+        if c.settling[b] == 0:
+            return
+        pull, slopes, least = real(0.0), real(0.0), real(1e30)
         energy = real(0.0)
         wrong = int(0)  # noqa: UP018, RUF046
         corner = c.x[b, c.local[b, f, 0]]
@@ -222,6 +229,11 @@ def kernels() -> Any:
             c.coupling[b, f, q] = coupling
             c.slips[b, f, q] = slips
             c.held[b, f, q] = held
+            pressed = rows * c.press[b]
+            pull += wp.dot(force, c.press[b])
+            slopes += wp.dot(pressed, pressed) + wp.dot(c.press[b], coupling * c.press[b])
+            least = wp.min(least, gap)
+        c.pressed[b, f] = vec3(pull, slopes, least)
         c.energy[b, f] = energy
         c.wrong_side[b, f] = wrong
 

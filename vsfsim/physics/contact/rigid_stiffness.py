@@ -17,7 +17,8 @@ class PointStiffness:
     batch: int
     has_friction: bool
     coulomb: torch.Tensor
-    compliance: torch.Tensor
+    yielding: torch.Tensor
+    """Compliance of the patches (B, 3 s, 3 s) [m/N], and in series with it that of springs that carry the bodies."""
     free: torch.Tensor
     held: torch.Tensor
     springs: Springs | None
@@ -70,6 +71,5 @@ class PointStiffness:
               geometric: torch.Tensor | None = None) -> ContactBlock:
         """See `Contact`; in the precision ``real``, ``geometric`` (k,) bool as above."""
         own = assembled(*self._faces(columns), self.own_stiffness(columns, geometric), self.free[columns])
-        series = None if self.springs is None else self.springs.series(columns, self.free.shape[1] // 3)
-        return ContactBlock.of(own, self.compliance[columns] if len(columns) < self.batch else self.compliance, series,
+        return ContactBlock.of(own, self.yielding[columns] if len(columns) < self.batch else self.yielding,
                                nodes=self.has_friction, real=real)

@@ -65,50 +65,50 @@ class ContactBlock:
     dof: torch.Tensor
     """Degrees of freedom that touch (k, m)."""
     stiffness: torch.Tensor
-    """C there (k, m, m) [N/m]."""
-    factors: torch.Tensor
-    """LU factors of 1 + A C (k, m, m)."""
-    pivots: torch.Tensor
-    """Their pivots (k, m)."""
+    """C there (k, m, m) [N/m]; on a GPU, where iterations apply it as a graph, T."""
+    factors: tuple[torch.Tensor, torch.Tensor] | None
+    """LU factors of 1 + A C (k, m, m) and their pivots (k, m); None with T."""
     width: int
     """Degrees of freedom of a patch, 3 s."""
 
     @classmethod
-    def of(cls, stiffness: SparseStiffness | torch.Tensor, compliance: torch.Tensor,
-           series: torch.Tensor | None = None, *, nodes: bool = False,
+    def of(cls, stiffness: SparseStiffness | torch.Tensor, compliance: torch.Tensor, *, nodes: bool = False,
            real: torch.dtype = torch.float64) -> ContactBlock:
         """From the stiffness and the compliance (k, 3 s, 3 s) [m/N] of k patches.
 
-        ``series``: g (k, 3 s), if the compliance g g^T of a spring is in series with that of the body [sqrt(m/N)].
         ``nodes``: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
         point begins to slip, and so would the rounding. ``real``: precision; the single one takes half of the time.
         """
         if isinstance(stiffness, torch.Tensor):
             dof = _used((stiffness != 0.0).any(dim=1), nodes)
-            own, stiff = _between(compliance, dof, series, real), _between(stiffness, dof, None, real)
+            own, stiff = _between(compliance, dof, real), _between(stiffness, dof, real)
             bracket = own @ stiff
-        else:
-            used = torch.zeros(compliance.shape[:2], dtype=torch.bool)
-            for b, c in enumerate(stiffness.matrices):
-                used[b, torch.as_tensor(c.indices).long()] = True
-            dof = _used(used, nodes)
-            own, some, parts = _between(compliance, dof, series, real), [], []
-            for c, a, at in zip(stiffness.matrices, own, dof.numpy(), strict=True):
-                few = c[at][:, at].astype(a.numpy().dtype)
-                some.append(torch.as_tensor(few.toarray()))
-                parts.append(torch.as_tensor(few.T @ a.numpy()).T)  # A C = (C^T A)^T: A is symmetric
-            stiff, bracket = _stacked(some), _stacked(parts)
+            bracket.diagonal(dim1=1, dim2=2).add_(1.0)
+            return cls(dof, stiff @ torch.linalg.inv_ex(bracket)[0], None, compliance.shape[2])
+        used = torch.zeros(compliance.shape[:2], dtype=torch.bool)
+        for b, c in enumerate(stiffness.matrices):
+            used[b, torch.as_tensor(c.indices).long()] = True
+        dof = _used(used, nodes)
+        own, some, parts = _between(compliance, dof, real), [], []
+        for c, a, at in zip(stiffness.matrices, own, dof.numpy(), strict=True):
+            few = c[at][:, at].astype(a.numpy().dtype)
+            some.append(torch.as_tensor(few.toarray()))
+            parts.append(torch.as_tensor(few.T @ a.numpy()).T)  # A C = (C^T A)^T: A is symmetric
+        bracket = _stacked(parts)
         bracket.diagonal(dim1=1, dim2=2).add_(1.0)
-        return cls(dof, stiff, *torch.linalg.lu_factor(bracket), compliance.shape[2])
+        return cls(dof, _stacked(some), torch.linalg.lu_factor(bracket), compliance.shape[2])
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
-        return ContactBlock(self.dof[which], self.stiffness[which], self.factors[which], self.pivots[which], self.width)
+        factors = self.factors and (self.factors[0][which], self.factors[1][which])
+        return ContactBlock(self.dof[which], self.stiffness[which], factors, self.width)
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
         own = v.gather(1, self.dof)[:, :, None].to(self.stiffness.dtype)
-        force = (self.stiffness @ torch.linalg.lu_solve(self.factors, self.pivots, own))[:, :, 0]
+        if self.factors is not None:
+            own = torch.linalg.lu_solve(*self.factors, own)
+        force = (self.stiffness @ own)[:, :, 0]
         return torch.zeros_like(v).scatter_(1, self.dof, force.to(v.dtype))
 
 
@@ -130,15 +130,9 @@ def _used(touched: torch.Tensor, nodes: bool) -> torch.Tensor:
     return torch.sort(touched.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
 
 
-def _between(matrix: torch.Tensor, dof: torch.Tensor, series: torch.Tensor | None, real: torch.dtype) -> torch.Tensor:
-    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s) and of g g^T, g (k, 3 s) the ``series``: (k, m, m), in
-    the precision ``real``."""
+def _between(matrix: torch.Tensor, dof: torch.Tensor, real: torch.dtype) -> torch.Tensor:
+    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m), in the precision ``real``."""
     if len(matrix) == 1:
-        out = matrix[0].index_select(0, dof[0]).to(real).index_select(1, dof[0])[None]
-    else:
-        touch = torch.arange(len(matrix), device=matrix.device)[:, None, None]
-        out = matrix[touch, dof[:, :, None], dof[:, None, :]].to(real)
-    if series is None:
-        return out
-    g = series.gather(1, dof).to(real)
-    return out + g[:, :, None] * g[:, None, :]
+        return matrix[0].index_select(0, dof[0]).to(real).index_select(1, dof[0])[None]
+    touch = torch.arange(len(matrix), device=matrix.device)[:, None, None]
+    return matrix[touch, dof[:, :, None], dof[:, None, :]].to(real)

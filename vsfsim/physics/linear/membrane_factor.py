@@ -81,10 +81,6 @@ class MembraneFactor(RestFactor):
             out[:, start:start + len(part)] = self.solve(right)[rows]
         return out
 
-    def dense(self, device: str) -> torch.Tensor:
-        """The inverse (3 n, 3 n) [m/N] on a GPU; made once and kept."""
-        if device not in self._dense:
-            inverse = super().dense(device)
-            answer = torch.as_tensor(self._answer, device=device)
-            inverse.addr_(answer, answer, alpha=-self._share)
-        return self._dense[device]
+    def _inverse_on(self, device: str) -> torch.Tensor:
+        answer = torch.as_tensor(self._answer, device=device)
+        return super()._inverse_on(device).addr_(answer, answer, alpha=-self._share)

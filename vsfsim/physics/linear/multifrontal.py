@@ -13,6 +13,7 @@ may be lost; `trusted` tests it.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -88,12 +89,13 @@ def factor_kernels() -> list[Any]:
     return kernels
 
 
-def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray, *, within: float = TRUST) -> bool:
-    """Whether the factor solves for ``loads`` (3 n, k) to the relative error ``within`` in the matrix's energy norm."""
-    x = factor.solve(loads)
+def trusted(matrix: sp.spmatrix, solve: Callable[[np.ndarray], np.ndarray], loads: np.ndarray, *,
+            within: float = TRUST) -> bool:
+    """Whether ``solve`` answers ``loads`` (3 n, k) to the relative error ``within`` in the matrix's energy norm."""
+    x = solve(loads)
     miss = loads - matrix @ x
     # |e|_A^2 = e . A e with e = A^-1 miss, itself found by the factor; |x|_A^2 = x . b
-    error, energy = np.einsum("ij,ij->j", factor.solve(miss), miss), np.einsum("ij,ij->j", x, loads)
+    error, energy = np.einsum("ij,ij->j", solve(miss), miss), np.einsum("ij,ij->j", x, loads)
     return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= within**2 * energy).all())
 
 

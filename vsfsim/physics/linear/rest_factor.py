@@ -17,7 +17,7 @@ import scipy.sparse as sp
 import torch
 
 from vsfsim.physics import clock
-from vsfsim.physics.linear.dense_inverse import dense_inverse
+from vsfsim.physics.linear.dense_inverse import DenseResponse, dense_inverse, times
 from vsfsim.physics.linear.elimination import Order, blocks_of
 from vsfsim.physics.linear.large_factor import LargeFactor
 from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
@@ -129,7 +129,7 @@ class RestFactor:
     def solve_on(self, device: str, right: np.ndarray) -> np.ndarray:
         """As `solve`, by the `dense` inverse if the device has it."""
         there = self._dense.get(device)
-        return self.solve(right) if there is None else (there @ torch.as_tensor(right, device=device)).cpu().numpy()
+        return self.solve(right) if there is None else times(there, right)
 
     def quick(self, points: np.ndarray) -> RestFactor:
         """A factor of the same body with fewer digits, which takes a third of the time, for predictions and as a
@@ -199,11 +199,22 @@ class RestFactor:
             out[:, :, j, :] = self._columns[int(i)][rows]
         return out.reshape(3 * len(nodes), 3 * len(pushed))
 
-    def dense(self, device: str) -> torch.Tensor:
-        """The inverse (3 n, 3 n) [m/N] on a GPU, 0 where held; made once and kept until the next body."""
-        if device not in self._dense:
-            self._dense[device] = dense_inverse(self._held, self.free, device)
-        return self._dense[device]
+    def dense(self, device: str, *, exact: bool = True) -> torch.Tensor:
+        """The inverse (3 n, 3 n) [m/N] on a GPU, 0 where held; made once and kept until the next body. Unless it is to
+        be ``exact`` it has single precision, half of the memory and of the time, where that is accurate enough for
+        predictions and as a preconditioner."""
+        kept = self._dense.get(device)
+        if kept is None or (exact and kept.dtype != torch.float64):
+            kept = self._inverse_on(device)
+            short = kept if exact else kept.to(torch.float32)
+            if exact or trusted(self._held, lambda right: times(short, right), _loads(self)):
+                kept = short
+            self._dense[device] = kept
+            torch.cuda.empty_cache()  # for the other processes
+        return kept
+
+    def _inverse_on(self, device: str) -> torch.Tensor:
+        return dense_inverse(self._held, self.free, device)
 
     def stiffness_on(self, device: str) -> torch.Tensor:
         """The rest stiffness, supports not held, as a sparse matrix on a GPU."""
@@ -229,9 +240,7 @@ class QuickFactor(RestFactor):
         """The quick factor, or None if its relative error for this body is not ``within`` a limit: it is tried with
         uniform forces along each axis and with random ones."""
         solver = Multifrontal.of(exact._held, points)
-        loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)),
-                                np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
-        accurate = trusted(exact._held, solver, loads * exact.free[:, None], within=within)
+        accurate = trusted(exact._held, solver.solve, _loads(exact), within=within)
         return cls(exact, solver) if accurate else None
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -239,11 +248,19 @@ class QuickFactor(RestFactor):
         return self._solver.solve(right)
 
 
+def _loads(factor: RestFactor) -> np.ndarray:
+    """Forces (3 n, 4) [N] that a factor is tried with: uniform ones along each axis, and random ones."""
+    uniform = np.tile(np.eye(3), (factor.size // 3, 1))
+    return np.hstack([uniform, np.random.default_rng(0).normal(size=(factor.size, 1))]) * factor.free[:, None]
+
+
 class Response(Protocol):
     """How the body at rest responds to forces, for the touches of one run."""
 
     took: float
     """Time of the last `solve` on the host [s]; 0 before the first."""
+    resident: bool
+    """Whether all is done on a GPU, without the host."""
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
@@ -271,12 +288,12 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool 
         factor: the body's factor.
         dof: degrees of freedom of the patches (B, 3 s); -1 is padding.
         device: Warp device.
-        exact: whether `patch` is float64. Otherwise it may be float32 on a CPU, where reading the columns takes the
-            time; that is enough for predictions and as a preconditioner.
+        exact: whether all is float64. Otherwise what takes time to read may be float32, the columns on a CPU and the
+            inverse on a GPU; that is enough for predictions and as a preconditioner.
         lazy: columns are made when `Response.prepare` names their nodes.
     """
     if device != "cpu" and factor.size <= _DENSE:
-        return _Dense(factor, dof, device)
+        return DenseResponse(factor.dense(device, exact=exact), dof)
     return _Sparse(factor, dof, device, exact, lazy)
 
 
@@ -292,6 +309,8 @@ class _Sparse:
 
     ``lazy``: only the nodes named to `prepare` have columns.
     """
+
+    resident = False
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
         self._factor, self._dof = factor, dof
@@ -362,39 +381,3 @@ class _Sparse:
             rows = torch.index_select(columns, 0, some, out=part[:len(some)])
             out.addmv_(rows.T, force[some])
         return out
-
-
-class _Dense:
-    """Products with the dense inverse on the GPU; forces on patches multiply only the columns of all patches."""
-
-    took = 0.0
-
-    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
-        self._inverse = factor.dense(device)
-        self._dof = dof
-        together = torch.unique(dof[dof >= 0])
-        self._columns = self._inverse[:, together].contiguous()
-        place = torch.zeros(factor.size, dtype=torch.int64, device=dof.device)
-        place[together] = torch.arange(len(together), device=dof.device)
-        self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], -1)
-
-    def prepare(self, nodes: torch.Tensor) -> bool:
-        """All of the inverse is there."""
-        return False
-
-    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
-        """All of the inverse is there."""
-        return True
-
-    def compliance(self) -> torch.Tensor:
-        mask, index = (self._dof >= 0).to(torch.float64), self._dof.clamp(min=0)
-        table = self._inverse[index[:, :, None], index[:, None, :]] * mask[:, :, None] * mask[:, None, :]
-        return 0.5 * (table + table.mT)
-
-    def solve(self, right: torch.Tensor) -> torch.Tensor:
-        return self._inverse @ right
-
-    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        if not self._columns.shape[1]:  # no touch reaches anything
-            return torch.zeros((len(self._inverse), len(touches)), dtype=force.dtype, device=force.device)
-        return self._columns @ spread(self._place[touches], force, self._columns.shape[1])

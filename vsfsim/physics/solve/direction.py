@@ -7,7 +7,6 @@ import warp as wp
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import SolverOptions
@@ -64,7 +63,6 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     knows = [part is not None and part.holds(touched_unknowns(contact, stiffness, k, b)) if own is None else True
              for k, (b, part, own) in enumerate(zip(columns.tolist(), local, own_factor, strict=True))]
     block = contact.block(columns) if touched and not all(knows) else None
-    size = len(residual)
 
     class Part:
         """What the products need of the columns ``which``."""
@@ -72,8 +70,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         def __init__(self, which: torch.Tensor | None):
             own = columns if which is None else columns[which]
             self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
-            self.dof, self.mask = contact.dof[own], contact.mask[own]
-            self.at = self.dof.clamp(min=0).T
+            self.mask = contact.mask[own]
+            self.at = contact.dof[own].clamp(min=0).T
             picked = range(len(own)) if which is None else which.tolist()
             self.factors = [(j, own_factor[k]) for j, k in enumerate(picked) if own_factor[k] is not None]
             self.local = [(j, local[k]) for j, k in enumerate(picked) if local[k] is not None]
@@ -98,9 +96,10 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     def multiply(x: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
         with clock.measure("products"):
-            out = wp.to_torch(elasticity.multiply(own.index, wp.from_torch(x.contiguous())))
+            out = torch.empty_like(x)
+            elasticity.multiply(own.index, wp.from_torch(x), wp.from_torch(out))
         if touched:
-            out = out + spread(own.dof, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0], size)
+            out.scatter_add_(0, own.at, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0].T)
         return out
 
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
@@ -124,7 +123,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                                        deadline=deadline)
         return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool), stiffness
     direction, steps, curved = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
-                                         plain=plain, deadline=deadline)
+                                         plain=plain, deadline=deadline, resident=response.resident)
     if factors is not None:
         factors.count(columns, steps)
         # a factor in short numbers may round to an indefinite one: then there is no step, and it is dropped

@@ -288,10 +288,9 @@ class Elasticity:
         """The state of the tangents of one block (m, state_size, B), read back to assemble a matrix on the host."""
         return self._state[block].numpy()
 
-    def multiply(self, index: wp.array, x: wp.array) -> wp.array:
-        """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are
-        0."""
-        out = wp.empty_like(x)
+    def multiply(self, index: wp.array, x: wp.array, out: wp.array) -> None:
+        """Tangent times x (3 n, k) [m] -> ``out`` (3 n, k): column j belongs to touch ``index[j]``; rows of held
+        degrees of freedom are 0."""
         each = zip(self.blocks, self._of, self._model, self._state, self._part, strict=True)
         for i, (block, own, model, state, part) in enumerate(each):
             if i in self._together:
@@ -300,7 +299,6 @@ class Elasticity:
                 self._launch(own.multiply, (len(block), len(index)), [*model, index, self._at, state, x, part[0]])
         self._launch(self.kernels.gather, (self._points, len(index)),
                      [self._start, self._slot, self._free, index, 1, self._force, out])
-        return out
 
 
 @functools.cache

@@ -12,21 +12,23 @@ e being the translation of all nodes along the press: the mount's compliance is 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+import warp as wp
 
 from vsfsim.physics.contact.stiffness_block import SparseStiffness
+from vsfsim.physics.runtime import vec3
+from vsfsim.physics.solve.mount_kernels import kernels
 
 BALANCED = 1e-3
 """Difference between the contact's force and the spring's, over the force, at which a frame is in equilibrium [-]."""
 TRIALS = 40
 """Places of the probe that are tried for one state of the object; two to four are usual."""
-_EXACT = 1e-7  # the same difference that ends the search: what is left must not show in differences of potentials
-_FAR = 0.5  # of that difference over the spring's force: from here on the force goes with the square of the depth
-_TOUCH = 1e-7  # how far the probe goes in past its first contact [m]
+_ASKED = 2  # trials after which the device is asked whether all are in balance
 _FOLLOWED = 2e-4  # change of w over w after which the local indentation is that of another place
 
 
@@ -52,11 +54,16 @@ class Springs:
     """w of each touch (B,) [m]."""
     excess: torch.Tensor
     """Force of the contact over that of the spring at the last evaluation (B,) [N]."""
+    pressed: tuple[torch.Tensor, torch.Tensor]
+    """Directions of the presses (B, 3) [-], and 1 for each touch whose contact is evaluated, 0 for one in balance (B,)
+    int32."""
 
     def __init__(self, mount: Mount, device: str):
         self.stiffness = mount.stiffness
         self.axis = torch.as_tensor(np.asarray(mount.axis, float), device=device)
-        self.give, self.excess = self.axis.new_zeros(len(self.axis)), self.axis.new_zeros(len(self.axis))
+        self.give, self.excess, low, high = (self.axis.new_zeros(len(self.axis)) for _ in range(4))
+        self.pressed = self.axis, torch.ones_like(self.give, dtype=torch.int32)
+        self._state = [wp.from_torch(t) for t in (self.pressed[1], self.give, self.excess, low, high)]
         self._seen = self.give.clone()  # where the bodies were when the local indentation was set
 
     def placed(self, origin: torch.Tensor) -> torch.Tensor:
@@ -77,44 +84,36 @@ class Springs:
         """Sum along the presses (k,) [N] of forces on the object (k, 3 n) [N]."""
         return (force.view(len(columns), -1, 3).sum(dim=1) * self.axis[columns]).sum(dim=1)
 
-    def series(self, columns: torch.Tensor, nodes: int) -> torch.Tensor:
-        """e / sqrt(k) on patches of s = ``nodes`` (k, 3 s): with A the compliance of the body, A + g g^T is that of
-        the body and the mount [m/N]."""
-        return (self.axis[columns] / self.stiffness**0.5).repeat(1, nodes)
+    def yielding(self, compliance: torch.Tensor) -> torch.Tensor:
+        """Compliance A of the patches (B, 3 s, 3 s), and in series with it that of the mounts, e e^T / k [m/N]."""
+        e = self.axis.repeat(1, compliance.shape[1] // 3)
+        return compliance + e[:, :, None] * e[:, None, :] / self.stiffness
 
-    def pushed(self, columns: torch.Tensor, force: torch.Tensor) -> None:
-        """Let the springs give way to forces of the contact (k, 3 s) [N] on the object."""
-        self.give[columns] = self.along(columns, force) / self.stiffness
+    def place(self, columns: torch.Tensor, pushed: torch.Tensor | None, mounts: wp.array, points: Any) -> None:
+        """Put the bodies of the touches ``columns`` (k,) int32, whose mounts are at ``mounts`` (B, K) [m], where the
+        springs let them; these give way to the forces ``pushed`` (k, 3 s) [N] on the object, if there are any.
+        ``points``: of the contact, see `rigid_kernels`."""
+        force = self.axis.new_zeros(len(columns), 0) if pushed is None else pushed
+        wp.launch(kernels().place, dim=len(columns), device=mounts.device, inputs=[
+            wp.from_torch(columns), points.press, self.stiffness, mounts,
+            wp.from_torch(force.contiguous().view(len(columns), -1, 3), dtype=vec3), *self._state, points.origin])
 
-    def settle(self, contact: Any, columns: torch.Tensor) -> None:
-        """Evaluate the `RigidContact` of ``columns`` (k,) at w in balance.
+    def settle(self, evaluate: Callable[[], None], columns: torch.Tensor, mounts: wp.array, points: Any) -> None:
+        """Bring the springs of the touches ``columns`` into balance; ``evaluate`` renews the contact of those that are
+        not. The arguments are those of `place`.
 
         Newton's method in a bracket, with the slope of the contact points. Far from the root the force goes with the
-        square of the depth, as under a ball; a probe that has lost contact goes in by its gap.
+        square of the depth, as under a ball; a probe that has lost contact goes in by its gap. Touches settle on the
+        device, which is asked for them after every few steps.
         """
-        k, at = self.stiffness, columns
-        low, high = (torch.full_like(self.give, bound) for bound in (-float("inf"), float("inf")))
+        index = wp.from_torch(columns)
         for trial in range(TRIALS):
-            contact.evaluate_at_mounts(at)
-            w, along = self.give[at], self.along(at, contact.force[at].flatten(1))
-            self.excess[at] = excess = along - k * w
-            size = torch.maximum(along.abs(), k * w.abs())
-            left = (excess.abs() > _EXACT * size).nonzero()[:, 0]
-            if not len(left) or trial == TRIALS - 1:
+            evaluate()
+            wp.launch(kernels().settle, dim=len(columns), device=mounts.device, inputs=[
+                index, points.press, self.stiffness, int(trial == TRIALS - 1), mounts, points.pressed, *self._state,
+                points.origin])
+            if trial % _ASKED == _ASKED - 1 and not bool(self.pressed[1][columns].any()):
                 return
-            at, w, along, excess = at[left], w[left], along[left], excess[left]
-            low[at] = torch.where(excess > 0.0, w, low[at])
-            high[at] = torch.where(excess < 0.0, w, high[at])
-            slope = self._slope(contact.own_stiffness(at), at)
-            far = (excess.abs() > _FAR * k * w.abs()) & (along > 0.0)
-            square = torch.where(far, slope**2 / along.clamp(min=1e-300), 0.0)
-            both = slope + k
-            step = 2.0 * excess / (both + (both**2 - square * excess).clamp(min=0.0).sqrt())
-            apart = contact.gap[at].amin(dim=1)
-            home = torch.where(w > 0.0, torch.maximum(-apart - _TOUCH, -w), -w)
-            new = w + torch.where(apart < 0.0, step, home)
-            middle = 0.5 * (low[at] + high[at])
-            self.give[at] = torch.where(((new > low[at]) & (new < high[at])) | ~middle.isfinite(), new, middle)
 
     def _slope(self, own: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         axis = self.axis[columns][:, None, :, None]
@@ -157,4 +156,4 @@ class YieldingStiffness:
         self.fixed[which], self.toward[which], self.back[which] = other.fixed, other.toward, other.back
 
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
-        return self.fixed @ v - self.toward[:, :, None] * (self.back[:, None] @ v)
+        return torch.baddbmm(self.fixed @ v, self.toward[:, :, None], self.back[:, None] @ v, alpha=-1.0)

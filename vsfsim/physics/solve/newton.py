@@ -66,6 +66,7 @@ class Equilibrium:
         batch = contact.batch
         self.u = torch.zeros((3 * len(model.mesh.points), batch), dtype=torch.float64, device=self.device)
         self.load = torch.as_tensor(model.load, device=self.device)[:, None]
+        self._loaded = _size(self.load).clamp(min=floor)
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
         self.least = torch.full((batch,), -float("inf"), dtype=torch.float64, device=self.device)
@@ -127,18 +128,18 @@ class Equilibrium:
         bodies = self.contact.energy(columns) + self.contact.carried(columns)
         potential = energy + bodies - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
-        self._acts[columns] = self._acting(contact)
+        self._acts[columns] = acting = self._acting(contact)
         return {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
                 "energy": energy, "wrong_side": self.contact.wrong_side(columns),
                 "det": wp.to_torch(self.elasticity.least_det)[columns],
-                "measure": self.measure(residual, contact)}
+                "measure": _size(residual) / acting}
 
     def measure(self, residual: torch.Tensor, contact: torch.Tensor) -> torch.Tensor:
         """Unbalanced over acting force (k,) [-]: sums of the lengths of nodal vectors (3 n, k) [N]."""
         return _size(residual) / self._acting(contact)
 
     def _acting(self, contact: torch.Tensor) -> torch.Tensor:
-        return torch.maximum(_size(contact), _size(self.load)).clamp(min=self.floor)
+        return torch.maximum(_size(contact), self._loaded)
 
     # ------------------------------------------------------------------------------------------ Newton
 

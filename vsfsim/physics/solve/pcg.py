@@ -16,9 +16,11 @@ from collections.abc import Callable
 import torch
 
 from vsfsim.physics import clock
+from vsfsim.physics.solve import graphs
 
 Operator = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 _COMPACT = 0.7  # share of running columns under which the others are dropped from the tensors
+_FEW = 0.4  # the same on a GPU, where a graph is made again then
 
 
 def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -27,7 +29,7 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int, plain: bool = False, deadline: float = float("inf"),
+          iterations: int, plain: bool = False, deadline: float = float("inf"), resident: bool = False,
           ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0.
 
@@ -41,62 +43,71 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             preconditioner's norm.
         deadline: `clock.now` after which no iteration begins and the preconditioner is not used again [s]; x is
             then what was reached, a direction of descent all the same.
+        resident: whether the products are made on a GPU alone: their iterations are then repeated as a graph.
 
     Returns:
         x (3 n, k), iterations of each column (k,), and which met negative curvature (k,) bool: such a column keeps its
         last x, or the first direction.
     """
     which: torch.Tensor | None = None
-    out = torch.zeros_like(right)
-    x = out
+    out, taken = torch.zeros_like(right), torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
+    bent = torch.zeros_like(taken, dtype=torch.bool)
+    # of the columns that are left: x, the iterations, and which met negative curvature
+    x, steps, curved = torch.zeros_like(right), torch.zeros_like(taken), torch.zeros_like(bent)
     r = right.clone()
-    z = precondition(r, None)
-    p = z.clone()
-    rz = column_dots(r, z)
-    start = (column_dots(r, r) if plain else rz).clamp(min=1e-300)
-    running = rz > 0.0
-    curved = torch.zeros_like(rz, dtype=torch.bool)
-    steps = torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
-    for step in range(iterations):
-        if step and clock.now() > deadline:
-            break
+    p = precondition(r, None).clone()
+    rz = column_dots(r, p)
+    least = tolerance**2 * (column_dots(r, r) if plain else rz).clamp(min=1e-300)
+    running, none = rz > 0.0, rz.new_zeros(())
+
+    # all in place, so that a GPU can repeat it
+    def descend() -> None:
         ap = multiply(p, which)
         pap = column_dots(p, ap)
-        bad = running & ~(pap > 0.0)
-        curved[slice(None) if which is None else which] |= bad
-        steps[slice(None) if which is None else which] += running
-        if step == 0:
-            x += p * bad
-        running = running & ~bad
-        alpha = torch.where(running, rz / torch.where(pap > 0.0, pap, 1.0), 0.0)
-        x += alpha * p
-        r -= alpha * ap
-        if plain:
-            goes_on = running & (column_dots(r, r) > tolerance**2 * start)
-            left = int(goes_on.sum())
-            if left == 0 or step == iterations - 1:
-                break
-        if clock.now() > deadline:
-            break
+        falls = running & (pap > 0.0)
+        curved.logical_or_(running ^ falls)
+        steps.add_(running)
+        alpha = torch.where(falls, rz / pap, none)
+        x.add_(alpha * p)
+        r.sub_(alpha * ap)
+        running.copy_(falls & (column_dots(r, r) > least) if plain else falls)
+
+    def turn() -> None:
         z = precondition(r, which)
         fresh = column_dots(r, z)
         if not plain:
-            goes_on = running & (fresh > tolerance**2 * start)
-            left = int(goes_on.sum())
-            if left == 0:
-                break
-        beta = torch.where(goes_on, fresh / torch.where(rz > 0.0, rz, 1.0), 0.0)
-        p = z + beta * p
-        rz = torch.where(running, fresh, rz)
-        running = goes_on
+            running.logical_and_(fresh > least)
+        p.mul_(torch.where(running, fresh / rz, none)).add_(z)
+        rz.copy_(torch.where(running, fresh, rz))
+
+    def iterate() -> None:
+        descend()
+        turn()
+
+    done = 0
+    while done < iterations:
+        if done and clock.now() > deadline:
+            break
+        descend()
+        if done == 0:
+            x += p * curved
+        done += 1
+        if done == iterations or (plain and not running.any()) or clock.now() > deadline:
+            break
+        turn()
+        if resident:
+            done += graphs.repeat(iterate, running, most=iterations - done, few=int(_FEW * len(running)),
+                                  deadline=deadline)
+        left = int(running.sum())
+        if left == 0:
+            break
         if left < _COMPACT * len(running):
-            if which is not None:
-                out[:, which] = x
+            where = slice(None) if which is None else which
+            out[:, where], taken[where], bent[where] = x, steps, curved
             keep = running.nonzero()[:, 0]
             which = keep if which is None else which[keep]
             x, r, p = x[:, keep], r[:, keep], p[:, keep]
-            rz, start, tolerance = rz[keep], start[keep], tolerance[keep]
-            running = torch.ones_like(keep, dtype=torch.bool)
-    if which is not None:
-        out[:, which] = x
-    return out, steps, curved
+            rz, least, steps, curved, running = (t[keep] for t in (rz, least, steps, curved, running))
+    where = slice(None) if which is None else which
+    out[:, where], taken[where], bent[where] = x, steps, curved
+    return out, taken, bent

@@ -24,6 +24,8 @@ class PairResponse:
         surfaces: the surfaces of both.
     """
 
+    resident = False
+
     def __init__(self, model: Model, sensor: Model, surfaces: PairSurfaces):
         self.device, self.sensor, self._surfaces = surfaces.device, sensor, surfaces
         self._rows = 3 * len(model.mesh.points)
