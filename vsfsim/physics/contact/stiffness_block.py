@@ -77,11 +77,12 @@ class ContactBlock:
         """From the stiffness and the compliance (k, 3 s, 3 s) [m/N] of k patches.
 
         ``nodes``: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
-        point begins to slip, and so would the rounding. ``real``: precision; the single one takes half of the time.
+        point begins to slip, and so would the rounding. ``real``: precision on a CPU; the single one takes half of
+        the time.
         """
         if isinstance(stiffness, torch.Tensor):
             dof = _used((stiffness != 0.0).any(dim=1), nodes)
-            own, stiff = _between(compliance, dof, real), _between(stiffness, dof, real)
+            own, stiff = (_between(matrix, dof, torch.float64) for matrix in (compliance, stiffness))
             bracket = own @ stiff
             bracket.diagonal(dim1=1, dim2=2).add_(1.0)
             return cls(dof, stiff @ torch.linalg.inv_ex(bracket)[0], None, compliance.shape[2])
