@@ -110,7 +110,7 @@ Objects = Annotated[int | None, typer.Option("--objects", min=1, help="How many 
 Views = Annotated[int | None, typer.Option("--views", min=1, help="Views of each object; default: the scene's.")]
 Touches = Annotated[int | None, typer.Option("--touches", min=1, help="Touches of each view; default: the scene's.")]
 Workers = Annotated[int | None, typer.Option("--workers", min=1,
-                                             help="Processes; default: one a CPU core, or up to 8 on a GPU.")]
+                                             help="Processes; default: one a CPU core, or up to 16 on a GPU.")]
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim methods`), or module:attribute.")]
 TaskName = Annotated[str, typer.Option("--task", autocompletion=complete_task,
