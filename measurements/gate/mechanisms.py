@@ -40,6 +40,7 @@ MECHANISMS: dict[str, tuple[str, Patch]] = {
         newton, correct=lambda _balance, _columns, direction, *_: direction)),
     "local factors": ("a factor of the most deformed nodes corrects the factor at rest", _set(
         tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER)),
+    "whole factors": ("a factor of the whole deformed body preconditions", _set(tangent_factor, _FIRST=_NEVER)),
     "factors": ("a factor of a deformed state preconditions", _set(
         tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER, _FIRST=_NEVER)),
 }
