@@ -42,7 +42,7 @@ def leaderboard(task: str) -> str:
         BOARDS[task] = collect(load_task(task))
     lines = markdown(BOARDS[task]).splitlines()
     title = next(line for line in lines if "mean ± st" in line)
-    said = [line for line in lines if line.startswith(("of possible: ", "rank corr.: ", "† "))]
+    said = [line for line in lines if line.startswith(("of possible: ", "rank corr.: ", "† ", "no row of "))]
     title += "." * bool(said) + "".join(f" {line[0].upper()}{line[1:]}." for line in said)
     reasons: dict[str, list[str]] = {}
     for line in lines:

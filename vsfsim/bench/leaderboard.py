@@ -13,6 +13,7 @@ from typing import Any
 
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
+from vsfsim.bench.board.absent import absent
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
 from vsfsim.bench.board.named import is_ceiling, is_earlier, labels_of
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
@@ -345,7 +346,8 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
 
 
 def column_notes(board: Board) -> list[str]:
-    """What the columns "of possible" and "evidence" say, and ~ and † behind a name; only what the board has."""
+    """What the columns "of possible" and "evidence" say, and ~ and † behind a name, where the board has them; and
+    which rows are absent."""
     lines = []
     if possible(board):
         lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
@@ -359,7 +361,7 @@ def column_notes(board: Board) -> list[str]:
     if any(row.earlier for row in board.rows):
         lines.append("† by an earlier version of the method: its source or the settings of its preset are not those "
                      "of this vsfsim, or the row does not say its source")
-    return lines
+    return lines + [f"no row of {names}: {reason}" for names, reason in absent(board.task.name).items()]
 
 
 def _paper(board: Board) -> list[list[str]]:

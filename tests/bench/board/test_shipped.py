@@ -6,11 +6,14 @@ import json
 import pytest
 
 from vsfsim.bench import leaderboard
+from vsfsim.bench.board.absent import absent
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.task import load_task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
+from vsfsim.core.shelf import ceilings, methods
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +58,23 @@ def test_a_damaged_file_is_refused(task, results, tmp_path, change):
 
 def test_what_ships_is_small():
     assert sum(path.stat().st_size for path in shelf.folder("leaderboard").rglob("*.json")) < 5e6
+
+
+def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
+    """Each row that every board should have is there or in `leaderboard/absent.toml`, never both."""
+    wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml"}
+    known = methods().keys() | ceilings().keys()
+    for task in map(load_task, shelf.tasks()):
+        there = {one.result.method for one in read_rows(shelf.folder("leaderboard") / f"{task.name}.json")}
+        said = [name for names in absent(task.name) for name in names.split(", ")]
+        assert len(said) == len(set(said)) and set(said) <= known and not there & set(said), task.name
+        assert task.superseded_by or wanted <= there | set(said), task.name
+        title = leaderboard.text(leaderboard.collect(task))
+        assert all(f"no row of {names}: {reason}" in title for names, reason in absent(task.name).items())
+
+
+def test_a_damaged_list_of_absent_rows_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "absent.toml").write_text("[broken")
+    monkeypatch.setattr("vsfsim.bench.board.absent.folder", lambda _: tmp_path)
+    with pytest.raises(TaskError, match="absent.toml"):
+        absent("fewshot-shoes-v3-v1")
