@@ -23,7 +23,7 @@ from vsfsim.core.extras import EXTRA_OF
 ROOT = Path(__file__).parents[1]
 FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml"),
            "baselines": ("*.toml", "**/*.py"),
-           "leaderboard": ("**/*.json", "**/*.md", "*.py")}
+           "leaderboard": ("*.toml", "**/*.json", "**/*.md", "*.py")}
 METHODS = {"gaussian", "gaussian-zero", "point-vsf"}
 
 LOOK = """
