@@ -52,6 +52,9 @@ TRAININGS = 3
 ANGLE = 15.0
 """An object whose pose is found within this angle counts as found [degrees]."""
 
+NEIGHBOURS = "in the preset tuned neighbouring springs of sbml share what touches tell; the papers' are independent"
+"""Note on claims about `sbml` after touches of a rigid ball, where that preset has ``spatial``."""
+
 NOT_ASKED = Answers(UNTOLD, "", (1.0, 1.0))
 """Before all claims are answered together."""
 
@@ -161,7 +164,9 @@ def _sbml(kind: str, task: str, main: str, other: str) -> list[Claim]:
     def claim(key: str, text: str, better: str, worse: str, *, source: str = "", equal: bool = False) -> Claim:
         first, second = (Side(*side.split("/")) for side in (better, worse))
         figures = tuple(f"{columns[side.method]}/{side.shot}" for side in (first, second))
-        return Claim(text, source or source_of(figures), figures, task, first, second, equal=equal, key=f"{kind}/{key}")
+        with_spatial = task in (SIZES["standard"][1], SIZES["mini"][1]) and first.method == "sbml" and first.shot != "0"
+        return Claim(text, source or source_of(figures), figures, task, first, second, equal=equal,
+                     note=NEIGHBOURS if with_spatial else "", key=f"{kind}/{key}")
 
     own = [claim("order", "on shoes, the average Gaussian prior errs less than predicting zero", "gaussian/0",
                  "gaussian-zero/0")] if kind == "shoes" else [
