@@ -154,39 +154,22 @@ class Press:
         gap = length - self.radius
         return gap, x / length[..., None], np.maximum(self.multiplier - self.penalty * gap, 0.0)
 
-    def energy(self, u: np.ndarray) -> float:
-        """Elastic energy and the augmented Lagrangian of the contact [J]; infinite where an element is inverted."""
-        f = self.deformation(u)
-        j = np.linalg.det(f)
-        if j.min() <= 0.0:
-            return np.inf
+    def density(self, f: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Energy (m, 27) [Pa] of deformation gradients ``f`` (m, 27, 3, 3) with determinants ``j`` (m, 27) [-]."""
         log = np.log(j)
-        density = 0.5 * self.mu * ((f**2).sum(axis=(2, 3)) - 3.0) - self.mu * log + 0.5 * self.lam * log**2
-        pressure = self.contact(u)[2]
-        return float((self.block.weights * density).sum()
-                     + (self.block.face_weights * pressure**2).sum() / (2.0 * self.penalty))
+        return 0.5 * self.mu * ((f**2).sum(axis=(2, 3)) - 3.0) - self.mu * log + 0.5 * self.lam * log**2
 
-    def unbalanced(self, u: np.ndarray) -> np.ndarray:
-        """Gradient of the energy (n, 3) [N]."""
-        f = self.deformation(u)
+    def stress(self, f: np.ndarray) -> np.ndarray:
+        """First Piola-Kirchhoff stress (m, 27, 3, 3) [Pa]."""
         inverse = np.swapaxes(np.linalg.inv(f), 2, 3)
         log = np.log(np.linalg.det(f))
-        stress = self.mu[..., None, None] * f + (self.lam * log - self.mu)[..., None, None] * inverse
-        out = np.zeros_like(u)
-        np.add.at(out, self.block.cells, np.einsum("mq,mqij,mqaj->mai", self.block.weights, stress,
-                                                   self.block.gradients, optimize=True))
-        _, normal, pressure = self.contact(u)
-        load = np.einsum("fp,fpi,pa->fai", self.block.face_weights * pressure, normal, self.block.face_values)
-        np.add.at(out, self.block.faces, -load)
-        return out
+        return self.mu[..., None, None] * f + (self.lam * log - self.mu)[..., None, None] * inverse
 
-    def tangent(self, u: np.ndarray, turning: bool = True) -> sparse.csc_matrix:
-        """Second derivative on the free unknowns (k, k) [N/m]; without ``turning`` the negative part of the contact's,
-        which comes from the turning normal, is left out."""
-        b, f = self.block, self.deformation(u)
+    def stiffness(self, f: np.ndarray) -> np.ndarray:
+        """Of the elements (m, 27, 3, 27, 3) [N/m]."""
+        b, m = self.block, len(f)
         inverse = np.swapaxes(np.linalg.inv(f), 2, 3)
         log = np.log(np.linalg.det(f))
-        m, eye = len(b.cells), np.eye(3)
         # d2W = mu dF:dF + lambda (H:dF)^2 + (mu - lambda ln J) tr(H^T dF H^T dF) with H the inverse transpose of F
         spatial = np.einsum("mqij,mqaj->mqai", inverse, b.gradients, optimize=True).reshape(m, 27, 81)
         rows = np.swapaxes(spatial, 1, 2)
@@ -197,6 +180,33 @@ class Press:
         plain = flat @ np.swapaxes(np.repeat(b.weights * self.mu, 3, axis=1)[:, None] * flat, 1, 2)
         for i in range(3):
             whole[:, :, i, :, i] += plain
+        return whole
+
+    def energy(self, u: np.ndarray) -> float:
+        """Elastic energy and the augmented Lagrangian of the contact [J]; infinite where an element is inverted."""
+        f = self.deformation(u)
+        j = np.linalg.det(f)
+        if j.min() <= 0.0:
+            return np.inf
+        pressure = self.contact(u)[2]
+        return float((self.block.weights * self.density(f, j)).sum()
+                     + (self.block.face_weights * pressure**2).sum() / (2.0 * self.penalty))
+
+    def unbalanced(self, u: np.ndarray) -> np.ndarray:
+        """Gradient of the energy (n, 3) [N]."""
+        out = np.zeros_like(u)
+        np.add.at(out, self.block.cells, np.einsum("mq,mqij,mqaj->mai", self.block.weights,
+                                                   self.stress(self.deformation(u)), self.block.gradients,
+                                                   optimize=True))
+        _, normal, pressure = self.contact(u)
+        load = np.einsum("fp,fpi,pa->fai", self.block.face_weights * pressure, normal, self.block.face_values)
+        np.add.at(out, self.block.faces, -load)
+        return out
+
+    def tangent(self, u: np.ndarray, turning: bool = True) -> sparse.csc_matrix:
+        """Second derivative on the free unknowns (k, k) [N/m]; without ``turning`` the negative part of the contact's,
+        which comes from the turning normal, is left out."""
+        b, eye = self.block, np.eye(3)
         gap, normal, pressure = self.contact(u)
         on = b.face_weights * (pressure > 0.0)
         outer = normal[..., :, None] * normal[..., None, :]
@@ -205,7 +215,8 @@ class Press:
             curved -= (b.face_weights * pressure / (gap + self.radius))[..., None, None] * (eye - outer)
         face = np.einsum("fpij,pa,pb->faibj", curved, b.face_values, b.face_values, optimize=True)
         parts = []
-        for nodes, block in ((b.cells, whole.reshape(m, 81, 81)), (b.faces, face.reshape(len(b.faces), 27, 27))):
+        solid = self.stiffness(self.deformation(u)).reshape(-1, 81, 81)
+        for nodes, block in ((b.cells, solid), (b.faces, face.reshape(len(b.faces), 27, 27))):
             unknown = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
             row = np.repeat(unknown[:, :, None], unknown.shape[1], axis=2).reshape(-1)
             column = np.repeat(unknown[:, None, :], unknown.shape[1], axis=1).reshape(-1)

@@ -1,4 +1,4 @@
-"""S1 and S2 pressed in other simulators, on our tetrahedra: `vsfsim measure peers`.
+"""S1, S2 and a block of foam pressed in other simulators, on our tetrahedra: `vsfsim measure peers`.
 
 Each peer is a script of this folder that imports nothing of vsfsim, run by a Python of its own: a venv is made in the
 folder that is given, and filled from the package registry. A peer of linear tetrahedra alone also presses a second
@@ -7,6 +7,7 @@ mesh, on which each of ours is cut into eight at the nodes of its edges. Errors 
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 import time
@@ -29,10 +30,14 @@ from vsfsim.generate.presses.probe import prepare
 from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
 
-CASES = {"S1": ("indent-homogeneous", "s1"), "S2": ("indent", "s2")}
-PEERS = {"scikit-fem": ("skfem_peer.py", "scikit-fem", False), "mujoco": ("mujoco_peer.py", "mujoco", True),
-         "newton": ("newton_peer.py", "newton", True)}
-"""Script of this folder, requirement, and whether its tetrahedra are linear, by peer."""
+CASES = {"S1": ("indent-homogeneous", "s1"), "S2": ("indent", "s2"),
+         "foam": (str(Path(__file__).parent / "foam.toml"), "foam_block")}
+"""Scene and reference by case."""
+PEERS = {"scikit-fem": ("skfem_peer.py", "scikit-fem", False, True),
+         "mujoco": ("mujoco_peer.py", "mujoco", True, False),
+         "newton": ("newton_peer.py", "newton", True, False)}
+"""Script of this folder, requirement, whether its tetrahedra are linear, and whether a foam's law can be given, by
+peer."""
 SHOWN = (0.0005, 0.001, 0.0025, 0.005)
 """Depths whose errors have a column [m]."""
 LIMIT = 3600.0
@@ -76,6 +81,8 @@ def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
     """
     out, script = case.with_name(f"{case.stem}-{peer}.json"), Path(__file__).parent / PEERS[peer][0]
     given, why = dict(np.load(case)), ""
+    if "foam" in given and not PEERS[peer][3]:
+        raise Skipped("its solids have one law, which is not that of a foam")
     made = from_json(out.read_text()) if out.exists() else {}
     if made.get("key") != key_of(given, script):
         out.unlink(missing_ok=True)
@@ -98,9 +105,9 @@ def pressed(peer: str, case: Path, folder: Path | None) -> dict[str, Any]:
     return {**made, "said": stopped if reached < len(given["depths"]) else ""}
 
 
-def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dict[str, Any]:
-    """The press by this solver, on the mesh that it leaves in the first of two files for the others, cut into eight in
-    the second."""
+def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dict[str, dict[str, Any]]:
+    """The press by this solver, as it is and without the local indentation, on the mesh that it leaves in the first of
+    two files for the others, cut into eight in the second."""
     scene = load_scene(find_scene(name)).sample(0)
     model = prepare(scene, PressRequest(tier=tier)).model
     assert isinstance(scene.probe, Sphere)
@@ -108,20 +115,26 @@ def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dic
     eight = mesh.tets[:, EIGHT].reshape(-1, 4)
     sides = mesh.points[eight[:, 1:]] - mesh.points[eight[:, :1]]
     eight[np.linalg.det(sides) < 0.0] = eight[np.linalg.det(sides) < 0.0][:, [0, 2, 1, 3]]
+    law = scene.required_object.foam
+    foam: dict[str, Any] = {} if law is None else {"foam": np.column_stack([law.mu, law.alpha, law.beta])}
     young, own = model.young_modulus.mean(axis=1), (mesh.points[:corners], mesh.tets[:, :4], 1)
     for file, (points, tets, parts) in zip(files, (own, (mesh.points, eight, 8)), strict=True):
         np.savez(file, points=points, tets=tets, young=np.repeat(young, parts), radius=scene.probe.radius,
                  ratio=scene.required_object.poisson_ratio, edge=model.element_size / np.cbrt(parts), depths=depths,
-                 at=np.zeros(2))
+                 at=np.zeros(2), **foam)
     poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
     poses[:, 0, 2, 3] = mesh.points[:, 2].max() + scene.probe.radius - depths
-    solver = Solver(model, scene.probe, options=tiers.options(tier))
-    solver.run(poses[:1])  # kernels and factor
-    began = time.process_time()
-    frames = solver.run(poses)
-    spent = time.process_time() - began
-    return {"forces": frames.force[:, 0, 2].tolist(), "balance": frames.force_balance[:, 0].tolist(),
-            "seconds": [spent / len(depths)] * len(depths), "tets": len(mesh.tets), "said": ""}
+    out = {}
+    for words, local in ((tier, True), (f"{tier}, no local indentation", False)):
+        options = dataclasses.replace(tiers.options(tier), local_indentation=local)
+        solver = Solver(model, scene.probe, options=options)
+        solver.run(poses[:1])  # kernels and factor
+        began = time.process_time()
+        frames = solver.run(poses)
+        spent = time.process_time() - began
+        out[words] = {"forces": frames.force[:, 0, 2].tolist(), "balance": frames.force_balance[:, 0].tolist(),
+                      "seconds": [spent / len(depths)] * len(depths), "tets": len(mesh.tets), "said": ""}
+    return out
 
 
 def compared(made: Mapping[str, Any], depths: np.ndarray, exact: np.ndarray) -> dict[str, Any]:
@@ -154,8 +167,8 @@ def measure(peers: Sequence[str] = (), cases: Sequence[str] = (), *, tier: str =
         depths, exact = np.array(curve["depth_m"]), np.array(curve["force_N"])
         files = [(folder / f"{case}-{tier}{end}.npz").absolute() for end in ("", "-eighths")]
         progress(f"{case}: ours")
-        own = ours(name, tier, depths, files)
-        rows.append({"case": case, "peer": f"vsfsim, {tier}", **compared(own, depths, exact)})
+        rows += [{"case": case, "peer": f"vsfsim, {words}", **compared(own, depths, exact)}
+                 for words, own in ours(name, tier, depths, files).items()]
         for peer in peers or PEERS:
             for file in files[:1 + PEERS[peer][2]]:
                 progress(f"{case}: {peer}, {file.stem}")

@@ -2,7 +2,8 @@
 
     python pressing.py PEER.py CASE.npz OUT.json
 
-It imports numpy alone, since each peer runs in a venv of its own. The script has a function
+It imports numpy alone, since each peer runs in a venv of its own, and lets the script import `references`. The script
+has a function
 
     make(given) -> (version, settings, press)
 
@@ -34,6 +35,7 @@ def key_of(given: Mapping[str, np.ndarray], script: str | Path) -> str:
 def main(script: str, case: str, out: str) -> None:
     """Press along the depths of a case and write after each what there is, so that a run that is stopped leaves it."""
     given = dict(np.load(case))
+    sys.path.insert(0, str(Path(__file__).parents[2]))
     peer = runpy.run_path(script)["make"](given)
     if isinstance(peer, str):
         Path(out).write_text(json.dumps({"skipped": peer}))

@@ -1,18 +1,58 @@
 """The press in scikit-fem: quadratic tetrahedra, the same law, a penalty at the quadrature points of the top.
 
 Runs in a venv of its own with scikit-fem; nothing of vsfsim is imported. Newton's method with SuperLU and a line search
-on the energy. The penalty is `STIFF` times the modulus over an edge.
+on the energy. The penalty is `STIFF` times the modulus over an edge. A case with rows of a foam has the law of
+`references/hyperfoam.py`, which is written anew from the energy.
 """
 
 import numpy as np
 import skfem
+from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
-from skfem.helpers import ddot, det, grad, inv, transpose
+
+from references import hyperfoam
 
 STIFF = 300.0  # penalty over E / edge [-]
 MOST = 40  # Newton iterations of a frame
 TOLERANCE = 1e-6  # unbalanced force over the contact force [-]
 LONGEST = 0.0005  # way from one equilibrium to the next [m]
+
+
+class NeoHooke:
+    """W = mu/2 (I_c - 3) - mu ln J + lambda/2 (ln J)^2, with mu and lambda (m, 1) [Pa]; see `hyperfoam`."""
+
+    def __init__(self, mu, lam):
+        self.mu, self.lam = mu, lam
+
+    def energy(self, f):
+        """(m, q) [Pa] of deformation gradients (m, q, 3, 3)."""
+        log = np.log(np.linalg.det(f))
+        return 0.5 * self.mu * ((f**2).sum(axis=(2, 3)) - 3.0) - self.mu * log + 0.5 * self.lam * log**2
+
+    def stress(self, f):
+        """(m, q, 3, 3) [Pa]."""
+        log = np.log(np.linalg.det(f))
+        across = np.swapaxes(np.linalg.inv(f), 2, 3)
+        return self.mu[..., None, None] * f + (self.lam * log - self.mu)[..., None, None] * across
+
+    def moduli(self, f):
+        """(m, q, 3, 3, 3, 3) [Pa]."""
+        log = np.log(np.linalg.det(f))
+        across, eye = np.swapaxes(np.linalg.inv(f), 2, 3), np.eye(3)
+        wide = (..., None, None, None, None)
+        return (self.mu[wide] * np.einsum("ik,jl->ijkl", eye, eye)
+                + np.broadcast_to(self.lam, log.shape)[wide] * np.einsum("mqij,mqkl->mqijkl", across, across)
+                + (self.mu - self.lam * log)[wide] * np.einsum("mqil,mqkj->mqijkl", across, across))
+
+
+class Foam:
+    """The hyperfoam law with rows (k, 3) of mu [Pa], alpha and beta."""
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def __getattr__(self, name):
+        return lambda f: getattr(hyperfoam, name)(f, self.rows)
 
 
 def make(given):
@@ -25,33 +65,31 @@ def make(given):
     top = mesh.facets_satisfying(lambda x: np.abs(x[2] - high) < 1e-9, boundaries_only=True)
     face = skfem.FacetBasis(mesh, element, facets=top, intorder=6)
     young = given["young"][:, None]  # SKFEM keeps the order of the elements
-    mu = np.broadcast_to(young / 2.0 / (1.0 + ratio), basis.dx.shape)
-    lam = 2.0 * mu * ratio / (1.0 - 2.0 * ratio)
+    mu = young / 2.0 / (1.0 + ratio)
+    law = Foam(given["foam"]) if "foam" in given else NeoHooke(mu, 2.0 * mu * ratio / (1.0 - 2.0 * ratio))
     free = basis.complement_dofs(basis.get_dofs(lambda x: np.abs(x[2]) < 1e-9))
     penalty = STIFF * float(given["young"].min()) / edge
-    identity, centre = np.eye(3)[:, :, None, None], np.zeros(3)  # of the ball
+    centre = np.zeros(3)  # of the ball
+    # gradient of every shape function (m, q, 9, 30), and the unknowns of each element (m, 30)
+    shapes = np.stack([np.moveaxis(np.broadcast_to(np.asarray(one[0].grad), (3, 3, *basis.dx.shape)), (2, 3), (0, 1))
+                       .reshape(*basis.dx.shape, 9) for one in basis.basis], axis=-1)
+    unknowns = basis.element_dofs.T
+    rows, columns = np.repeat(unknowns, unknowns.shape[1], axis=1).ravel(), np.tile(unknowns, unknowns.shape[1]).ravel()
 
-    @skfem.BilinearForm
-    def tangent(u, v, w):
-        f = identity + grad(w["u"])
-        g = transpose(inv(f))
-        lnj = np.log(det(f))
-        d = grad(u)
-        middle = np.einsum("ij...,kj...,kl...->il...", g, d, g)
-        return ddot(w["mu"] * d + (w["mu"] - w["lam"] * lnj) * middle + w["lam"] * ddot(g, d) * g, grad(v))
+    def deformation(u):
+        return np.eye(3) + (shapes @ u[unknowns][:, None, :, None])[..., 0].reshape(*basis.dx.shape, 3, 3)
 
-    @skfem.LinearForm
-    def inside(v, w):
-        f = identity + grad(w["u"])
-        g = transpose(inv(f))
-        return ddot(w["mu"] * (f - g) + w["lam"] * np.log(det(f)) * g, grad(v))
+    def inside(f):
+        local = (basis.dx[..., None] * law.stress(f).reshape(*basis.dx.shape, 9))[..., None, :] @ shapes
+        return np.bincount(unknowns.ravel(), local.sum(axis=(1, 2)).ravel(), basis.N)
 
-    @skfem.Functional
-    def energy(w):
-        f = identity + grad(w["u"])
-        j = det(f)
-        lnj = np.log(np.maximum(j, 1e-12))
-        return np.where(j > 0.0, 0.5 * w["mu"] * (ddot(f, f) - 3.0) - w["mu"] * lnj + 0.5 * w["lam"] * lnj**2, 1e30)
+    def tangent(f):
+        half = basis.dx[..., None, None] * law.moduli(f).reshape(*basis.dx.shape, 9, 9) @ shapes
+        local = (np.swapaxes(shapes, 2, 3) @ half).sum(axis=1)
+        return coo_matrix((local.ravel(), (rows, columns)), (basis.N, basis.N)).tocsr()
+
+    def energy(f):
+        return np.inf if np.linalg.det(f).min() <= 0.0 else float((basis.dx * law.energy(f)).sum())
 
     def gap(w):
         away = w.x + w["u"] - centre.reshape(3, 1, 1)
@@ -80,8 +118,7 @@ def make(given):
         return -penalty * np.minimum(g, 0.0) * n[2]
 
     def stored(u):
-        return (energy.assemble(basis, u=basis.interpolate(u), mu=mu, lam=lam)
-                + push_energy.assemble(face, u=face.interpolate(u)))
+        return energy(deformation(u)) + push_energy.assemble(face, u=face.interpolate(u))
 
     u, reached = basis.zeros(), 0.0
 
@@ -89,15 +126,14 @@ def make(given):
         nonlocal u
         centre[:] = [*given["at"], high + radius - depth]
         for _ in range(MOST):
-            there, on = basis.interpolate(u), face.interpolate(u)
-            own = inside.assemble(basis, u=there, mu=mu, lam=lam)
+            f, on = deformation(u), face.interpolate(u)
+            own = inside(f)
             contact = push.assemble(face, u=on)
             rest = (own + contact)[free]
             size = max(np.abs(contact).sum(), 1e-6)
             if np.abs(rest).sum() < TOLERANCE * size:
                 break
-            matrix = (tangent.assemble(basis, u=there, mu=mu, lam=lam)
-                      + push_tangent.assemble(face, u=on))[free][:, free]
+            matrix = (tangent(f) + push_tangent.assemble(face, u=on))[free][:, free]
             step = np.zeros_like(u)
             step[free] = -splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True},
                                diag_pivot_thresh=0.01).solve(rest)

@@ -83,13 +83,13 @@ def render(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]...
 
 @app.command()
 def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; may be given again.")] = None,
-          case: Annotated[list[str] | None, typer.Option(help="S1 or S2; may be given again. Default: both.")] = None,
+          case: Annotated[list[str] | None, typer.Option(help="S1, S2 or foam; may be given again.")] = None,
           tier: Annotated[str, typer.Option(help="Whose mesh all press: fem-coarse or fem.")] = "fem",
           out: Annotated[Path, typer.Option(help="Folder of their venvs, made on the first run.")] = Path("peers"),
           here: Annotated[bool, typer.Option("--here", help="Use this Python, which has the packages, in place of "
                                                             "venvs.")] = False,
           json: JsonFile = None) -> None:
-    """Press S1 and S2 in other simulators on our tetrahedra, each in a venv of its own."""
+    """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own."""
     from measurements.indent import CASES, PEERS, measure
 
     for name in peer or []:

@@ -9,6 +9,7 @@ import references
 from references.closed_forms import comparisons
 from references.flat_punch import stiffness
 from references.soft_block import Block, Press, curve, s1
+from references.soft_block_foam import FoamPress
 from references.soft_block_inclusion import half_block, s2
 
 FOLDER = Path(references.__file__).parent
@@ -37,10 +38,12 @@ def test_a_flat_punch_gives_the_stored_values():
         assert stiffness(side, stored["cells_over_half"][0]) == pytest.approx(found[0], rel=1e-6)
 
 
-@pytest.fixture(scope="module")
-def pressed():
+@pytest.fixture(scope="module", params=["neo-hooke", "foam"])
+def pressed(request):
     """A coarse quarter block under a sphere, displaced at random, in contact."""
-    press = Press(Block.quarter((0.1, 0.1, 0.05), 0.02, 0.02, 1.5, 3), 1e5, 0.45, 0.02)
+    block = Block.quarter((0.1, 0.1, 0.05), 0.02, 0.02, 1.5, 3)
+    rows = np.array(references.load("foam_block")["setting"]["mu_alpha_beta"])
+    press = Press(block, 1e5, 0.45, 0.02) if request.param == "neo-hooke" else FoamPress(block, rows, 0.02)
     press.centre[2] -= 0.004
     rng = np.random.default_rng(0)
     u = np.zeros(press.u.size)

@@ -54,7 +54,7 @@ def test_a_peer_that_stops_leaves_the_depths_that_it_reached(tmp_path, monkeypat
     np.savez(case, depths=np.array([0.001, 0.002]), tets=np.zeros((3, 4)))
     text = "def make(given):\n    return '1.0', '', lambda depth: (1000.0 * depth / (depth < MOST), 0.0)\n"
     script.write_text(text.replace("MOST", "0.0015"))
-    monkeypatch.setitem(indent.PEERS, "toy", (str(script), "", False))
+    monkeypatch.setitem(indent.PEERS, "toy", (str(script), "", False, False))
     found = indent.pressed("toy", case, None)
     assert found["forces"] == [1.0] and found["said"].startswith("stopped at 1 mm after") and found["tets"] == 3
     assert indent.compared(found, np.array([0.001, 0.002]), np.array([2.0, 4.0]))["rms"] == 0.5
