@@ -113,13 +113,14 @@ def functions_of(energy: Any, slopes: Any, curvatures: Any, module: str) -> Any:
             total = real(1e-9)
         return even, (w[a] + w[b]) / total
 
-    @wp.func(module=module)
+    # not inlined: an element calls them at each of its points, and compilers then take three times as long
+    @wp.func(module=module, inline=False)
     def respond(d: mat33, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int, push: real):
         x, lam, u, v = decompose(d)
         w = slopes(x, lam, own, terms, t, q)
         return energy(x, lam, own, terms, t, q), lam[0] * lam[1] * lam[2], u * wp.diag(w) * wp.transpose(v)
 
-    @wp.func(module=module)
+    @wp.func(module=module, inline=False)
     def linearise(d: mat33, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int, b: int,
                   push: real, projected: int, state_out: wp.array3d(dtype=real)):
         x, lam, u, v = decompose(d)
