@@ -247,7 +247,7 @@ MEASURED: dict[str, partial[str]] = {
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini", "plants-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
     "built": partial(measurement, "built", 1),
-    "compile": partial(measurement, "compile", 1, module="compiling"),
+    "compile": partial(measurement, "compile", 1, module="datasets.compiling"),
     "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
     "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None),

@@ -54,18 +54,6 @@ def solver(device: Device = "cpu",
             out)
 
 
-@app.command("compile")
-def compiling(scene: Annotated[list[str] | None,
-                               typer.Argument(metavar="[SCENE]...", help="Names or paths; default: a plant, a shoe and "
-                                                                         "a bubble on a shoe.")] = None,
-              card: Annotated[bool, typer.Option(help="Compile for a card, too, which needs none.")] = True,
-              out: JsonFile = None) -> None:
-    """Seconds to compile the kernels of a scene from nothing, module by module, for a CPU and for a card."""
-    from measurements.compiling import measure
-
-    _report(measure(scene or (), card=card, progress=step), out)
-
-
 @app.command()
 def laws(out: JsonFile = None) -> None:
     """How far laws of elasticity of the same E and nu differ in uniaxial compression, by their closed forms."""

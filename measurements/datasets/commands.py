@@ -46,6 +46,19 @@ def faults(kills: Annotated[int, typer.Option(min=1, help="At random moments, of
     raise typer.Exit(0 if all(row["survived"] for row in rows) else 2)
 
 
+@app.command("compile")
+def compiling(scene: Annotated[list[str] | None,
+                               typer.Argument(metavar="[SCENE]...", help="Names or paths; default: a plant, a shoe and "
+                                                                         "a bubble on a shoe.")] = None,
+              card: Annotated[bool, typer.Option(help="Compile for a card, too, which needs none.")] = True,
+              out: JsonFile = None) -> None:
+    """Seconds to compile the kernels of a scene from nothing, module by module, for a CPU and for a card."""
+    from measurements.datasets.compiling import measure
+
+    found = measure(scene or (), card=card, progress=step)
+    report(found.text(), found.record(), out, indent=1)
+
+
 @app.command()
 def built(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]...",
                                                             help="Names of scenes; default: all that ship.")] = None,
