@@ -175,7 +175,8 @@ def recorded(name: str, files: list[Path]) -> str:
     if name.startswith("tradeoff-"):
         return tradeoff_table(name.removeprefix("tradeoff-"), MEASURED[name].keywords, records[0])
     module = importlib.import_module(f"measurements.{MODULES[name]}")
-    found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
+    more = [records[-1]["split"]] if "split" in records[-1] else []  # the second table of a ranking
+    found = module.found_of([row for record in records for row in record[name]], records[0]["settings"], *more)
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
     tier = records[0]["settings"].get("tier")
     return with_notes(dataclasses.replace(found, **of), name + (f" --tier {tier}" if tier else ""), list(found.tables))
