@@ -34,7 +34,7 @@ _OPERATIONS = 2800
 """Of a ten-node tetrahedron's tangent times a vector: at each of four points two gradients of ten nodes (2 x 180), the
 law (162), its stress at the element's vertices (54) and the forces of that on ten nodes (about 120)."""
 _REPEATS, _WARM_UP, _TOGETHER = 10, 2, 8  # samples; those before them; calls of each
-_COPIED, _SQUARE = {"cpu": 1 << 22, "cuda": 1 << 28}, {"cpu": 512, "cuda": 8192}  # doubles copied; size of matrices
+_COPIED, _SQUARE = {"cpu": 1 << 18, "cuda": 1 << 28}, {"cpu": 128, "cuda": 8192}  # doubles copied; size of matrices
 
 
 def hot_kernels(loaded: SceneFile, recipe: Recipe, device: str) -> tuple[list[dict[str, Any]], float | None]:

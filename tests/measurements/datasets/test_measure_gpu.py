@@ -12,13 +12,28 @@ from measurements.datasets.commands import app
 from measurements.datasets.hot_kernels import hot_kernels
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
-from vsfsim.core.shelf import find_scene
 from vsfsim.generate.recipe import make_recipe
 
 SMI = """#!/bin/sh
 echo "$*" > {folder}/asked
 printf '20, 1000\\n60, 3000\\n'
 sleep 60
+"""
+BLOCK = """
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+young_modulus = 1e5
+tier = "fem-coarse"
+resolution = 0.02
+[probe]
+shape = { sphere = 0.015 }
+[touches]
+count = 2
+depth = 0.004
+frames = { free = 1, in = 2, hold = 0, out = 0 }
+[camera]
+width = 64
+height = 48
 """
 
 
@@ -63,8 +78,11 @@ def test_rates_load_and_ratio(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_hot_kernels_and_the_limit_on_a_cpu():
-    loaded = load_scene(find_scene("shoes-mini"))
-    rows, limit = hot_kernels(loaded, make_recipe(loaded, objects=1, touches=2), "cpu")
+def test_hot_kernels_and_the_limit_on_a_cpu(tmp_path):
+    path = tmp_path / "block.toml"
+    path.write_text(BLOCK)
+    loaded = load_scene(path)
+    rows, limit = hot_kernels(loaded, make_recipe(loaded, objects=1), "cpu")
+    assert "1 columns" not in rows[0]["kernel"] and rows[1]["kernel"].startswith("tangents of ")
     assert sum(row["share"] for row in rows) == pytest.approx(1.0) and limit > 0.0
-    assert all(0.0 < row[name] < 1.5 for row in rows for name in ("bandwidth", "arithmetic"))
+    assert all(row[name] > 0.0 for row in rows for name in ("seconds", "bandwidth", "arithmetic"))
