@@ -64,6 +64,18 @@ def test_a_curve_of_fewer_frames_is_read_between_them():
     assert distance("force", Curve(share[1::2], coarse.readings, np.array([True, False]), ~good), share, limit) is None
 
 
+def test_a_touch_whose_limit_scatters_counts_for_a_pilot_and_one_without_a_limit_does_not():
+    share, good = np.array([0.5, 1.0]), np.ones(2, bool)
+    curve = Curve(share, {"force": share}, good, ~good)
+    exact, loose, none = (
+        {"force": curve_limit(EDGE, np.stack([share * s for s in scale]), tolerance=1e-4)}
+        for scale in ((1.0, 1.0, 1.0), (1.0, 1.1, 1.0), (1.0, math.nan, 1.0)))
+    run = Run((curve,) * 3, 0.0, 1.0, 1.0, 1.0, 3, (0.01,) * 3)
+    found = front.point("a", "fem", run, [exact, loose, none], [share] * 3, shows=True)
+    assert found.error == 0.0 and found.bar < 1e-3 and not loose["force"].known
+    assert found.off == pytest.approx(1.25 * 0.1 * np.sqrt(0.625), rel=0.01)
+
+
 def test_touches_cover_depths_and_places():
     rng = np.random.default_rng(0)
     depth, place = rng.uniform(1.0, 2.0, 30), rng.uniform(size=(30, 3))

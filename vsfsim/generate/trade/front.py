@@ -83,9 +83,12 @@ def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], 
     error, bar, off = 0.0, 0.0, 0.0
     for curve, own, share in zip(run.curves, limits, shares, strict=True):
         for name in CHANNELS:
-            if name not in own or (d := distance(name, curve, share, own[name])) is None:
+            if name not in own or not np.isfinite(own[name].error).all():
                 continue
-            if name == "force" and math.isfinite(d.bar):
+            d = distance(name, curve, share, own[name])
+            if d is None:
+                continue
+            if name == "force":
                 off = max(off, math.hypot(d.rms, d.bar))
             if own[name].known:
                 found.setdefault(name, []).append(d)
