@@ -62,8 +62,8 @@ def foam(cell: float, setting: dict[str, Any]) -> FoamPress:
 def main() -> None:
     """Compute the case on each mesh, extrapolate, and compare with `foam_block.json`."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cell", type=float, nargs="+", default=[7.5, 5.0, 3.5], help="cells at the contact [mm]")
-    parser.add_argument("--depth", type=float, nargs="+", default=[0.5, 1.0, 2.5, 5.0], help="depths [mm]")
+    parser.add_argument("--cell", type=float, nargs="+", default=[7.5, 5.0, 3.8], help="cells at the contact [mm]")
+    parser.add_argument("--depth", type=float, nargs="+", default=[1.0, 2.5, 5.0], help="depths [mm]")
     given = parser.parse_args()
     data = json.loads((HERE / "foam_block.json").read_text())
     depths = [1e-3 * d for d in given.depth]
