@@ -155,6 +155,19 @@ def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path,
     assert "promises an accuracy of 0.1 %, and 0 % of 1 audited touches keep it" in problem.what
 
 
+@pytest.mark.slow
+def test_touches_that_are_made_on_meshes_of_their_own_are_near_their_audits(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("vsfsim.generate.effectors.probe.make_each", _in_this_process)
+    monkeypatch.setattr(command, "bought", lambda *_, **__: ("fem", {
+        "resolution": 0.026, "contact": 0, "accuracy": {"asked": 0.02, "expected": 0.01, "limit": 0.0, "touches": 1}}))
+    made = command.generate(scene, tmp_path / "data", accuracy=0.02, objects=1)
+    stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
+    assert stored["accuracy"]["chosen"] == {"tier": "fem", "resolution": 0.026, "contact": 0}
+    assert verify(tmp_path / "data").ok, stored["accuracy"]
+    (error,) = (audit_error(touch) for touch in made[0].touches if "finer_force" in touch.audit)
+    assert 0.0 < error < 0.02 and all((touch.resolved[1:] == touch.converged[1:]).all() for touch in made[0].touches)
+
+
 def _in_this_process(jobs, *, device, workers):
     from vsfsim.generate.workers import make_one
 
