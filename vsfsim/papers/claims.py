@@ -52,8 +52,8 @@ TRAININGS = 3
 ANGLE = 15.0
 """An object whose pose is found within this angle counts as found [degrees]."""
 
-NEIGHBOURS = "in the preset tuned neighbouring springs of sbml share what touches tell; the papers' are independent"
-"""Note on claims about `sbml` after touches of a rigid ball, where that preset has ``spatial``."""
+NEIGHBOURS = "in the row of sbml neighbouring springs share what touches tell; the papers' are independent"
+"""Note on claims about `sbml` after touches on 100 shoes, whose row was made with ``spatial``."""
 
 NOT_ASKED = Answers(UNTOLD, "", (1.0, 1.0))
 """Before all claims are answered together."""
@@ -164,7 +164,7 @@ def _sbml(kind: str, task: str, main: str, other: str) -> list[Claim]:
     def claim(key: str, text: str, better: str, worse: str, *, source: str = "", equal: bool = False) -> Claim:
         first, second = (Side(*side.split("/")) for side in (better, worse))
         figures = tuple(f"{columns[side.method]}/{side.shot}" for side in (first, second))
-        with_spatial = task in (SIZES["standard"][1], SIZES["mini"][1]) and first.method == "sbml" and first.shot != "0"
+        with_spatial = task == SIZES["standard"][1] and first.method == "sbml" and first.shot != "0"
         return Claim(text, source or source_of(figures), figures, task, first, second, equal=equal,
                      note=NEIGHBOURS if with_spatial else "", key=f"{kind}/{key}")
 
