@@ -52,7 +52,7 @@ def _hyperfoam(alpha: float) -> Law:
 LAWS: dict[str, Law] = {
     "vsfsim": _volumetric(lambda j, mu, lam: lam * (j - 1.0) - mu / j),
     "neo-Hookean, (ln J)^2": _volumetric(lambda j, mu, lam: (lam * np.log(j) - mu) / j),
-    "stable neo-Hookean (before)": _volumetric(lambda j, mu, lam: (lam + mu) * (j - 1.0) - mu),
+    "stable neo-Hookean": _volumetric(lambda j, mu, lam: (lam + mu) * (j - 1.0) - mu),
     "St Venant-Kirchhoff": _saint_venant,
     "small strain": _linear,
     "hyperfoam, alpha 4": _hyperfoam(4.0),
