@@ -26,6 +26,7 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.effectors.probe import EFFECTOR
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.solid import prepare
+from vsfsim.physics.linear.rest_factor import DENSE
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.touches import Solver
@@ -38,8 +39,8 @@ _COPIED, _SQUARE = {"cpu": 1 << 18, "cuda": 1 << 28}, {"cpu": 128, "cuda": 8192}
 
 
 def hot_kernels(loaded: SceneFile, recipe: Recipe, device: str) -> tuple[list[dict[str, Any]], float | None]:
-    """Both products for the touches of the first view of a scene with a rigid probe, and the limit [frames/s]; under
-    another effector neither.
+    """Both products for the touches of the first view of a scene with a rigid probe, and the limit [frames/s];
+    neither under another effector, without conjugate gradients, or where the solver has no dense inverse (`DENSE`).
 
     Args:
         loaded: the scene.
@@ -58,6 +59,8 @@ def hot_kernels(loaded: SceneFile, recipe: Recipe, device: str) -> tuple[list[di
         EFFECTOR.touch(subject, EFFECTOR.aim(subject, device=device), device=device)
     frames = sum(cg.size for cg in counted)
     iterations = sum(int(cg.max(axis=1).sum()) for cg in counted)
+    if not iterations or len(subject.model.free) > DENSE:
+        return [], None
     rows = _products(subject.model, counted[0].shape[1], device)
     limit = sum(max(row["moved"], row["computed"]) for row in rows)
     both = sum(row["seconds"] for row in rows)

@@ -63,9 +63,11 @@ def exact(points: np.ndarray, triangles: np.ndarray, focal: float, size: tuple[i
 
 def compared(depth: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Share of the pixels on the object that one of two pictures does not have [-], and of the others the root mean
-    square and the largest difference [m]."""
+    square, the median and the largest difference [m], which are NaN where there are no others."""
     seen, there = depth > 0.0, np.isfinite(truth)
     off = np.abs(depth - truth)[seen & there]
+    if not len(off):
+        return {"missed": 1.0, "rms": np.nan, "median": np.nan, "worst": np.nan}
     return {"missed": float((seen != there).sum() / there.sum()), "rms": float(np.sqrt(np.mean(off**2))),
             "median": float(np.median(off)), "worst": float(off.max())}
 
@@ -111,12 +113,13 @@ def measure(scenes: Sequence[str] = (), peers: Sequence[str] = (), *, folder: Pa
     rows: list[dict[str, Any]] = []
     settings: dict[str, str] = {}
     for name in scenes or SCENES:
-        scene = load_scene(find_scene(name)).sample(stream(0, Stream.SCENE, 0), number=0)
+        loaded = load_scene(find_scene(name))
+        scene = loaded.sample(stream(0, Stream.SCENE, 0), number=0)
         surface = effector_of(scene).draw(scene, stream(0, Stream.BODY, 0)).surface
         size = (scene.camera.width, scene.camera.height)
         intrinsics, pose = look_at(scene.camera, 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)))
         points, focal = (surface.vertices - pose[:3, 3]) @ pose[:3, :3], float(intrinsics[0, 0])
-        case = folder.absolute() / f"{name}.npz"
+        case = folder.absolute() / f"{loaded.path.stem}.npz"
         np.savez(case, points=points, triangles=surface.triangles, size=size, focal=focal)
         truth = exact(points, surface.triangles, focal, size)
         what = {"scene": name, "triangles": len(surface.triangles), "pixels": f"{size[0]} x {size[1]}"}

@@ -186,9 +186,13 @@ def _row(trial: Trial, asked: float, chosen: tuple[Setting, Point] | None, best:
             kept[other] = (errors[~np.isnan(errors)], trial.cost(run),
                            float(np.concatenate([c.marked for c in run.curves]).mean()))
     if setting not in kept:
-        return {**out, "said": "the time was over before the audits"}
+        held = trial.runs(setting, trial.held)
+        return {**out, "said": f"refused on an object that is held out: {held}" if isinstance(held, str) else
+                "the time was over before the audits"}
     errors, cost, marked = kept[setting]
-    able = [c for e, c, m in kept.values() if (e <= asked).mean() >= ENOUGH and m <= max(marked, MARKED)]
+    if not len(errors):
+        return {**out, "said": "no touch that is held out met anything, of the audits that were made in time"}
+    able = [c for e, c, m in kept.values() if len(e) and (e <= asked).mean() >= ENOUGH and m <= max(marked, MARKED)]
     within = float((errors <= asked).mean())
     return {**out, "audits": len(errors), "within": within, "worst": float(errors.max()), "marked": marked,
             "cost": cost, "regret": cost / min(able) if within >= ENOUGH else None, "said": ""}

@@ -22,9 +22,10 @@ from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.generate.trade import command, front
 from vsfsim.generate.trade.arm import parted
+from vsfsim.generate.trade.buy import choose, too_much
 from vsfsim.generate.trade.curve import Curve, distance
 from vsfsim.generate.trade.front import Point, differences, sentence, with_front
-from vsfsim.generate.trade.made import Run
+from vsfsim.generate.trade.made import Run, limits
 from vsfsim.generate.trade.near import contact_edge, near
 from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.pictures import compared
@@ -74,6 +75,21 @@ def test_a_touch_whose_limit_scatters_counts_for_a_pilot_and_one_without_a_limit
     found = front.point("a", "fem", run, [exact, loose, none], [share] * 3, shows=True)
     assert found.error == 0.0 and found.bar < 1e-3 and not loose["force"].known
     assert found.off == pytest.approx(1.25 * 0.1 * np.sqrt(0.625), rel=0.01)
+    half = dataclasses.replace(curve, converged=np.array([True, False]))
+    lost = dataclasses.replace(run, curves=(curve, half, curve))
+    stuck = front.point("a", "fem", lost, [exact, loose, none], [share] * 3, shows=True)
+    assert stuck.error == 0.0 and math.isnan(stuck.off), "no equilibrium where the limit scatters"
+    chosen, best = choose([(Setting("fem", 0.02), stuck)], 0.5)
+    assert chosen is None and "a, has no equilibrium at full depth in a touch" in too_much(best)
+    assert "is off by 9.9 % on its worst touch, the error of its limit included. Ask for 14 %" in too_much(found)
+
+
+def test_a_touch_that_met_nothing_says_so():
+    good = np.ones(2, bool)
+    runs = [Run((Curve(np.array([0.5, 1.0]), {"force": np.zeros(2)}, good, ~good),), 0.0, 1.0, 1.0, 1.0, 2, (h,))
+            for h in EDGE]
+    own, _ = limits(runs)
+    assert own["force"].why == "it met nothing" and not own["force"].known
 
 
 def test_touches_cover_depths_and_places():

@@ -19,6 +19,11 @@ def now() -> float:
     return time.process_time()
 
 
+def running() -> bool:
+    """Whether time is being counted; then nothing may be captured as a graph, since the clock waits for the GPU."""
+    return _running
+
+
 @contextmanager
 def measure(part: str) -> Iterator[None]:
     """Count the time of a block under ``part``; waits for the GPU before and after, so only while the clock runs."""

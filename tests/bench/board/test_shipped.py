@@ -74,7 +74,8 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
 
 
 def test_a_damaged_list_of_absent_rows_is_refused(tmp_path, monkeypatch):
-    (tmp_path / "absent.toml").write_text("[broken")
     monkeypatch.setattr("vsfsim.bench.board.absent.folder", lambda _: tmp_path)
-    with pytest.raises(TaskError, match=r"absent\.toml"):
-        absent("fewshot-shoes-v3-v1")
+    for text in ("[broken", 'fewshot-shoes-v3-v1 = "text"'):
+        (tmp_path / "absent.toml").write_text(text)
+        with pytest.raises(TaskError, match=r"absent\.toml"):
+            absent("fewshot-shoes-v3-v1")

@@ -1,6 +1,7 @@
 """`vsfsim measure promise`, on imagined touches: what is chosen, kept and regretted."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ SHARE = np.array([0.5, 1.0])
 
 
 class Imagined:
-    """An error of 100 h^2, on objects that are held out ``times`` as much; a mesh of its own is fine."""
+    """An error of 100 h^2, on objects that are held out ``times`` as much, for 0 they are not met and for
+    infinity not built; a mesh of its own is fine."""
 
     workers = 1
 
@@ -28,10 +30,14 @@ class Imagined:
     def ask(self, pieces):
         return [self._run(p) for p in pieces]
 
-    def _run(self, piece: Piece) -> Run:
+    def _run(self, piece: Piece) -> Run | str:
+        held = piece.number >= 2
+        if held and piece.alone is None and self.times == math.inf:
+            return "it cannot be built"
+        times = min(self.times, 1e3) if held else 1.0
         h = piece.setting.resolution * (1.0 if piece.alone is None else 0.1)
-        error = 100.0 * h**2 * (self.times if piece.number >= 2 else 1.0)
-        force = SHARE * (1.0 + error)
+        error = 100.0 * h**2 * times
+        force = SHARE * (1.0 + error) * (times > 0.0)
         curve = Curve(SHARE, {"force": force, "direction": force[:, None] * [0.0, 0.6, 0.8]}, np.ones(2, bool),
                       np.zeros(2, bool))
         count = piece.touches if piece.alone is None else 1
@@ -51,6 +57,10 @@ def test_what_is_bought_is_audited_on_other_objects():
     assert no["said"].startswith("refused: the most exact setting of the pilot, fem, 11.8 mm, 0.38 of the contact, is ")
     broken, = promise.rows([trial(3.0)], (0.06,))
     assert broken["within"] == 0.0 and broken["regret"] is None
+    nothing, = promise.rows([trial(0.0)], (0.06,))
+    assert nothing["said"].startswith("no touch that is held out met anything") and "within" not in nothing
+    refused, = promise.rows([trial(math.inf)], (0.06,))
+    assert refused["said"] == "refused on an object that is held out: it cannot be built"
 
 
 def test_the_file_of_another_run_is_refused(tmp_path):

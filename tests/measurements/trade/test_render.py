@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from measurements.render import compared, exact
+from measurements.render import compared, exact, found_of
 
 
 def test_the_nearest_triangle_is_seen_at_its_own_depth():
@@ -18,4 +18,8 @@ def test_the_nearest_triangle_is_seen_at_its_own_depth():
     assert np.allclose(depth[~hit], plane[~hit], rtol=1e-12) and hit[15, 20] and 8 <= hit.sum() <= 16
     found = compared(np.where(column > 0, depth + 1e-3, 0.0), depth)
     assert found["missed"] == pytest.approx(21 / 41) and found["rms"] == pytest.approx(found["worst"])
+    empty = compared(np.zeros(depth.shape), depth)
+    assert empty["missed"] == 1.0 and np.isnan(empty["rms"])
+    printed = found_of([{"scene": "a", **empty}], {"settings": {}}).text()
+    assert "nan" not in printed and "1e+02" in printed
     assert not np.isfinite(exact(near, np.array([[0, 1, 2]]), 50.0, (41, 31))[0, 0])

@@ -19,4 +19,8 @@ def absent(task: str) -> dict[str, str]:
     path = folder("leaderboard") / "absent.toml"
     if not path.is_file():
         return {}
-    return dict(parse_toml(read_text(path, "leaderboard", TaskError), path, "leaderboard", TaskError).get(task, {}))
+    said = parse_toml(read_text(path, "leaderboard", TaskError), path, "leaderboard", TaskError).get(task, {})
+    if not isinstance(said, dict):
+        raise TaskError(f"{path}: '{task}' is {said!r}; give a table of names of methods and reasons, as "
+                        f"[{task}] and below it fem-map = \"why\".")
+    return said

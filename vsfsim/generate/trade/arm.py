@@ -24,7 +24,8 @@ from vsfsim.physics.runtime import compile_kernels
 CANDIDATES = 2
 """Lines that are drawn for each that is taken."""
 SLIP = 0.05
-"""Share of the largest force that is lost from one frame to the next where a branch slips along the tool [-]."""
+"""Share of the largest force that is lost from one frame to the next where a branch slips, lets go or has no
+equilibrium [-]."""
 MET = 0.2
 """A line that meets less met nothing [N]."""
 _NO_LIMIT = 1e6  # [N]; every mesh makes the frames that the scene's own makes
@@ -33,10 +34,10 @@ _NO_LIMIT = 1e6  # [N]; every mesh makes the frames that the scene's own makes
 class ArmTouches:
     """Touches of the first plants of a scene with ``[arm]``, aimed once; see `vsfsim.generate.trade.made.Touched`.
 
-    Each follows the line that the arm has found, as far as it goes on the scene's own beams before the force limit, and
-    before a branch slips along the tool: where it slips is another frame on other beams, and what follows is of two
-    equilibria, which cannot be compared. Of `CANDIDATES` times as many lines the first are taken that meet more than
-    `MET` until then; where these are too few, there are others of one frame, which met nothing.
+    Each follows the line that the arm has found, as far as it goes on the scene's own beams before the force limit, cut
+    short where a branch slips, lets go or has no equilibrium: that is another frame on other beams, and what follows is
+    of two equilibria, which cannot be compared. Of `CANDIDATES` times as many lines the first are taken that meet more
+    than `MET` until then; where these are too few, there are others of one frame, which met nothing.
 
     Args:
         loaded: the scene.
@@ -77,7 +78,8 @@ class ArmTouches:
                                                        scene=_without_limit(whole.scene)))
         self.count = len(self._alone)
         self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} plant{'s' * (objects > 1)} along "
-                     f"straight lines, {slips} of them as far as a branch slips")
+                     f"straight lines, {slips} of them cut short where a branch slips, lets go "
+                     f"or has no equilibrium")
 
     def run(self, setting: Setting) -> Run:
         """All touches."""
@@ -89,8 +91,8 @@ class ArmTouches:
 
 
 def held(force: np.ndarray) -> int:
-    """How many frames of a touch with these forces (T,) [N] are compared: as far as there is a force, or to the last
-    but one before a branch slips."""
+    """How many frames of a touch with these forces (T,) [N] are compared: as far as there is a force, cut short at
+    the last but one before a branch slips, lets go or has no equilibrium."""
     lost = np.flatnonzero(np.diff(force) < -SLIP * force.max(initial=0.0))
     pressed = np.flatnonzero(force > 0.0)
     return max(1, int(lost[0]) if len(lost) else int(pressed[-1]) + 1 if len(pressed) else 1)

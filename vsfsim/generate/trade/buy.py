@@ -155,10 +155,12 @@ def choose(points: Iterable[tuple[Setting, Point]], accuracy: float) -> Choice:
 
 
 def too_much(best: Point) -> str:
-    """Why an accuracy is not to be had, and what can be asked for."""
-    least = best.off / MARGIN
-    return (f"the most exact setting of the pilot, {best.key}, is off by {100 * best.error:.2g} % with a limit known "
-            f"to {100 * best.bar:.2g} %. Ask for {100 * least:.2g} % or more")
+    """Why an accuracy is not to be had, and what can be done."""
+    if math.isnan(best.off):
+        return (f"the most exact setting of the pilot, {best.key}, has no equilibrium at full depth in a touch. "
+                "Press less deep")
+    return (f"the most exact setting of the pilot, {best.key}, is off by {100 * best.off:.2g} % on its worst touch, "
+            f"the error of its limit included. Ask for {100 * best.off / MARGIN:.2g} % or more")
 
 
 def candidates(loaded: SceneFile, resolution: float | None, device: str) -> list[Setting]:

@@ -59,7 +59,7 @@ class Point:
     """On the front: no ranked point is cheaper and as exact."""
     off: float = math.nan
     """Of the touch that is worst, one whose limit does not count as known too: the root of the sum of squares of its
-    error and of that of its limit, which know nothing of one another [-]."""
+    error and of that of its limit, which know nothing of one another [-]. NaN as above."""
 
     @property
     def ranked(self) -> bool:
@@ -80,13 +80,14 @@ def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], 
     """
     count = len(run.curves)
     found: dict[str, list[Distance]] = {}
-    error, bar, off = 0.0, 0.0, 0.0
+    error, bar, off, lost = 0.0, 0.0, 0.0, False
     for curve, own, share in zip(run.curves, limits, shares, strict=True):
         for name in CHANNELS:
             if name not in own or not np.isfinite(own[name].error).all():
                 continue
             d = distance(name, curve, share, own[name])
             if d is None:
+                lost |= name == "force"
                 continue
             if name == "force":
                 off = max(off, math.hypot(d.rms, d.bar))
@@ -96,7 +97,9 @@ def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], 
                     error, bar = max(error, d.rms), max(bar, d.bar)
     used = sum(own["force"].known for own in limits)
     if len(found.get("force", ())) < used:
-        error = off = math.nan
+        error = math.nan
+    if lost:
+        off = math.nan
     channels = {name: {"rms": _rms([d.rms for d in ds]), "worst": max(d.worst for d in ds),
                        "shallow": _rms([d.shallow for d in ds]), "full": _rms([d.full for d in ds]),
                        "bar": max(d.bar for d in ds)} for name, ds in found.items()}

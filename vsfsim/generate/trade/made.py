@@ -106,11 +106,14 @@ def limits(ladder: Sequence[Run]) -> tuple[dict[str, Limit], np.ndarray]:
     found = {name: np.stack([c.readings[name] for c in curves]) for name in curves[0].readings}
     on = np.all([c.converged for c in curves], axis=0)
     few = on.mean() >= WHOLE and on[-1]
+    nothing = not np.any(found["force"])
     for name, values in found.items():
         if name != "stiffness":
             found[name] = values[:, on] if few else np.where(on.reshape(-1, *[1] * (values.ndim - 2)), values, np.nan)
-        if name == "force" and not np.any(found[name]):
-            found[name] = np.full(found[name].shape, np.nan)  # it met nothing, and has no limit
+    if nothing:
+        found["force"] = np.full(found["force"].shape, np.nan)
     edge, tolerance = [run.edge[0] for run in ladder], tiers.TIERS[LIMIT_TIER].tolerance
-    return ({name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()},
-            curves[-1].share[on] if few else curves[-1].share)
+    out = {name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()}
+    if nothing:
+        out["force"] = dataclasses.replace(out["force"], why="it met nothing")
+    return (out, curves[-1].share[on] if few else curves[-1].share)

@@ -28,7 +28,7 @@ _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as re
 # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
 _ROWS, _SPARSE = 32, 0.4
 _LARGE = 60_000  # unknowns from which on `LargeFactor` takes a fifth of CHOLMOD's time or less
-_DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a moment: 102 GB here
+DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a moment: 102 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
 
@@ -292,7 +292,7 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool 
             inverse on a GPU; that is enough for predictions and as a preconditioner.
         lazy: columns are made when `Response.prepare` names their nodes.
     """
-    if device != "cpu" and factor.size <= _DENSE:
+    if device != "cpu" and factor.size <= DENSE:
         return DenseResponse(factor.dense(device, exact=exact), dof)
     return _Sparse(factor, dof, device, exact, lazy)
 

@@ -27,14 +27,16 @@ def repeat(step: Callable[[], None], running: torch.Tensor, *, most: int, few: i
         How often it was repeated.
     """
     device = running.device
-    if int(running.sum()) <= few:
+    if clock.running() or int(running.sum()) <= few:
         return 0
     graph, side = torch.cuda.CUDAGraph(), _side(device)
     side.wait_stream(torch.cuda.current_stream(device))
     with torch.cuda.stream(side), wp.ScopedStream(wp.stream_from_torch(side), sync_enter=False):
         graph.capture_begin(pool=_last[device].pool() if device in _last else None, capture_error_mode="thread_local")
-        step()
-        graph.capture_end()
+        try:
+            step()
+        finally:
+            graph.capture_end()
     _last[device] = graph
     for done in range(0, most, _BLOCK):
         if clock.now() > deadline or int(running.sum()) <= few:
