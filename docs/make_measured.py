@@ -14,7 +14,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -255,12 +255,10 @@ MEASURED: dict[str, partial[str]] = {
     "render": partial(measurement, "render", 1, folder=ROOT / "renderers"),
     "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
                        workers=os.cpu_count() or 1),
+    "ranking": partial(measurement, "ranking", 1, module="trade.ranking", objects=8, touches=12, out=ROOT / "ranking",
+                       workers=os.cpu_count() or 1),
     "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
-LARGE: dict[str, Callable[[], str]] = {
-    "ranking": partial(measurement, "ranking", 1, module="trade.ranking", out=ROOT / "ranking",
-                       workers=os.cpu_count() or 1)}
-"""Tables that take a large machine, made by their names alone."""
 MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent", "built": "built",
            "render": "render"}
 """Of measurements/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
@@ -278,7 +276,7 @@ def readme(text: str) -> str:
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     for name, _, files in (word.partition("=") for word in sys.argv[1:] or MEASURED):
-        text = recorded(name, [Path(file) for file in files.split(",")]) if files else {**MEASURED, **LARGE}[name]()
+        text = recorded(name, [Path(file) for file in files.split(",")]) if files else MEASURED[name]()
         (FOLDER / f"{name}.md").write_text(text)
     page = ROOT / "README.md"
     page.write_text(readme(page.read_text()))
