@@ -295,7 +295,7 @@ def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
         workers.largest(lambda size: make(size, room=3, words="another"), 4096, 17, "plants", "cuda:0")
 
 
-@pytest.mark.parametrize(("gibibytes", "processes"), [(140, 8), (80, 6), (24, 2), (8, 1)])
+@pytest.mark.parametrize(("gibibytes", "processes"), [(140, 16), (80, 16), (24, 4), (8, 1)])
 def test_as_many_processes_share_a_gpu_as_its_memory_holds(monkeypatch, gibibytes, processes):
     monkeypatch.setattr("os.cpu_count", lambda: 64)
     monkeypatch.setattr("warp.get_device", lambda device: SimpleNamespace(total_memory=gibibytes * 2**30))

@@ -7,7 +7,7 @@ On a patch's degrees of freedom the rest-state compliance A gives the elastic re
 which is the stationary point of 1/2 q^T A q + f0 . A q + (energy of the contact, and of springs that carry the bodies,
 whose compliance is in series with A); a semi-smooth Newton method with a
 line search on that energy solves it for all touches at once. It is the `linear` tier, and the prediction of the others.
-Near the solution the contact of many points has its geometric term, without which the method converges linearly near a
+Near the solution the contact has its geometric term, without which the method converges linearly near a
 body's edges; where that leads up, it is left out again. Directions are in single precision there.
 """
 

@@ -10,10 +10,6 @@ from vsfsim.physics.contact.face_sums import at_points, nodal_sums
 from vsfsim.physics.contact.stiffness_block import ContactBlock, assembled
 from vsfsim.physics.solve.mount import Springs
 
-# parts of faces in contact from which on the condensed problem has the geometric term: with it under few, a column that
-# buckles under a ball takes 665 conjugate gradients for 273
-_MANY = 24
-
 
 class PointStiffness:
     """Matrices and blocks of the contact points, from their stiffness at the last evaluation."""
@@ -72,14 +68,11 @@ class PointStiffness:
         there = self.places(columns, move.view(len(columns), -1, 3))
         return self.held[columns] + (rows.mT @ (rows @ there[..., None]))[..., 0]
 
-    def _many(self, columns: torch.Tensor) -> bool:
-        return int((self.gap[columns] < 0.0).view(len(columns), -1, 6).any(dim=2).sum(dim=1).amax()) >= _MANY
-
     def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64,
               geometric: torch.Tensor | None = None) -> ContactBlock:
         """See `Contact`; on a CPU in the precision ``real``, and with the geometric term of the touches ``geometric``
-        (k,) bool where many points touch."""
-        if geometric is not None and not (self.gap.device.type == "cpu" and self._many(columns)):
+        (k,) bool."""
+        if self.gap.device.type != "cpu":
             geometric = None
         own = assembled(*self._faces(columns), self.own_stiffness(columns, geometric), self.free[columns])
         return ContactBlock.of(own, self.yielding[columns] if len(columns) < self.batch else self.yielding,
