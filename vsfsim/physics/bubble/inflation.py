@@ -15,6 +15,7 @@ from vsfsim.physics.bubble.sheet import Balanced, Sheet
 
 _GROWTH, _MOST_TIMES = 1.4, 1e4  # ratio of the volumes of two steps, and of the last and the first one
 _LEAST = 1e-3  # smallest growth of the volume in a step
+_OFF = 1e-6  # of the pressure; a volume that is known to 1e-14 leaves far less
 
 
 def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> Balanced:
@@ -113,13 +114,15 @@ def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where
     near the limit point, by the volume alone."""
     known = [low, high]
 
+    lost = SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
+                      f"young_modulus, thickness and pre_stretch.")
+
     def over(volume: float) -> float:
         if volume in (low.volume, high.volume):
             return known[volume == high.volume].pressure - pressure
         found = sheet.at_volume(*_ahead([low, high], volume), volume)
         if found is None:
-            raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; "
-                             f"check young_modulus, thickness and pre_stretch.")
+            raise lost
         known.append(found)
         return found.pressure - pressure
 
@@ -129,4 +132,6 @@ def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where
         polished = sheet.at_pressure(best.displacement, pressure, iterations=12)
         if polished is not None and low.volume <= polished.volume <= high.volume:
             return polished
+    if abs(best.pressure - pressure) > _OFF * abs(pressure):  # the states jump to others between two volumes
+        raise lost
     return best

@@ -28,7 +28,7 @@ _COMPACT = 0.8  # share of running touches under which the others are dropped fr
 
 
 def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float | torch.Tensor, start: torch.Tensor | None = None, staged: bool = True,
+          tolerance: float, start: torch.Tensor | None = None, staged: bool = True,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
@@ -38,7 +38,7 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         base: displacements of their patches before (k, 3 s) [m].
         pushed: contact forces before (k, 3 s) [N].
         iterations: limit of Newton's method.
-        tolerance: relative error of the displacements of the patch, of all touches or of each (k,).
+        tolerance: relative error of the displacements of the patch.
         start: first guess of the changes (k, 3 s) [N]; None is zero.
         staged: whether this must arrive: it begins anew from the contact without friction where it fails, and is not
             given up for iterations without a gain.
@@ -119,8 +119,8 @@ def _direction(contact: Any, columns: torch.Tensor, rho: torch.Tensor, miss: tor
 
 
 def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, start: torch.Tensor | None,
-           iterations: int, tolerance: float | torch.Tensor,
-           deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
+           iterations: int, tolerance: float, deadline: float,
+           patience: int) -> tuple[torch.Tensor, torch.Tensor]:
     """As `_newton`, for touches of a solid with friction: Newton's method on the law in its mixed form.
 
     A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick,

@@ -15,7 +15,7 @@ from vsfsim.physics.solve import elasticity, mount_kernels
 def solver_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
     """One kernel of each module that the solver launches for a body of ``elements`` of these kinds and laws, see
     `tiers.elements` and `block.elements_of`."""
-    solid = [intrusion.kernels().behind, *factor_kernels()] if any(law for _, law in elements) else []
+    solid = factor_kernels() if any(law for _, law in elements) else []
     return [rigid_kernels.kernels().evaluate, line_search.kernel(), mount_kernels.kernels().settle,
             *_body_kernels(elements), *solid]
 
@@ -26,4 +26,5 @@ def coupled_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
 
 
 def _body_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
-    return [*(kernels_of(kind, law).forces for kind, law in dict.fromkeys(elements)), elasticity.kernels().gather]
+    return [*(kernels_of(kind, law).forces for kind, law in dict.fromkeys(elements)), elasticity.kernels().gather,
+            intrusion.kernels().behind]

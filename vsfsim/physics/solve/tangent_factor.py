@@ -84,9 +84,11 @@ class TangentFactors:
         return self._local[touch]
 
     def forget(self) -> None:
-        """Drop all factors: the contact in them was another."""
+        """Drop all factors with their counts and places: the contact in them was another."""
         batch = len(self._own)
         self._own, self._local = [None] * batch, [None] * batch
+        for of_them in (self._spent, self._most, self._tried, self._near_spent, self._begin):
+            of_them[:] = 0
 
     def count(self, columns: torch.Tensor, steps: torch.Tensor) -> None:
         """Note the iterations ``steps`` (k,) of a linear system of each of the touches ``columns`` (k,)."""
