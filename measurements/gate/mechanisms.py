@@ -9,11 +9,13 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import torch
 
 from vsfsim.physics import tiers
-from vsfsim.physics.solve import newton, tangent_factor, touches
-from vsfsim.physics.solve.solution_branch import SolutionBranch
-from vsfsim.physics.solve.touches import Solver
+from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.rigid_contact import RigidContact
+from vsfsim.physics.solve import increments, tangent_factor
+from vsfsim.physics.solve.work_check import WorkCheck
 
 _NEVER = 10**9  # iterations after which something is done
 Patch = Callable[[], list[Any]]
@@ -29,15 +31,13 @@ def _unhalved() -> list[Any]:
 
 
 MECHANISMS: dict[str, tuple[str, Patch]] = {
-    "predictor": ("a step begins from the extrapolated, condensed problem", _set(Solver, _predict=lambda *_: None)),
+    "extrapolation": ("a step begins from the last two equilibria, extrapolated", _set(
+        increments, ratio=lambda first, *_: np.zeros(len(first)))),
     "halving": ("a step that fails is made in two", _unhalved),
-    "branch": ("states of another solution branch are barred and marked", _set(
-        SolutionBranch, bar=lambda *_: None, mark=lambda *_, **__: None,
-        repeats=lambda _self, columns, _pose: np.zeros(len(columns), bool))),
-    "doubts": ("a step that lacks energy is made again in shorter ones", _set(touches, _DOUBTS=0)),
-    # without it the cell "box" keeps two of four frames, at eight times the CPU time
-    "correction": ("every Newton step is corrected by a condensed problem", _set(
-        newton, correct=lambda _balance, _columns, direction, *_: direction)),
+    "inner bodies": ("a Newton step ends before a contact point enters an inner body", _set(
+        RigidContact, reach=Contact.reach)),
+    "work": ("an equilibrium that lacks the work of the bodies is marked", _set(
+        WorkCheck, snapped=lambda _self, columns, *_: torch.zeros(len(columns), dtype=torch.bool))),
     "local factors": ("a factor of the most deformed nodes corrects the factor at rest", _set(
         tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER)),
     "whole factors": ("a factor of the whole deformed body preconditions", _set(tangent_factor, _FIRST=_NEVER)),

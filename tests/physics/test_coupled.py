@@ -11,7 +11,6 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
-from vsfsim.physics.contact.pair import complementarity
 from vsfsim.physics.solve.coupled import CoupledSolver, free_way
 from vsfsim.physics.solve.frames import Reason
 
@@ -136,14 +135,3 @@ def test_too_fine_a_sensor_is_refused(bubble, block):
     fine = dataclasses.replace(bubble, mesh=dataclasses.replace(bubble.mesh, points=np.zeros((3001, 3))))
     with pytest.raises(SceneError, match="3001 nodes"):
         CoupledSolver(block(1e5), fine)
-
-
-def test_complementarity_against_enumeration():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        a = rng.standard_normal((6, 6))
-        matrix, offset = a @ a.T + 0.1 * np.eye(6), rng.standard_normal(6)
-        z = complementarity.solve(torch.as_tensor(matrix)[None], torch.as_tensor(offset)[None],
-                                  torch.zeros((1, 6), dtype=torch.bool))[0].numpy()
-        y = matrix @ z + offset
-        assert (z >= 0.0).all() and (y > -1e-9).all() and abs(z @ y) < 1e-9

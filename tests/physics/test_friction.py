@@ -177,17 +177,6 @@ def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(coarse, line, d
     assert np.abs(free.force[-1, 0, :2]).max() < 1e-6 * normal[3]
 
 
-def test_a_flat_punch_with_friction_arrives_in_few_steps(block, line, device):
-    """It took 12 steps while points that should stick were thrown past their anchors; 5 now on a CPU. A GPU solves
-    Tresca's problems alone, in 11."""
-    probe = Cylinder(0.008, 0.02)
-    solver = Solver(block(SIZE, 0.006, young_modulus=E, poisson_ratio=NU), probe, friction=1.0, device=device,
-                    options=USUAL)
-    frames = solver.run(line([[0.0, 0.0, SIZE[2] + 0.01], [0.0, 0.0, SIZE[2] + 0.008]], probe))
-    assert frames.converged.all()
-    assert solver._balance.newton[0] <= (8 if device == "cpu" else 14)
-
-
 def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, line, monkeypatch):
     """A flat punch with friction 1 in one step: the same force, whether the limits follow at the end or not."""
     make, renew, probe, followed = Solver._make_contact, Equilibrium.renew_friction, Cylinder(0.008, 0.02), []

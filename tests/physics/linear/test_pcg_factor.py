@@ -191,7 +191,7 @@ def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device)
     solver.elasticity.tangent(wp.from_torch(every.to(torch.int32)), wp.from_torch(balance.u), projected=False)
     near = torch.zeros_like(every, dtype=torch.bool)
     stiffness = dense(contact.stiffness(every, near))
-    direction, steps, negative, _ = newton_direction(
+    direction, steps, negative = newton_direction(
         solver.elasticity, contact, every, state["residual"], near=near,
         tolerance=torch.full((2,), 1e-6, dtype=torch.float64, device=device), iterations=150)
     assert (steps == 1).all() and not negative.any()

@@ -6,7 +6,7 @@ On a patch's degrees of freedom the rest-state compliance A gives the elastic re
 
 which is the stationary point of 1/2 q^T A q + f0 . A q + (energy of the contact, and of springs that carry the bodies,
 whose compliance is in series with A); a semi-smooth Newton method with a
-line search on that energy solves it for all touches at once. It is the `linear` tier, and the prediction of the others.
+line search on that energy solves it for all touches at once. It is the `linear` tier.
 Near the solution the contact has its geometric term, without which the method converges linearly near a
 body's edges; where that leads up, it is left out again. Directions are in single precision there.
 """
@@ -23,12 +23,11 @@ from vsfsim.physics.contact.line_search import AGAIN, CURVED, LineSearch
 
 _FIRST_TOLERANCE = 1e-3  # of the contact without friction, which only leads the way
 _RELIEF = 0.01  # of the stick stiffness: about the stiffness of the body itself at a contact point
-_PATIENCE = 8  # iterations without a new least error after which a problem is given up: its body slides about an edge
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
 
 def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float, start: torch.Tensor | None = None, staged: bool = True,
+          tolerance: float, start: torch.Tensor | None = None,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
@@ -40,26 +39,22 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         iterations: limit of Newton's method.
         tolerance: relative error of the displacements of the patch.
         start: first guess of the changes (k, 3 s) [N]; None is zero.
-        staged: whether this must arrive: it begins anew from the contact without friction where it fails, and is not
-            given up for iterations without a gain.
         deadline: `clock.now` after which no iteration but the first begins [s].
 
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
-    patience = iterations if staged else _PATIENCE
     if not (contact.has_friction and contact.solid):
-        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
-    best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
+        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
+    best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     again = (error > tolerance).nonzero()[:, 0]
-    if staged and len(again) and clock.now() < deadline:
+    if len(again) and clock.now() < deadline:
         # begin from the contact without friction
         some, limit = columns[again], contact.limit[columns[again]]
         contact.limit[some] = 0.0
-        part, _ = _newton(contact, some, base[again], pushed[again], None, iterations, _FIRST_TOLERANCE, deadline,
-                          patience)
+        part, _ = _newton(contact, some, base[again], pushed[again], None, iterations, _FIRST_TOLERANCE, deadline)
         contact.limit[some] = limit
-        part, new = _mixed(contact, some, base[again], pushed[again], part, iterations, tolerance, deadline, patience)
+        part, new = _mixed(contact, some, base[again], pushed[again], part, iterations, tolerance, deadline)
         better = new < error[again]
         best_change[again[better]], error[again[better]] = part[better], new[better]
     return best_change, error
@@ -67,14 +62,14 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
 
 def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor,
             start: torch.Tensor | None, iterations: int, tolerance: float,
-            deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
+            deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
     compliance, yielding = contact.compliance[columns], contact.yielding[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q) if start is not None else base.clone()
     best, best_error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     live = None  # indices of the touches in the tensors, None for all; many are dropped at once, since indexing costs
     dq, move, best_change = torch.zeros_like(q), torch.zeros_like(q), best.clone()
-    search = LineSearch(len(columns), tolerance, patience, base.device)
+    search = LineSearch(len(columns), tolerance, iterations, base.device)
     for step_number in range(iterations):
         if step_number and clock.now() > deadline:
             break
@@ -119,8 +114,7 @@ def _direction(contact: Any, columns: torch.Tensor, rho: torch.Tensor, miss: tor
 
 
 def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, start: torch.Tensor | None,
-           iterations: int, tolerance: float, deadline: float,
-           patience: int) -> tuple[torch.Tensor, torch.Tensor]:
+           iterations: int, tolerance: float, deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
     """As `_newton`, for touches of a solid with friction: Newton's method on the law in its mixed form.
 
     A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick,
@@ -133,8 +127,7 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
     trial = base + _times(compliance, q)
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     held = None
-    idle = torch.zeros(len(columns), dtype=torch.int64, device=base.device)
-    most, curved = torch.full_like(error, CURVED), torch.zeros_like(idle, dtype=torch.bool)
+    most, curved = torch.full_like(error, CURVED), torch.zeros_like(error, dtype=torch.bool)
     for step in range(iterations + 1):
         contact.evaluate(columns, trial, pushed + q)
         rho = contact.nodal(columns) - pushed - q
@@ -143,8 +136,7 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         better = size < error
         best, error = torch.where(better[:, None], q, best), torch.where(better, size, error)
         most = torch.where(curved & ~better, AGAIN * error, most)
-        idle = torch.where(better, 0, idle + 1)
-        running = ((error >= tolerance) & (idle < patience))[:, None]
+        running = (error >= tolerance)[:, None]
         if step == iterations or not bool(running.any()) or (step and clock.now() > deadline):
             break
         if held is not None:

@@ -75,6 +75,10 @@ class Contact(Protocol):
         """Displacements [m] or forces [N] of all patches (B, 3 s) out of those of all nodes u (3 n, B)."""
         return u.gather(0, self.dof.clamp(min=0).T).T * self.mask
 
+    def gather_of(self, columns: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        """The same of the touches ``columns`` (k,) alone, u (3 n, k): (k, 3 s)."""
+        return u.gather(0, self.dof[columns].clamp(min=0).T).T * self.mask[columns]
+
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """Find gaps, forces and stiffness at displacements (k, 3 s) [m] of the patches. The methods below report what
         the last evaluation found."""
@@ -128,9 +132,11 @@ class Contact(Protocol):
     def block(self, columns: torch.Tensor) -> Any:
         """The contact stiffness, ready to be inverted together with the compliance of the bodies at rest."""
 
-    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """Change of the contact forces where the bodies are now, see `condensed.solve`."""
+    def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+        """Part of a ``move`` (k, 3 s) [m] of the patches after which the first contact point meets the inner body of
+        a rigid body (k,) [-], 1 where none does: past the middle of a body a point would be pushed out on the far
+        side."""
+        return torch.ones(len(columns), dtype=torch.float64, device=self.device)
 
     def update_friction(self, columns: torch.Tensor) -> None:
         """Renew the friction limit and the tangent plane from the last evaluation."""

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import body_points, condensed, rigid_kernels
+from vsfsim.physics.contact import body_points, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
+from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.face_sums import at_points
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, remember
@@ -26,7 +27,11 @@ from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.rigid_stiffness import PointStiffness
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import real
 from vsfsim.physics.solve.mount import Mount, Springs
+
+CORE = 0.2
+"""Depth over a body's inner radius at which its inner body begins [-]."""
 
 
 class RigidContact(PointStiffness, Contact):
@@ -88,6 +93,7 @@ class RigidContact(PointStiffness, Contact):
         self._reach = Reach(model, bodies, device, local=local, by_place=self._by_place, sprung=mount is not None)
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
+        self._core = wp.array([min(CORE * inner_radius(s), 1.0) for s in bodies.shapes], dtype=real, device=device)
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
         self.follows_below = (0.2 if device == "cpu" else 0.0) if self.solid else np.inf
         self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
@@ -310,10 +316,14 @@ class RigidContact(PointStiffness, Contact):
         gone = (gone * self.normal[columns]).sum(dim=2)
         return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
-    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance,
-                               staged=False, deadline=self.deadline)
+    def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=self.kernels.vec3)
+        part = torch.ones((len(columns), self._local.shape[1]), dtype=torch.float64, device=self.device)
+        wp.launch(self.kernels.reach, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
+            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._core, own,
+            wp.from_torch(part)])
+        return part.amin(dim=1) if part.shape[1] else part.new_ones(len(columns))
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:

@@ -34,6 +34,8 @@ FACING = 0.5
 """Cosine between the object's and the body's outward normal above which a point inside the body is on its wrong
 side."""
 
+_ADVANCES = wp.constant(24)  # of a point along its way, each as far as it surely meets nothing
+
 
 def bind(struct: Any, points: Any, tensors: Mapping[str, torch.Tensor], cut: tuple[int, ...] = ()) -> None:
     """Let ``points``, an instance of a Warp ``struct``, hold ``tensors`` by their names; those of contact points, whose
@@ -238,6 +240,46 @@ def kernels() -> Any:
         c.wrong_side[b, f] = wrong
 
     @wp.kernel(module=module, enable_backward=False)
+    def reach(
+        # model
+        c: Points,
+        bodies: probe.Bodies,
+        count: int,
+        columns: wp.array(dtype=wp.int32),
+        core: wp.array(dtype=real),
+        # state in
+        move_in: wp.array2d(dtype=vec3),
+        # state out
+        part_out: wp.array2d(dtype=real),
+    ):
+        # part of the move (k, s) of the nodes after which the first point of a part meets the inner body of any body,
+        # which begins at the depth `core`; 1 where none does, and for points that are in it already
+        f, k = wp.tid()
+        b = columns[k]
+        part = real(1.0)
+        for q in range(c.shape.shape[1]):
+            if c.stiffness[b, f, q] > real(0.0) and c.host[b, f] < 0:
+                p = place(c, c.x, b, f, q)
+                d = vec3()
+                for a in range(6):
+                    d += c.shape[c.part[b, f], q, a] * move_in[k, c.local[b, f, a]]
+                speed = wp.length(d)
+                for j in range(count):
+                    t = real(0.0)
+                    ends = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
+                    while ends < _ADVANCES and t < part:
+                        at = wp.transpose(c.turn[b, j]) * (p + t * d - c.origin[b, j])
+                        room = probe.gap(bodies, j, at) + core[j]
+                        ends += 1
+                        if room <= real(0.0):
+                            ends = int(_ADVANCES)
+                        else:
+                            t += room / wp.max(speed, real(1e-30))
+                    if t > real(0.0):
+                        part = wp.min(part, t)
+        part_out[k, f] = part
+
+    @wp.kernel(module=module, enable_backward=False)
     def update_friction(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         f, k = wp.tid()
@@ -328,5 +370,5 @@ def kernels() -> Any:
                 least = wp.min(least, probe.gap(bodies, j, wp.transpose(turn[t, b, j]) * (p - origin[t, b, j])))
         gap_out[i, b] = least
 
-    return SimpleNamespace(evaluate=evaluate, update_friction=update_friction, end_step=end_step, nearest=nearest,
-                           Points=Points, vec3=vec3, mat33=mat33, sdf=probe)
+    return SimpleNamespace(evaluate=evaluate, reach=reach, update_friction=update_friction, end_step=end_step,
+                           nearest=nearest, Points=Points, vec3=vec3, mat33=mat33, sdf=probe)

@@ -24,11 +24,9 @@ from vsfsim.core.shape import ProbeShape
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.frames import SolverOptions
-from vsfsim.physics.solve.prediction import Known
-from vsfsim.physics.solve.touches import Solver
+from vsfsim.physics.solve.touches import Known, Solver
 
 _TOLERANCE, _ITERATIONS = 1e-4, 400  # of the back-solve's conjugate gradients [-]
 
@@ -60,7 +58,7 @@ class Sensitivity(Solver):
         super().__init__(model, shape, options=options)
         self._axis = torch.as_tensor(np.asarray(axis, float))
         self._element = [_rows_in(model.mesh.tets, block.nodes) for block in model.blocks]
-        self._near: list[Known] = [] if near is None else near._own
+        self._near = [] if near is None else near._own
         self._own: list[Known] = []
 
     def _run(self, poses: np.ndarray, *more: object) -> object:  # type: ignore[override]
@@ -68,10 +66,6 @@ class Sensitivity(Solver):
         frames = super()._run(poses, *more)  # type: ignore[arg-type]
         self._own = self._equilibria[len(self._near):]
         return frames
-
-    def _frame(self, pose: np.ndarray, deadline: float) -> Rows:
-        self._equilibria = self._equilibria or list(self._near)
-        return super()._frame(pose, deadline)
 
     def _record(self, converged: np.ndarray) -> None:
         balance, contact = self._balance, self.contact
@@ -86,7 +80,7 @@ class Sensitivity(Solver):
         give = torch.ones_like(stiff) if springs is None else springs.stiffness / (springs.stiffness + stiff)
         right = spread(contact.dof, give[:, None] * contact.nodal_of(every, change) * contact.free, len(balance.u))
         self.elasticity.tangent(wp.from_torch(every.to(torch.int32)), wp.from_torch(balance.u), projected=False)
-        moved, _, negative, _ = newton_direction(
+        moved, _, negative = newton_direction(
             self.elasticity, contact, every, right, near=near, tolerance=torch.full_like(stiff, _TOLERANCE),
             iterations=_ITERATIONS, factors=balance.factors)
         out = np.zeros((len(every), len(self.model.mesh.tets)))

@@ -28,7 +28,6 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import State
-from vsfsim.physics.solve.prediction import Known
 from vsfsim.physics.solve.touches import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
@@ -211,8 +210,8 @@ class CoupledSolver(Solver):
             out[b] = len(own) and bool((winding_number(points, faces, own) > 0.5).any())
         return out
 
-    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
-        super()._start(columns, before, pose)
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor) -> None:
+        super()._start(columns, before, pose, begin)
         self._predicted = None
         if bool(self.contact.touches(columns).any()):
             self.contact.predict_candidates(columns, self._balance.u)
@@ -243,12 +242,6 @@ class CoupledSolver(Solver):
             contact.move(pose, failed)
             contact.predict_candidates(failed, balance.u)
             super()._equilibrium(failed, pose, begin, deadline)
-
-    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray,
-                 here: Known | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        # the condensed problem costs as much as a Newton step here, and the extrapolation is the better guess except
-        # where the path turns, where there is only the other one
-        return super()._guesses(now, last, pose, here)[-1:]
 
     def _record(self, converged: np.ndarray) -> None:
         u = self._balance.u

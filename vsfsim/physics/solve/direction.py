@@ -36,7 +36,7 @@ def linear_tolerance(options: SolverOptions, near: torch.Tensor, left: torch.Ten
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
                      plain: bool = False, deadline: float = float("inf"), factors: TangentFactors | None = None,
-                     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+                     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`, or by `gmres` where the contact is not symmetric.
 
     Args:
@@ -51,8 +51,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         factors: of deformed states, which precondition the touches that have one; they note the iterations.
 
     Returns:
-        Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool, none with `gmres`; and
-        the contact stiffness used (k, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); and which met negative curvature (k,) bool, none with
+        `gmres`.
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
@@ -121,7 +121,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     if not contact.symmetric:
         direction, steps = gmres.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                        deadline=deadline)
-        return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool), stiffness
+        return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool)
     direction, steps, curved = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                          plain=plain, deadline=deadline, resident=response.resident)
     if factors is not None:
@@ -129,7 +129,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         # a factor in short numbers may round to an indefinite one: then there is no step, and it is dropped
         none = ((steps == 0) & (residual != 0.0).any(dim=0)).nonzero()[:, 0]
         if len(none) and factors.drop(columns[none]):
-            direction[:, none], steps[none], curved[none], stiffness[none] = newton_direction(
+            direction[:, none], steps[none], curved[none] = newton_direction(
                 elasticity, contact, columns[none], residual[:, none], near=near[none], tolerance=tolerance[none],
                 iterations=iterations, plain=plain, deadline=deadline, factors=factors)
-    return direction, steps, curved, stiffness
+    return direction, steps, curved

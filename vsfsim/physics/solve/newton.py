@@ -12,8 +12,6 @@ The *measure* of a touch is the sum of the lengths of its unbalanced nodal force
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 import warp as wp
@@ -26,11 +24,10 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
-from vsfsim.physics.solve.step import correct
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
-# steps in a row, shorter than this, that points on the wrong side of a body may cost before a touch counts as lost
-_BARRED, _SHORT = 2, 0.1
+# part of the way to the first inner body of a rigid body that a step may take, and the least part of a step
+_SHORT_OF, _LEAST = 0.8, 1e-3
 State = dict[str, torch.Tensor]
 """Forces (internal, contact, residual), energies (energy, potential), least det F (det), points on the wrong side of a
 body (wrong_side) and measure of some touches, one column or entry each."""
@@ -55,8 +52,6 @@ class Equilibrium:
     """Conjugate-gradient iterations of every touch since `reset_counts` (B,)."""
     reason: np.ndarray
     """Why a touch is not in equilibrium, `Reason` (B,)."""
-    least: torch.Tensor
-    """Potential under which a state of a touch lies on another branch than the one that it comes from (B,) [J]."""
 
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact, options: SolverOptions, *,
                  floor: float):
@@ -69,8 +64,8 @@ class Equilibrium:
         self._loaded = _size(self.load).clamp(min=floor)
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
-        self.least = torch.full((batch,), -float("inf"), dtype=torch.float64, device=self.device)
-        self._acts = torch.ones_like(self.least)  # sum of the lengths of the acting forces at the last state [N]
+        # sum of the lengths of the acting forces at the last state [N]
+        self._acts = torch.ones(batch, dtype=torch.float64, device=self.device)
         self.factors = TangentFactors(model, elasticity, contact)
         self.reset_counts()
 
@@ -110,9 +105,7 @@ class Equilibrium:
 
     def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
         """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
-        dof = self.contact.dof[columns]
-        self.contact.evaluate(columns,
-                              moved.gather(0, dof.clamp(min=0).T).T * self.contact.mask[columns])
+        self.contact.evaluate(columns, self.contact.gather_of(columns, moved))
 
     def renew_friction(self, columns: torch.Tensor) -> State:
         """The state after renewing friction limits and tangent planes; the measure counts Coulomb's residual, too."""
@@ -158,7 +151,6 @@ class Equilibrium:
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
-        self._barred = torch.zeros_like(self.every)  # steps in a row that points on the wrong side of a body kept short
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
@@ -204,15 +196,11 @@ class Equilibrium:
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
-            direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far)
+            direction, steps, curved = self._descend(active, state["residual"][:, open_], ~far)
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
-            plain = direction
-            if self.contact.solid or not bool(follows.all()):
-                plain = correct(self.contact, active, self.u, direction, stiffness, state["residual"][:, open_])
-            plain = plain if self.contact.solid else torch.where(follows, direction, plain)
-            moved = self._step(active, open_, (plain, direction), state, tolerance)
+            moved = self._step(active, open_, direction, state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
                 apart[open_[lost]] = moved[lost] = True
@@ -224,7 +212,7 @@ class Equilibrium:
             present = state["measure"][open_]
             idle[open_] = torch.where(present < 0.9 * least[open_], 0, idle[open_] + 1)
             least[open_] = torch.minimum(least[open_], present)
-            lost = open_[(idle[open_] >= self.contact.patience) | (self._barred[active] >= _BARRED)]
+            lost = open_[idle[open_] >= self.contact.patience]
             stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
@@ -240,40 +228,43 @@ class Equilibrium:
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _descend(self, columns: torch.Tensor, residual: torch.Tensor,
-                 near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
+                 near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Directions of descent (3 n, k) [m], the iterations that they took (k,), and which met negative curvature (k,)
         bool: these are found with the projected tangent, without the geometric term of the contact."""
-        direction, steps, curved, stiffness = self._direction(columns, residual, near)
+        direction, steps, curved = self._direction(columns, residual, near)
         if bool(curved.any()) and clock.now() <= self._deadline:
             self._tangent(columns[curved], projected=True)
-            direction[:, curved], more, _, stiffness[curved] = self._direction(
+            direction[:, curved], more, _ = self._direction(
                 columns[curved], residual[:, curved], torch.zeros_like(near[curved]))
             steps[curved] += more
-        return direction, steps, curved, stiffness
+        return direction, steps, curved
 
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
-                   near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
+                   near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
         return newton_direction(self.elasticity, self.contact, columns, residual, near=near,
                                 iterations=opt.cg, plain=opt.cg_plain, deadline=self._deadline,
                                 tolerance=linear_tolerance(opt, near, left), factors=self.factors)
 
-    def _step(self, columns: torch.Tensor, at: torch.Tensor, directions: tuple[torch.Tensor, torch.Tensor],
-              state: State, tolerance: float) -> torch.Tensor:
-        """Halve the step until the potential falls, along ``directions`` (3 n, k) [m] in turn, or the residual
-        decreases where rounding hides the fall.
+    def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
+              tolerance: float) -> torch.Tensor:
+        """Go along ``direction`` (3 n, k) [m], short of the inner bodies of the rigid bodies, and halve the step until
+        the potential falls, or the residual decreases where rounding hides the fall.
 
         ``at``: entries of ``columns`` in ``state``, which is updated. Returns which touches moved (k,) bool.
         """
         base = self.u[:, columns]
         potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
-        slopes = [(state["residual"][:, at] * direction).sum(dim=0) for direction in directions]
-        step = torch.ones_like(slopes[0])
-        differ = (directions[0] != directions[1]).any(dim=0)
-        barred = torch.zeros_like(step, dtype=torch.bool)
-
-        def accepted(new: State, pending: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
+        slope = (state["residual"][:, at] * direction).sum(dim=0)
+        reach = self.contact.reach(columns, self.contact.gather_of(columns, direction))
+        step = torch.where(reach < 1.0, (_SHORT_OF * reach).clamp(min=_LEAST), 1.0)
+        moved, pending = torch.zeros_like(slope, dtype=torch.bool), torch.arange(len(columns), device=self.device)
+        for halvings in range(12):
+            if halvings and clock.now() > self._deadline:
+                break
+            self.u[:, columns[pending]] = base[:, pending] + step[pending] * direction[:, pending]
+            new = self.evaluate(columns[pending])
             way = step[pending] * slope[pending]
             falls = (new["potential"] <= potential[pending] - 1e-4 * way) & (way > 0.0)  # nowhere is no step
             decreases = ((new["measure"] < self.contact.decrease * measure[pending])
@@ -282,33 +273,15 @@ class Equilibrium:
                 decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
             follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
             decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
-            good = (falls & ~follows) | decreases
-            beyond = (new["wrong_side"] > wrong_side[pending]) | (new["potential"] < self.least[columns[pending]])
-            barred[pending] |= good & beyond
-            return good & ~beyond
-
-        moved, pending = torch.zeros_like(barred), torch.arange(len(columns), device=self.device)
-        for halvings in range(12):
-            if halvings and clock.now() > self._deadline:
-                break
-            for direction, slope, tried in zip(directions, slopes, (torch.ones_like(differ), differ), strict=True):
-                trying = pending[tried[pending]]
-                if not len(trying):
-                    continue
-                self.u[:, columns[trying]] = base[:, trying] + step[trying] * direction[:, trying]
-                new = self.evaluate(columns[trying])
-                good = accepted(new, trying, slope)
-                done = trying[good]
-                for key in state:
-                    state[key][..., at[done]] = new[key][..., good]
-                moved[done] = True
-                pending = pending[~moved[pending]]
-                if not len(pending):
-                    break
+            good = ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[pending])
+            done = pending[good]
+            for key in state:
+                state[key][..., at[done]] = new[key][..., good]
+            moved[done] = True
+            pending = pending[~good]
             if not len(pending):
                 break
             step[pending] *= 0.5
-        self._barred[columns] = torch.where(barred & (step < _SHORT), self._barred[columns] + 1, 0)
         if len(pending):
             self.u[:, columns[pending]] = base[:, pending]
             self.evaluate(columns[pending])

@@ -1,10 +1,10 @@
 """Quasi-static touches: every frame is an equilibrium of the object against rigid bodies on prescribed paths.
 
-All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
-two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
-`Equilibrium`. A touch that fails is approached again in halved steps; states that let a body through are barred, and
-equilibria to which the object snapped are not taken (`solution_branch`). A frame in which all of this fails is marked
-and never counts as data. With friction every step remembers where points stuck.
+All touches of one object advance together, one column each, on the device. A step begins from the last two equilibria,
+extrapolated, and is brought into equilibrium by `Equilibrium`. What it finds is checked by geometry (no body lies
+inside the object) and by energy (the bodies' work has not become motion, `WorkCheck`). A touch that fails is approached
+again in halved steps. A frame in which all of this fails is marked and never counts as data. With friction every step
+remembers where points stuck.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -32,15 +32,24 @@ from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import LinearTier
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
-from vsfsim.physics.solve.prediction import Known, guesses, predict
-from vsfsim.physics.solve.solution_branch import SolutionBranch
+from vsfsim.physics.solve.work_check import WorkCheck
 from vsfsim.physics.threads import torch_threads
 
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
 _NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
 _UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
-_DOUBTS = 2  # times that a step is halved because its energy is doubtful, and no more
 _GROWTHS, _GROWING = 10, 0.03  # solves of a step while the patch grows, cuts of its faces included; their tolerance
+
+
+class Known(NamedTuple):
+    """An equilibrium that later frames may begin from."""
+
+    pose: np.ndarray
+    """Poses (B, K, 4, 4)."""
+    u: torch.Tensor
+    """Displacements (3 n, B) [m]."""
+    force: torch.Tensor
+    """Contact forces (3 n, B) [N]."""
 
 
 class Solver:
@@ -70,6 +79,7 @@ class Solver:
         self.elasticity = Elasticity(model, device=device)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         self._floor = model.least_force()
+        self._near: list[Known] = []  # equilibria that frames may begin from
 
     def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, mount: Mount | None = None,
             keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
@@ -104,11 +114,13 @@ class Solver:
             self._linear_tier = LinearTier(self._balance)
         else:
             weight.apply(self._balance, previous)
-            self._branch = SolutionBranch(self._balance)
+            self.contact.begin_step(previous, self._balance.u)
+            self.contact.move(previous, self._balance.every)
+            self._work_check = WorkCheck(self._balance)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
-        self._equilibria: list[Known] = []
+        self._equilibria = list(self._near)
         self._at = previous  # where the bodies are, each touch in equilibrium
         for t in range(frames):
             began, deadline = time.perf_counter(), clock.now() + self.options.seconds * batch
@@ -182,6 +194,7 @@ class Solver:
             contact.move(pose, balance.every)
             balance.evaluate(balance.every)
             self._contact_force = balance.contact_force()
+        self._work_check.begin(balance.every)
         self._remember(pose, self._contact_force)
         return pose
 
@@ -209,84 +222,53 @@ class Solver:
         balance, contact = self._balance, self.contact
         begin, friction = balance.u.clone(), contact.friction_state()
         self._touched = (contact.gather(self._contact_force) != 0.0).any(dim=1)
-        self._start(balance.every, before, pose)
+        self._broken = np.zeros(len(balance.every), bool)  # whose path has a step without an equilibrium
         self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
         return begin, friction
-
-    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
-        """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
-        at a prediction."""
-        balance, contact = self._balance, self.contact
-        self._broken = np.zeros(len(balance.every), bool)  # whose path has a step without an equilibrium
-        self._branch.begin()
-        self._branch.bar(columns, before, pose)
-        contact.begin_step(before, balance.u)
-        contact.move(pose, columns)
-        if (known := self._known(pose)) is not None:
-            balance.u.copy_(known.u)
-            return
-        moved = torch.as_tensor((pose != before).any(axis=(1, 2, 3)) | (not self._equilibria), device=self.device)
-        if bool(moved.any()):
-            self._predict(columns[moved[columns]], pose)
 
     def _known(self, pose: np.ndarray) -> Known | None:
         """The equilibrium at this very ``pose`` (B, K, 4, 4) if it is known and does not depend on the way."""
         known = [] if self.contact.has_friction else self._equilibria
         return next((k for k in reversed(known) if np.array_equal(k.pose, pose)), None)
 
-    def _predict(self, columns: torch.Tensor, pose: np.ndarray, here: Known | None = None) -> None:
-        """Begin ``columns`` at a prediction for the bodies' ``pose`` (B, K, 4, 4); ``here``: see `_guesses`."""
-        balance, contact = self._balance, self.contact
-        balance.evaluate(columns)
-        last = contact.gather(self._contact_force)
-        meets = columns[contact.touches(columns) | (last[columns] != 0.0).any(dim=1)]
-        if len(meets):
-            predict(balance, meets, self._guesses(balance.u.clone(), last, pose, here))
-
-    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray,
-                 here: Known | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """See `prediction.guesses`; ``here`` is the last equilibrium, if it is given."""
-        known = self._equilibria
-        apart = here and known and not np.array_equal(known[-1].pose, here.pose)
-        return guesses([known[-1], here] if apart else known, (now, last), pose, self.contact)
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor) -> None:
+        """Begin ``columns`` at the equilibrium of this very ``pose`` (B, K, 4, 4) if it is known (without friction
+        unloading retraces loading), else at the last two equilibria, ``begin`` (3 n, B) at ``before`` and an older one,
+        extrapolated, where that has less potential and lets no body through."""
+        balance, contact, known = self._balance, self.contact, self._equilibria
+        contact.begin_step(before, begin)
+        contact.move(pose, columns)
+        balance.u[:, columns] = begin[:, columns]
+        if (there := self._known(pose)) is not None:
+            balance.u[:, columns] = there.u[:, columns]
+            return
+        state = balance.evaluate(columns)
+        older = [k for k in known[-2:] if not np.array_equal(k.pose, before)]
+        if not older:
+            return
+        ratio = torch.as_tensor(increments.ratio(older[-1].pose, before, pose), device=self.device)
+        balance.u[:, columns] += (ratio * (begin - older[-1].u))[:, columns]
+        new = balance.evaluate(columns)
+        worse = columns[(new["wrong_side"] > state["wrong_side"]) | ~(new["potential"] < state["potential"])]
+        balance.u[:, worse] = begin[:, worse]
 
     def _reach(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
                deadline: float, halvings: int, friction: Any) -> None:
         """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before``, with the state of ``friction``
-        there, into equilibrium at ``pose`` (B, K, 4, 4).
-
-        The present displacements are the first guess. Touches that fail are approached again in half steps.
-        """
+        there, into equilibrium at ``pose`` (B, K, 4, 4). Touches that fail are approached again in half steps."""
         balance, contact = self._balance, self.contact
-        # where a half step begins the bodies overlap the object by all of it, and Newton's method goes far astray
-        predicts = halvings < self.options.halvings and contact.solid and not contact.has_friction
-        if predicts:
-            self._contact_force = balance.contact_force()  # at ``before``, where `SolutionBranch.bar` was last
-            here = Known(before, begin, self._contact_force)
-        contact.begin_step(before, begin)
-        contact.move(pose, columns)
-        if predicts:
-            self._predict(columns, pose, here)
-        if halvings == 0:
-            self._branch.lift(columns)  # a body may snap
+        self._start(columns, before, pose, begin)
         self._equilibrium(columns, pose, begin, deadline)
-        self._branch.mark(columns, pose, last=halvings + _DOUBTS <= self.options.halvings)
         asked = columns.cpu().numpy()
-        hopeless = balance.exhausted(asked) | self._branch.repeats(columns, pose)
-        again = (balance.reason[asked] != Reason.NONE) & ~hopeless
+        snapped = self._work_check.snapped(columns, before, pose).cpu().numpy()
+        balance.reason[asked[snapped & (balance.reason[asked] == Reason.NONE)]] = Reason.SNAPPED
+        again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
         failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or clock.now() > deadline:
             return
         host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = increments.between(before[host], pose[host], 0.5)
-        balance.u[:, failed] = begin[:, failed]
-        if contact.solid and not contact.has_friction:  # points that the failed step met have forces where it began
-            contact.begin_step(before, begin)
-            contact.move(before, failed)
-            contact.evaluate(failed, contact.gather(balance.u)[failed])
-            contact.extend_patch(failed, before, balance.u)
         contact.restore_friction(failed, friction)
-        self._branch.bar(failed, before, middle)
         self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
         if clock.now() > deadline:
             contact.move(pose, failed)
@@ -300,10 +282,8 @@ class Solver:
         if not len(host):
             contact.move(pose, balance.every)
             return
-        lost = torch.as_tensor(host[balance.reason[host] != Reason.NONE], device=self.device)
         contact.end_step(failed)
-        self._branch.bar(failed, middle, pose)
-        self._branch.lift(lost)  # whose potential is that of no equilibrium
+        self._work_check.begin(failed)
         self._reach(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, contact.friction_state())
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
@@ -339,8 +319,12 @@ class Solver:
     def _linear_frame(self, before: np.ndarray, way: list[np.ndarray], deadline: float) -> Rows:
         """One frame of the `linear` tier."""
         balance, known, last = self._balance, self._known(way[0]), self.contact.gather(self._contact_force)
-        start = (guesses(self._equilibria, (balance.u, last), way[0], self.contact)[-1][1] if known is None
-                 else self.contact.gather(known.force))
+        start = last if known is None else self.contact.gather(known.force)
+        if known is None and len(self._equilibria) > 1:
+            first, second = self._equilibria[-2:]
+            f0, f1 = (self.contact.gather(k.force) for k in (first, second))
+            start = f1 + torch.as_tensor(increments.ratio(first.pose, second.pose, way[0]),
+                                         device=self.device)[:, None] * (f1 - f0)
         force, state = self._linear_tier.frame(before, way, start, deadline)
         self._remember(way[-1], force)
         balance.reset_counts()

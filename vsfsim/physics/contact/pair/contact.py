@@ -14,7 +14,6 @@ import torch
 import warp as wp
 
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.contact.pair import condensed
 from vsfsim.physics.contact.pair.chosen_nodes import ChosenNodes
 from vsfsim.physics.contact.pair.links import LinkBlock, Links, LinkStiffness
 from vsfsim.physics.contact.pair.overlap import PairOverlap
@@ -259,49 +258,3 @@ class PairContact(Contact):
     def _all_links(self, columns: torch.Tensor) -> Links | None:
         found = self._in_contact(columns)
         return found.normal if found.normal is None or found.across is None else found.normal.beside(found.across)
-
-    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
-
-    def close_nodes(self, columns: torch.Tensor, part: float, close: list[torch.Tensor] | None) -> list[torch.Tensor]:
-        """Nodes of both sides (k, Q) bool that are nearer to the other surface than ``part`` of the margin, and those
-        ``close`` before."""
-        now = [side.tensors["gap"][columns] < part * self.surfaces.margin for side in self._sides]
-        return now if close is None else [a | b for a, b in zip(now, close, strict=True)]
-
-    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor],
-                ) -> tuple[Links | None, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The nodes ``close``, padded to the largest number p: their links along the normals, gaps (k, p) [m], penalty
-        compliances (k, p) [m/N], and whether they touch (k, p) bool. Padding has a gap of 1 m."""
-        chosen = ChosenNodes(self.surfaces, columns, close)
-        if not chosen:
-            none = torch.zeros((len(columns), 0), dtype=torch.float64, device=self.device)
-            return None, none, none, none > 0.0
-        gap, stiffness = chosen.of("gap"), self.softening[columns][:, None] * chosen.of("stiffness")
-        give = torch.where(chosen.on, 1.0 / stiffness.clamp(min=1e-12), 1.0)
-        return (chosen.links("face", "shape", chosen.of("normal")[:, :, None]), torch.where(chosen.on, gap, 1.0), give,
-                chosen.on & (gap < 0.0))
-
-    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
-        """Friction forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make their stiffness (None
-        without friction).
-
-        ``stuck``: treat every point with a friction limit as stuck, however far it is from its anchor.
-        """
-        if not stuck or not self.has_friction:
-            found = self._in_contact(columns)
-            return found.drag, found.across
-        chosen = ChosenNodes(self.surfaces, columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
-        if not chosen:
-            return torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device), None
-        stiffness = STICK * self.softening[columns][:, None] * chosen.of("stiffness")
-        normal = chosen.of("across")
-        axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
-        first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
-        # the friction is along these two: its ways are across the normal
-        directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2)
-        root = stiffness.sqrt()[:, :, None]
-        links = chosen.links("anchor_face", "anchor_shape", directions * root[..., None])
-        ways = (directions @ chosen.of("slip")[..., None])[..., 0]
-        return links.push(-(root * ways).flatten(1)), links

@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def weekly():
-    spec = importlib.util.spec_from_file_location("make_weekly", Path(__file__).parents[1] / "docs" / "make_weekly.py")
+    spec = importlib.util.spec_from_file_location("make_weekly", Path(__file__).parents[2] / "docs" / "make_weekly.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
