@@ -8,7 +8,9 @@ from scipy import sparse
 from scipy.optimize import lsq_linear, nnls
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.map import map_estimate, posterior_std
+from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.estimate.structured import structured_std
+from vsfsim.vsf.meta.composition import GaussianPrior
 
 
 def brute(w, z, noise, mean, var):
@@ -90,7 +92,7 @@ def test_one_particle_in_closed_form():
     for z, expected in ((0.5, (10 / 4 + 0.02 * 0.5 / 0.01) / (1 / 4 + 4e-4 / 0.01)), (-3.0, 0.0)):
         result = map_estimate(np.array([[0.02]]), np.array([z]), noise_std=0.1, prior_mean=10.0, prior_var=4.0)
         assert result.mean[0] == pytest.approx(expected, rel=1e-12)
-    std = posterior_std(np.array([[0.02]]), noise_std=0.1, prior_var=4.0)
+    std = structured_std(sparse.csr_matrix([[0.02]]), noise_std=0.1, prior=GaussianPrior.plain(10.0, 4.0, 1))
     assert std[0] == pytest.approx((1 / 4 + 4e-4 / 0.01) ** -0.5, rel=1e-12)
 
 
@@ -151,18 +153,6 @@ def test_a_very_weak_prior_at_size_converges():
     w, z = presses(3_000, 20, 12, 3)
     result = map_estimate(w, z, noise_std=1e-3, prior_mean=20.0, prior_var=1e12)
     assert result.kkt_residual <= 1e-9
-
-
-@pytest.mark.parametrize("m, n", [(6, 20), (20, 6), (12, 12)])
-def test_posterior_std_is_the_dense_inverse(m, n):
-    rng = np.random.default_rng(m)
-    w = rng.uniform(0, 0.01, (m, n)) * (rng.uniform(size=(m, n)) < 0.6)
-    w[:, -1] = 0.0
-    noise, var = rng.uniform(0.05, 0.2, m), rng.uniform(1, 1e5, n)
-    dense = np.linalg.inv(np.diag(1 / var) + (w.T / noise**2) @ w)
-    std = posterior_std(sparse.csr_matrix(w), noise_std=noise, prior_var=var)
-    np.testing.assert_allclose(std, np.sqrt(np.diag(dense)), rtol=1e-8)
-    assert std[-1] == np.sqrt(var[-1])
 
 
 @pytest.mark.parametrize("change, words", [

@@ -81,7 +81,7 @@ def test_more_readings_than_springs_need_a_matrix_of_the_springs_only():
     rng = np.random.default_rng(2)
     w = rng.uniform(0, 0.02, (500, 7))
     evidence = Evidence.of(sparse.csr_matrix(w), rng.normal(size=500), noise_std=0.2, touch=np.arange(500) // 50)
-    assert [block.rows.shape for block in evidence.blocks] == [(7, 7)]
+    assert [block.gram.shape for block in evidence.blocks] == [(7, 7)]
 
 
 def test_no_contact_is_a_constant():

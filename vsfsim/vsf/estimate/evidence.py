@@ -4,18 +4,17 @@ For one object, with readings z, observation matrix W, noise S = diag(s^2) and t
 
     NLL(mu, d) = 1/2 e^T C^-1 e + 1/2 log det C,   e = z - A mu,   C = A diag(d) A^T + S,   A = W B = [W, W G]
 
-A, z and S do not change while the prior is learned, so the readings are divided by their noise and reduced once. An
-orthogonal matrix from the left splits the rows of a touch into r that depend on the stiffnesses (r is the rank of the
-rows, since the way out of a press repeats the way in) and a constant rest. Touches that share no particle are
-independent blocks of C, apart from the few shared components, which Woodbury's identity adds. The remaining work is
-Cholesky factors of r x r blocks, or of k x k ones where a block has about as many rows as particles: with G = A^T A,
+A, z and S do not change while the prior is learned, so the readings are divided by their noise and reduced once.
+Touches that share no particle are independent blocks of C, apart from the few shared components, which Woodbury's
+identity adds. An orthogonal matrix from the left splits the rows of a block into r that depend on the stiffnesses (r is
+the rank of the rows, since the way out of a press repeats the way in) and a constant rest. The remaining work is
+Cholesky factors of r x r blocks, or of k x k ones where a block has more readings than particles: with G = A^T A,
 formed once, and S = diag(sqrt(d)),
 
     log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
 
-which needs products of A with a few vectors only. Where many touches each move few of a block's particles, P is sparse,
-and a factor by `fronts` takes a hundredth of the work; its readings are then not reduced. A GPU factors the dense P in
-less time, and keeps no rows at all (`touch_blocks.GramBlock`). The gradient has the closed form
+which needs products of G with a few vectors only. Where many touches each move few of a block's particles, P is sparse,
+and on a CPU a factor by `fronts` takes a hundredth of the work. The gradient has the closed form
 
     dNLL/dmu = -A^T a,   dNLL/dd_j = 1/2 (a_j^T C^-1 a_j - (a_j^T a)^2),   a = C^-1 e,  a_j column j of A
 
@@ -32,11 +31,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.touch_blocks import FEW, Block, GramBlock, SparseBlock, particle_side
-
-_RANK = 1e-9
-"""Singular values below this fraction of the largest are treated as zero: under a prior of a million times the noise
-they add 1e-6 of the noise's variance."""
+from vsfsim.vsf.estimate.touch_blocks import ByParticles, ByReadings
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Evidence:
 
     touched: np.ndarray
     """Particles that some reading moves (k,) int."""
-    blocks: tuple[Block | SparseBlock | GramBlock, ...]
+    blocks: tuple[ByReadings | ByParticles, ...]
     """Independent groups of touches."""
     constant: float
     """The part of the NLL that does not depend on the prior, in nats [-]."""
@@ -57,7 +52,7 @@ class Evidence:
     @classmethod
     def of(cls, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
            membership: sparse.csr_matrix | None = None,
-           touch: np.ndarray | None = None, device: str = "cpu", dtype: torch.dtype = torch.float64) -> Evidence:
+           touch: np.ndarray | None = None, device: str = "cpu") -> Evidence:
         """Reduce the readings of one object.
 
         Args:
@@ -66,7 +61,7 @@ class Evidence:
             noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
             membership: G (n, s) of the shared components, or None.
             touch: number of the touch of each reading (m,) int; None if all readings belong to one.
-            device, dtype: torch's, of the likelihood.
+            device: torch's, of the likelihood.
 
         Raises:
             VsfError: shapes that do not fit, or a reading that is not finite.
@@ -90,32 +85,19 @@ class Evidence:
         place[touched] = np.arange(len(touched))
         ag = (a @ g).toarray()
         constant = float(np.log(noise).sum()) + 0.5 * m * np.log(2.0 * np.pi)
-        blocks: list[Block | SparseBlock | GramBlock] = []
-        scale = np.abs(a.data).max() if a.nnz else 0.0
+        blocks: list[ByReadings | ByParticles] = []
         for rows in _groups(a, touch):
-            every = np.concatenate(rows)
-            mine = a[every]
-            moved = np.unique(mine.indices)
-            known: SparseBlock | GramBlock | None = None
-            if device != "cpu" and FEW < len(moved) <= len(every):
-                known = GramBlock.of(place[moved], sparse.csr_matrix(mine[:, moved]), b[every], ag[every],
-                                     device=device, dtype=dtype)
-            elif device == "cpu" and dtype == torch.float64:
-                known = SparseBlock.of(place[moved], sparse.csr_matrix(mine[:, moved]), b[every], ag[every])
-            if known is not None:
-                blocks.append(known)
+            moved = np.unique(a[rows].indices)
+            if not len(moved):
+                constant += 0.5 * float(b[rows] @ b[rows])
                 continue
-            parts = [_reduced(a[part], ag[part], b[part], scale) for part in rows]
-            constant += sum(part[-1] for part in parts)
-            (columns, dense, shared, value), extra = _joined([part[:-1] for part in parts], scale)
-            constant += extra
-            if len(value):
-                by_particles = particle_side(*dense.shape)
-                dense = torch.as_tensor(dense, dtype=dtype, device=device)
-                blocks.append(Block(torch.as_tensor(place[columns], device=device), dense,
-                                    torch.as_tensor(value, dtype=dtype, device=device),
-                                    torch.as_tensor(np.ascontiguousarray(shared), dtype=dtype, device=device),
-                                    dense.T @ dense if by_particles else None))
+            given = place[moved], sparse.csr_matrix(a[rows][:, moved]), b[rows], ag[rows]
+            if len(rows) > len(moved):
+                blocks.append(ByParticles.of(*given, device=device))
+            else:
+                block, unexplained = ByReadings.of(*given, device=device)
+                blocks.append(block)
+                constant += unexplained
         return cls(touched, tuple(blocks), constant, m, g.shape[1])
 
     def nll(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor | None = None,
@@ -126,10 +108,10 @@ class Evidence:
             mean, var: of the heterogeneous components of `touched` (k,), var >= 0.
             group_mean, group_var: of the shared components (s,), or None without any.
         """
-        like = self.blocks[0].value if self.blocks else mean
-        none = torch.zeros(0, dtype=like.dtype, device=like.device)
+        device = self.blocks[0].particle.device if self.blocks else mean.device
+        none = torch.zeros(0)
         given = [mean, var, none if group_mean is None else group_mean, none if group_var is None else group_var]
-        return _MarginalNll.apply(self, *(x.to(dtype=like.dtype, device=like.device) for x in given)) + self.constant
+        return _MarginalNll.apply(self, *(x.to(dtype=torch.float64, device=device) for x in given)) + self.constant
 
 
 class _MarginalNll(torch.autograd.Function):
@@ -162,12 +144,10 @@ class _MarginalNll(torch.autograd.Function):
             shift = root * torch.cholesky_solve((root * across)[:, None], small_factor)[:, 0] if s else across
             pull = torch.zeros_like(group_mean)
             for block, found in kept:
-                along, own = block.weighed(found, shift)
+                along, own = found.weighed(shift)
                 size = block.sizes(var[block.particle], found)
                 if s:
-                    cross = torch.linalg.solve_triangular(small_factor,
-                                                          root[:, None] * block.crossed(found).T,
-                                                          upper=False)
+                    cross = torch.linalg.solve_triangular(small_factor, root[:, None] * found.left[:, 1:].T, upper=False)
                     size = size - (cross * cross).sum(dim=0)
                     pull = pull + own
                 grad_mean.index_add_(0, block.particle, -along)
@@ -185,42 +165,10 @@ class _MarginalNll(torch.autograd.Function):
         return None, *(above * gradient for gradient in ctx.saved_tensors)
 
 
-def _groups(a: sparse.csr_matrix, touch: np.ndarray) -> list[list[np.ndarray]]:
-    """Touches (their rows) by connected component; a particle that two touches move connects them."""
+def _groups(a: sparse.csr_matrix, touch: np.ndarray) -> list[np.ndarray]:
+    """Readings by connected component of touches; a particle that two touches move connects them."""
     names, index = np.unique(touch, return_inverse=True)
     incidence = sparse.csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), shape=(len(names), len(index)))
     moves = incidence @ abs(a)
-    label = csgraph.connected_components(moves @ moves.T, directed=False)[1]
-    rows = [np.flatnonzero(index == t) for t in range(len(names))]
-    return [[rows[t] for t in np.flatnonzero(label == k)] for k in range(label.max() + 1 if len(label) else 0)]
-
-
-def _reduced(a: sparse.csr_matrix, ag: np.ndarray, b: np.ndarray,
-            scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """Columns (k,), rows (r, k), shared rows (r, s) and readings (r,) of one touch, and 1/2 |readings that no stiffness
-    explains|^2."""
-    columns = np.unique(a.indices)
-    dense = a[:, columns].toarray()
-    if dense.size:
-        left, size, right = np.linalg.svd(dense, full_matrices=False)
-    else:
-        left, size, right = np.zeros((len(b), 0)), np.zeros(0), np.zeros((0, 0))
-    keep = size > _RANK * scale
-    left = left[:, keep]
-    value = left.T @ b
-    return columns, size[keep, None] * right[keep], left.T @ ag, value, 0.5 * max(float(b @ b - value @ value), 0.0)
-
-
-def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
-            scale: float) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
-    """Several touches as one, like `_reduced`; with many more rows than particles they are reduced again."""
-    columns = np.unique(np.concatenate([part[0] for part in parts]))
-    dense, start = np.zeros((sum(len(part[3]) for part in parts), len(columns))), 0
-    for own, rows, _, value in parts:
-        dense[start:start + len(value), np.searchsorted(columns, own)] = rows
-        start += len(value)
-    shared, value = np.concatenate([part[2] for part in parts]), np.concatenate([part[3] for part in parts])
-    if len(dense) <= 2 * len(columns):
-        return (columns, dense, shared, value), 0.0
-    reduced = _reduced(sparse.csr_matrix(dense), shared, value, scale)
-    return (columns[reduced[0]], *reduced[1:4]), reduced[4]
+    count, label = csgraph.connected_components(moves @ moves.T, directed=False)
+    return [np.flatnonzero(label[index] == k) for k in range(count)]

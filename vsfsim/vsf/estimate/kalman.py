@@ -8,9 +8,8 @@ that this introduces are then dropped:
 A replay of an earlier frame repeats the update of K alone, with the variances as they are: the reading was counted
 before, but K no longer fits it once later frames have moved the same particles.
 
-w_i is column i of W. Only the particles that a frame moves change. Readings on the vertices of a sensor are coupled
-between neighbours only, and M^-1 is needed between such neighbours only, so both are computed along a band (`banded`).
-Otherwise M is factorised once, or, with fewer particles than readings, the particles' precision matrix is.
+w_i is column i of W. Only the particles that a frame moves change. M is factorised once, or, with fewer particles than
+readings, the particles' precision matrix V^-1 + W^T S^-1 W is.
 """
 
 from __future__ import annotations
@@ -21,10 +20,6 @@ import numpy as np
 from scipy import linalg, sparse
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.banded import Band
-
-_BLOCKS = 3
-"""Factor by which an operation of dense arithmetic is faster than one on many small blocks."""
 
 
 @dataclass
@@ -35,8 +30,6 @@ class DiagonalFilter:
     """Means, >= 0 after every update (n,) [N/m]."""
     var: np.ndarray
     """Variances, > 0 (n,) [(N/m)^2]."""
-    _bands: dict[int, Band] = field(default_factory=dict, repr=False)
-    """Orders of the readings, by the number of readings in a frame."""
     _frames: list[tuple[sparse.csr_matrix, np.ndarray, np.ndarray]] = field(default_factory=list, repr=False)
     """Frames that may be replayed: rows, readings and their noise."""
 
@@ -86,25 +79,12 @@ class DiagonalFilter:
                            "positive; leave the frame out.")
         if w.nnz == 0:
             return
-        count = np.diff(w.indptr)
-        band = self._bands.setdefault(len(z), Band(len(z)))
-        read = np.flatnonzero(count)
-        rows = read[np.argsort(band.position[read])]
-        marked = np.zeros(len(self.mean), bool)
-        marked[w.indices] = True
-        moved = np.flatnonzero(marked)
-        place = np.empty(len(self.mean), np.int32)
-        place[moved] = np.arange(len(moved))
-        rank = np.empty(len(z), np.int32)
-        rank[rows] = np.arange(len(rows))
-        a = sparse.csr_matrix((w.data / np.repeat(noise, count), (np.repeat(rank, count), place[w.indices])),
-                              shape=(len(rows), len(moved)))
-        surprise = z[rows] / noise[rows] - a @ self.mean[moved]
+        read = np.flatnonzero(np.diff(w.indptr))
+        moved = np.unique(w.indices)
+        a = w[read][:, moved].toarray() / noise[read, None]
+        surprise = z[read] / noise[read] - a @ self.mean[moved]
         var = self.var[moved]
-        if a.nnz * 4 < a.shape[0] * a.shape[1]:
-            shift, left = _by_sparse_readings(a, surprise, var, rows, band)
-        else:
-            shift, left = _by_particles(a, surprise, var) if len(moved) < len(rows) else _by_readings(a, surprise, var)
+        shift, left = _by_particles(a, surprise, var) if len(moved) < len(read) else _by_readings(a, surprise, var)
         self.mean[moved] = np.maximum(self.mean[moved] + shift, 0.0)
         if not replayed:
             # A variance that falls by fourteen orders of magnitude may be negative by rounding.
@@ -136,72 +116,21 @@ class DiagonalFilter:
                         self.update(rows, values, noise_std=std, replayed=True)
 
 
-def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray, rows: np.ndarray,
-                        band: Band) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the means and new variances for a sparse ``a``, in units of the noise; ``rows`` are its readings, in the
-    order of the band."""
-    columns = a.tocsc()
-    weighted = columns.T
-    weighted.data = weighted.data * np.repeat(var, np.diff(columns.indptr))
-    spread = sparse.csr_matrix(a @ sparse.csr_matrix(weighted))
-    if not band.holds(rows, spread):
-        band.learn(rows, spread)
-        order = np.argsort(band.position[rows])
-        return _by_sparse_readings(a[order], surprise[order], var, rows[order], band)
-    r, k = a.shape
-    if _BLOCKS * 9 * r * band.width**2 < min(r, k) ** 3:
-        dense = spread.toarray()
-        dense[np.diag_indices(r)] += 1.0
-        inverse, pull = band.solve(dense, surprise)
-        return weighted @ pull, var * (1.0 - var * _quadratic_forms(columns, inverse))
-    if k < r:
-        return _by_particles(a, surprise, var)
-    dense = spread.toarray()
-    dense[np.diag_indices(r)] += 1.0
-    factor = linalg.cho_factor(dense, lower=True, overwrite_a=True, check_finite=False)
-    shift = weighted @ linalg.cho_solve(factor, surprise, check_finite=False)
-    return shift, var * (1.0 - var * _quadratic_forms(columns, _inverse(factor[0])))
-
-
-def _by_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the means and new variances through the dense M (readings x readings)."""
-    weighted = a.copy()
-    weighted.data = weighted.data * var[a.indices]
-    spread = (weighted @ a.T).toarray()
+def _by_readings(a: np.ndarray, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the means and new variances for ``a`` (r, k), in units of the noise, through M (r, r)."""
+    weighted = a * var
+    spread = weighted @ a.T
     spread[np.diag_indices_from(spread)] += 1.0
-    factor = linalg.cho_factor(spread, lower=True, overwrite_a=True, check_finite=False)
-    shift = weighted.T @ linalg.cho_solve(factor, surprise, check_finite=False)
-    white = linalg.solve_triangular(factor[0], a.toarray(), lower=True, check_finite=False)
-    return shift, var * (1.0 - var * np.einsum("ij,ij->j", white, white))
+    factor = linalg.cholesky(spread, lower=True, overwrite_a=True, check_finite=False)
+    white = linalg.solve_triangular(factor, weighted, lower=True, check_finite=False)
+    shift = white.T @ linalg.solve_triangular(factor, surprise, lower=True, check_finite=False)
+    return shift, var - np.einsum("ij,ij->j", white, white)
 
 
-def _by_particles(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the means and new variances through the precision matrix V^-1 + A^T A (particles x particles)."""
-    precision = (a.T @ a).toarray()
+def _by_particles(a: np.ndarray, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same through the precision matrix (k, k), whose inverse LAPACK's potri takes half the work for."""
+    precision = a.T @ a
     precision[np.diag_indices_from(precision)] += 1.0 / var
     factor = linalg.cho_factor(precision, lower=True, overwrite_a=True, check_finite=False)
-    inverse = _inverse(factor[0])
-    return inverse @ (a.T @ surprise), np.diag(inverse).copy()
-
-
-def _inverse(lower: np.ndarray) -> np.ndarray:
-    """Inverse of the matrix with this Cholesky factor, by LAPACK's potri: half the work of solving for the identity."""
-    half = np.tril(linalg.lapack.dpotri(lower, lower=1)[0])
-    return half + np.tril(half, -1).T
-
-
-def _quadratic_forms(columns: sparse.csc_matrix, matrix: np.ndarray) -> np.ndarray:
-    """c_j^T matrix c_j of every column (k,), matrix symmetric and at least as large as the columns are long."""
-    count = np.diff(columns.indptr)
-    out = np.zeros(len(count))
-    flat, stride = matrix.reshape(-1), matrix.shape[1]
-    for size in np.unique(count[count > 0]):
-        which = np.flatnonzero(count == size)
-        entry = columns.indptr[which][:, None] + np.arange(size)
-        row, value = columns.indices[entry], columns.data[entry]
-        # Each pair once; the diagonal counts half.
-        first, second = np.triu_indices(size)
-        weight = np.where(first == second, 1.0, 2.0)
-        at = row[:, first].astype(np.intp) * stride + row[:, second]
-        out[which] = np.einsum("kp,kp,kp,p->k", value[:, first], value[:, second], flat[at], weight)
-    return out
+    inverse = linalg.lapack.dpotri(factor[0], lower=1)[0]
+    return linalg.cho_solve(factor, a.T @ surprise, check_finite=False), inverse.diagonal().copy()

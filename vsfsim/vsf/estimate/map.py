@@ -22,8 +22,6 @@ from vsfsim.vsf.estimate.projected_cg import projected_cg
 
 _DENSE_LIMIT = 4000
 """Smaller side beyond which no dense matrix is made (its factor would take 130 MB and seconds a step)."""
-_BLOCK = 1024
-"""Columns of A that are dense at one time in `posterior_std`."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
     Raises:
         VsfError: shapes that do not fit, values that are not finite, a variance or noise that is not positive.
     """
-    w, z, noise, mean, var = _checked("map_estimate", w, z, noise_std, prior_mean, prior_var)
+    w, z, noise, mean, var = _checked(w, z, noise_std, prior_mean, prior_var)
     scale = np.sqrt(var)
     touched = np.flatnonzero(np.diff(w.tocsc().indptr))
     read = np.flatnonzero(np.diff(w.indptr))
@@ -96,60 +94,29 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
     return MapResult(out, steps, residual, int(np.count_nonzero(x > 0.0)))
 
 
-def posterior_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior_var: np.ndarray | float) -> np.ndarray:
-    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
-
-    The diagonal of (V^-1 + W^T S^-1 W)^-1 by Woodbury's identity, on the smaller of readings and touched particles.
-    With fewer readings than touched particles the result is at least 1e-7 of the prior's, the rounding error of the
-    difference in float64.
-
-    Args, Raises: as `map_estimate`.
-    """
-    w, _, noise, _, var = _checked("posterior_std", w, np.zeros(w.shape[0]), noise_std, 0.0, prior_var)
-    out = np.sqrt(var)
-    scale = out.copy()
-    touched = np.flatnonzero(np.diff(w.tocsc().indptr))
-    read = np.flatnonzero(np.diff(w.indptr))
-    if len(touched) == 0:
-        return out
-    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read][:, touched]
-                          @ sparse.diags_array(scale[touched]))
-    if a.shape[1] <= a.shape[0]:
-        factor = linalg.cholesky((a.T @ a).toarray() + np.eye(a.shape[1]), lower=True)
-        inverse = linalg.solve_triangular(factor, np.eye(a.shape[1]), lower=True)
-        left = np.einsum("ij,ij->j", inverse, inverse)
-    else:
-        factor = linalg.cholesky((a @ a.T).toarray() + np.eye(a.shape[0]), lower=True)
-        columns, left = a.tocsc(), np.empty(a.shape[1])
-        for start in range(0, a.shape[1], _BLOCK):
-            block = linalg.solve_triangular(factor, columns[:, start:start + _BLOCK].toarray(), lower=True)
-            left[start:start + _BLOCK] = 1.0 - np.einsum("ij,ij->j", block, block)
-    out[touched] = scale[touched] * np.sqrt(np.maximum(left, 1e-14 if a.shape[1] > a.shape[0] else 0.0))
-    return out
-
-
-def _checked(where: str, w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndarray | float,
+def _checked(w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndarray | float,
              prior_mean: np.ndarray | float, prior_var: np.ndarray | float,
              ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """W without stored zeros, z, and the noise and the prior for every reading and particle."""
     w = sparse.csr_matrix(w, dtype=np.float64, copy=True)
     w.sum_duplicates()
     w.eliminate_zeros()
     m, n = w.shape
     z = np.asarray(z, np.float64)
     if z.shape != (m,):
-        raise VsfError(f"vsf.{where}: z has shape {z.shape}, but W is {m} x {n}; give one reading a row, ({m},).")
+        raise VsfError(f"vsf.map_estimate: z has shape {z.shape}, but W is {m} x {n}; give one reading a row, ({m},).")
     values = []
     for name, value, size in (("noise_std", noise_std, m), ("prior_mean", prior_mean, n), ("prior_var", prior_var, n)):
         value = np.asarray(value, np.float64)
         if value.ndim and value.shape != (size,):
-            raise VsfError(f"vsf.{where}: {name} has shape {value.shape}, but W is {m} x {n}; give one number "
+            raise VsfError(f"vsf.map_estimate: {name} has shape {value.shape}, but W is {m} x {n}; give one number "
                            f"or ({size},).")
         values.append(np.broadcast_to(value, (size,)).astype(np.float64))
     for name, value in zip(("W", "z", "noise_std", "prior_mean", "prior_var"), (w.data, z, *values)):
         if not np.isfinite(value).all():
-            raise VsfError(f"vsf.{where}: {name} has {int((~np.isfinite(value)).sum())} values that are not finite; "
-                           f"remove those readings or particles.")
+            raise VsfError(f"vsf.map_estimate: {name} has {int((~np.isfinite(value)).sum())} values that are not "
+                           f"finite; remove those readings or particles.")
     for name, value in (("noise_std", values[0]), ("prior_var", values[2])):
         if (value <= 0.0).any():
-            raise VsfError(f"vsf.{where}: {name} goes down to {value.min():g}; it must be greater than 0.")
+            raise VsfError(f"vsf.map_estimate: {name} goes down to {value.min():g}; it must be greater than 0.")
     return w, z, *values

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.map import map_estimate, posterior_std
+from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.meta.composition import GaussianPrior
 
 _NEWTON_STEPS = 60
@@ -91,25 +91,19 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
 
 
 def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
-    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m]. Where all variances
-    of the heterogeneous components are 0, only the shared ones vary.
+    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
 
-    Computed on the smaller side, of readings or of touched particles.
-
-    Args, Raises: as `structured_map`.
+    Args, Raises: as `structured_map`; variances of the heterogeneous components may be 0.
     """
-    g = prior.membership
-    w = sparse.csr_matrix(w)
-    if g.shape[1] == 0:
-        return posterior_std(w, noise_std=noise_std, prior_var=prior.var)
-    if not prior.var.any():
-        return _shared_std(w, g, noise_std, prior)
-    return _spread(w, sparse.identity(w.shape[1], format="csr"), noise_std, prior)
+    return reading_std(w, sparse.identity(w.shape[1], format="csr"), noise_std=noise_std, prior=prior)
 
 
 def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float,
                 prior: GaussianPrior) -> np.ndarray:
     """Standard deviation of Q theta, without the readings' own noise and without K >= 0 (q,).
+
+    With A = W / noise and P = diag(var) + G diag(group_var) G^T the posterior's covariance is
+    P - P A^T (A P A^T + 1)^-1 A P, on no more rows of A than it moves particles.
 
     Args:
         w: observation matrix of the readings made (m, n).
@@ -118,117 +112,40 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
         prior: on theta.
     """
     query = sparse.csr_matrix(query)
-    if not prior.var.any():
-        return _shared_std(sparse.csr_matrix(w), query @ prior.membership, noise_std, prior)
-    return _spread(sparse.csr_matrix(w), query, noise_std, prior)
-
-
-def _spread(w: sparse.csr_matrix, query: sparse.csr_matrix, noise_std: np.ndarray | float,
-            prior: GaussianPrior) -> np.ndarray:
-    """Standard deviations of Q theta (q,), where the heterogeneous components vary."""
-    out = query.multiply(query) @ prior.var + (query @ prior.membership).toarray() ** 2 @ prior.group_var
-    before = out.copy()
-    read = np.flatnonzero(np.diff(w.indptr))
-    if len(read):
-        noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
-        a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
-        touched = np.flatnonzero(np.diff(a.tocsc().indptr))
-        side = _Particles.of(a, touched, prior) if len(touched) < a.shape[0] else _Readings.of(a, prior)
-        for start in range(0, len(out), _BLOCK):
-            part = slice(start, start + _BLOCK)
-            out[part] = side.left(query[part], before[part], prior)
+    query_shared = (query @ prior.membership).toarray()
+    before = query.multiply(query) @ prior.var + query_shared**2 @ prior.group_var
+    a = _compressed(sparse.csr_matrix(w), noise_std)
+    if a.shape[0] == 0:
+        return np.sqrt(before)
+    shared = (a @ prior.membership).toarray()
+    weighted = a @ sparse.diags_array(prior.var)
+    spread = (weighted @ a.T).toarray() + (shared * prior.group_var) @ shared.T
+    spread[np.diag_indices_from(spread)] += 1.0
+    factor = linalg.cholesky(spread, lower=True, overwrite_a=True)
+    known = np.empty_like(before)
+    for start in range(0, len(known), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        cross = (weighted @ query[part].T).toarray() + (shared * prior.group_var) @ query_shared[part].T
+        white = linalg.solve_triangular(factor, cross, lower=True, overwrite_b=True)
+        known[part] = np.einsum("ij,ij->j", white, white)
     # A standard deviation below 1e-7 of its prior's is the rounding error of the difference.
-    return np.sqrt(np.maximum(out, 1e-14 * before))
+    return np.sqrt(np.maximum(before - known, 1e-14 * before))
 
 
-def _shared_std(w: sparse.csr_matrix, members: sparse.csr_matrix, noise_std: np.ndarray | float,
-                prior: GaussianPrior) -> np.ndarray:
-    """Standard deviations of ``members`` (q, s) times the shared components (q,), where nothing else varies."""
+def _compressed(w: sparse.csr_matrix, noise_std: np.ndarray | float) -> sparse.csr_matrix:
+    """Rows A (r, n) in units of the noise, r at most the number of particles that ``w`` (m, n) moves, with the A^T A
+    of W / noise: a Cholesky factor of it with pivots, where W has more rows."""
     noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
-    a = (w @ sparse.csr_matrix(prior.membership)).toarray() / noise[:, None]
-    factor = linalg.cholesky(np.diag(1.0 / prior.group_var) + a.T @ a, lower=True)
-    return np.linalg.norm(linalg.solve_triangular(factor, members.toarray().T, lower=True), axis=0)
-
-
-@dataclass(frozen=True)
-class _Readings:
-    """The posterior on the side of the readings: P - P A^T (A P A^T + 1)^-1 A P, with A = W / noise and
-    P = diag(var) + G diag(group_var) G^T."""
-
-    a: sparse.csr_matrix
-    """A (r, n)."""
-    shared: np.ndarray
-    """A G (r, s)."""
-    factor: np.ndarray
-    """Lower Cholesky factor of A P A^T + 1 (r, r)."""
-
-    @classmethod
-    def of(cls, a: sparse.csr_matrix, prior: GaussianPrior) -> _Readings:
-        shared = (a @ prior.membership).toarray()
-        spread = (a @ sparse.diags_array(prior.var) @ a.T).toarray() + (shared * prior.group_var) @ shared.T
-        spread[np.diag_indices_from(spread)] += 1.0
-        return cls(a, shared, linalg.cholesky(spread, lower=True))
-
-    def left(self, query: sparse.csr_matrix, before: np.ndarray, prior: GaussianPrior) -> np.ndarray:
-        """Variances of Q theta (q,), which the prior gives as ``before``."""
-        cross = (self.a @ sparse.diags_array(prior.var) @ query.T).toarray()
-        cross += (self.shared * prior.group_var) @ (query @ prior.membership).toarray().T
-        white = linalg.solve_triangular(self.factor, cross, lower=True)
-        return before - np.einsum("ij,ij->j", white, white)
-
-
-@dataclass(frozen=True)
-class _Particles:
-    """The posterior on the side of the touched particles, as a sum of two variances.
-
-    With R = diag(sqrt(var)) and P = 1 + R A^T A R the heterogeneous components have the covariance R P^-1 R for known
-    shared ones. These have the precision 1 / group_var + G^T Z, with
-
-        Z = A^T (A R^2 A^T + 1)^-1 A G = R^-1 P^-1 R A^T A G
-
-    and Q theta moves with them by H = Q G - Q R^2 Z.
-    """
-
-    touched: np.ndarray
-    """Particles that some reading moves (k,) int."""
-    factor: np.ndarray
-    """Lower Cholesky factor of P (k, k)."""
-    pull: np.ndarray
-    """Z (k, s)."""
-    group: np.ndarray
-    """Lower Cholesky factor of 1 + diag(sqrt(group_var)) G^T Z diag(sqrt(group_var)) (s, s)."""
-
-    @classmethod
-    def of(cls, a: sparse.csr_matrix, touched: np.ndarray, prior: GaussianPrior) -> _Particles:
-        members = sparse.csr_matrix(prior.membership)[touched]
-        factor, pull = _pull(a[:, touched], members, prior.var[touched])
-        group_root = np.sqrt(prior.group_var)
-        inside = group_root[:, None] * (members.T @ pull) * group_root
-        return cls(touched, factor, pull, linalg.cholesky(np.eye(len(inside)) + 0.5 * (inside + inside.T), lower=True))
-
-    def left(self, query: sparse.csr_matrix, before: np.ndarray, prior: GaussianPrior) -> np.ndarray:
-        """Variances of Q theta (q,); ``before`` is not needed."""
-        var = prior.var.copy()
-        var[self.touched] = 0.0
-        out = query.multiply(query) @ var
-        mine = query[:, self.touched]
-        some = np.flatnonzero(np.diff(mine.indptr))  # the others meet no touched particle
-        scaled = mine[some].toarray().T * np.sqrt(prior.var[self.touched])[:, None]
-        white = linalg.solve_triangular(self.factor, scaled, lower=True)
-        out[some] += np.einsum("ij,ij->j", white, white)
-        moves = (query @ prior.membership).toarray() - mine @ (prior.var[self.touched][:, None] * self.pull)
-        shared = linalg.solve_triangular(self.group, (moves * np.sqrt(prior.group_var)).T, lower=True)
-        return out + np.einsum("ij,ij->j", shared, shared)
-
-
-def _pull(a: sparse.csr_matrix, members: sparse.csr_matrix, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """P's lower Cholesky factor and Z of `_Particles`, for A (r, k), G (k, s) and the variances (k,) of k particles."""
-    root = np.maximum(np.sqrt(var), 1e-100)  # R^-1 stays finite
-    gram = (a.T @ a).toarray()
-    precision = gram * root * root[:, None]
-    precision[np.diag_indices_from(precision)] += 1.0
-    factor = linalg.cholesky(precision, lower=True, overwrite_a=True)
-    return factor, linalg.cho_solve((factor, True), root[:, None] * (gram @ members.toarray())) / root[:, None]
+    read = np.flatnonzero(np.diff(w.indptr))
+    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
+    moved = np.unique(a.indices)
+    if len(read) <= len(moved):
+        return a
+    part = a[:, moved]
+    factor, order, rank, _ = linalg.lapack.dpstrf((part.T @ part).toarray(), lower=0, overwrite_a=1)
+    rows = np.triu(factor)[:rank]
+    return sparse.csr_matrix((rows.ravel(), np.tile(moved[order - 1], rank), np.arange(rank + 1) * len(moved)),
+                             shape=(rank, w.shape[1]))
 
 
 def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior,
@@ -248,15 +165,8 @@ def _hessian(w: sparse.csr_matrix, noise: np.ndarray, prior: GaussianPrior, thet
     out = np.diag(1.0 / prior.group_var)
     held = g[~free]
     out += (held.T @ sparse.diags_array(1.0 / prior.var[~free]) @ held).toarray()
-    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise) @ w)[:, free]
-    a = a[np.flatnonzero(np.diff(a.indptr))]
-    if a.shape[0] == 0:
-        return out
-    moved = np.flatnonzero(np.diff(a.tocsc().indptr))
-    a, members, var = a[:, moved], g[free][moved], prior.var[free][moved]
-    if len(moved) < a.shape[0]:
-        return out + members.T @ _pull(a, members, var)[1]
-    ag = (a @ members).toarray()
-    spread = (a @ sparse.diags_array(var) @ a.T).toarray()
+    a = _compressed(sparse.csr_matrix(w[:, free]), noise)
+    ag = (a @ g[free]).toarray()
+    spread = (a @ sparse.diags_array(prior.var[free]) @ a.T).toarray()
     spread[np.diag_indices_from(spread)] += 1.0
-    return out + ag.T @ linalg.cho_solve(linalg.cho_factor(spread), ag)
+    return out + ag.T @ linalg.solve(spread, ag, assume_a="pos") if len(ag) else out
