@@ -78,7 +78,7 @@ class Imaml:
         """
         import torch
 
-        from vsfsim.baselines.outer_loop import OuterLoop, Rates
+        from vsfsim.baselines import implicit_maml as im
 
         usable = [s for s in specimens if len(s.touches) >= 2]
         if not usable:
@@ -104,17 +104,22 @@ class Imaml:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed))
         table = self._table([samples for touches in rows for samples in touches])
         first = np.cumsum([0, *(len(touches) for touches in rows)])
-        rates = Rates(self.outer_rate, self.inner_rate, self.inner_steps, self.regularisation, self.cg_damping,
-                      self.cg_steps)
-        loop = OuterLoop(self._network, theta, table, rates, device=self.device,
-                         longest=max(sum(len(x) for x, _ in touches) for touches in rows))
+        optimiser = torch.optim.Adam(theta, lr=self.outer_rate, foreach=True)
         before = torch.get_num_threads()
         torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other
         try:
             for _ in range(self.epochs):
                 for step in self._steps(len(rows), rng):
                     halves = [self._halves(first[i], first[i + 1], rng) for i in step]
-                    loop.step(halves, self._view_rows([tokens[i] for i in step]))
+                    token = self._view_rows([tokens[i] for i in step])
+                    support, query = (table.batch([half[k] for half in halves], token) for k in (0, 1))
+                    phi = im.adapt(self._network, theta, support, rate=self.inner_rate, steps=self.inner_steps,
+                                   regularisation=self.regularisation)
+                    gradient = im.implicit_gradient(self._network, phi, support, query, steps=self.cg_steps,
+                                                    regularisation=self.regularisation, damping=self.cg_damping)
+                    for p, g in zip(theta, gradient):
+                        p.grad = g.mean(dim=0)
+                    optimiser.step()
         finally:
             torch.set_num_threads(before)
             self._at = "cpu"

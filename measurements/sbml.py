@@ -18,7 +18,6 @@ from scipy import sparse
 from measurements.cost import most_memory, start_memory, wait
 from measurements.measurement import Column, Measurement, Progress, Table
 from measurements.workload import volume_points
-from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.prior import MetaPrior, Spread
 
@@ -106,7 +105,7 @@ def train(particles: int, presses: int, frames: int, *, device: str = "cpu",
         prior = MetaPrior(FEATURES, shared=False, spread=Spread(_MEAN, _MEAN)).to(device)
         features = torch.randn(len(evidence.touched), FEATURES).to(device)
     none = torch.zeros(0, FEATURES, device=device)
-    optimiser = Adam(prior.parameters(), 1e-4)
+    optimiser = torch.optim.Adam(prior.parameters(), lr=1e-4, foreach=True)
     best, values, begun = np.inf, [], time.perf_counter()
     while len(values) < _STEPS and (not values or time.perf_counter() - begun < _ENOUGH):
         start = time.perf_counter()

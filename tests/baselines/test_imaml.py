@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from vsfsim.baselines import outer_loop
 from vsfsim.baselines.imaml import Imaml, ImamlVision, _samples
-from vsfsim.baselines.implicit_maml import Batch, ImplicitGradient, Network, Table, _joined, adapt
-from vsfsim.baselines.outer_loop import OuterLoop, Rates
+from vsfsim.baselines.implicit_maml import Batch, Network, _joined, adapt, implicit_gradient
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -40,10 +38,7 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
         return network.loss(adapt(network, parameters, support, **solve), query)
 
     phi = adapt(network, theta, support, **solve)
-    solving = ImplicitGradient(network, phi, support, query, regularisation=2.0)
-    solving.solve(60)
-    gradient, loss = solving.gradient(), solving.loss()
-    torch.testing.assert_close(loss, query_loss(theta))
+    gradient = implicit_gradient(network, phi, support, query, steps=60, regularisation=2.0)
     rng = np.random.default_rng(0)
     for index in range(len(theta)):
         at = tuple(rng.integers(n) for n in theta[index].shape)
@@ -77,11 +72,8 @@ def test_tasks_in_a_batch_are_independent_of_each_other_and_of_the_padding():
     together, single = (adapt(network, theta, b, rate=0.1, steps=7, regularisation=2.0) for b in (both, alone))
     for a, b in zip(together, single):
         torch.testing.assert_close(a[1], b[0])
-    solved = [ImplicitGradient(network, *given, regularisation=2.0, damping=100.0)
-              for given in ((together, both, both), (single, alone, alone))]
-    for solving in solved:
-        solving.solve(10)
-    g1, g2 = (solving.gradient() for solving in solved)
+    g1, g2 = (implicit_gradient(network, *given, steps=10, regularisation=2.0, damping=100.0)
+              for given in ((together, both, both), (single, alone, alone)))
     for a, b in zip(g1, g2):
         torch.testing.assert_close(a[1], b[0])
 
@@ -108,60 +100,6 @@ def test_an_epoch_has_one_step_for_all_objects_or_one_for_each():
         learned.append(float(method._theta[-1].abs().sum()))
     start = float(method._network.start(torch.Generator().manual_seed(0))[-1].abs().sum())
     assert abs(learned[0] - start) == pytest.approx(1e-3, rel=1e-3) and abs(learned[1] - start) > 1.5e-3
-
-
-def test_recorded_steps_are_those_that_are_not(device, monkeypatch):
-    """On a GPU small steps are padded and replayed as a CUDA graph, and large ones are launched. Both learn what the
-    host does."""
-    if device == "cpu":
-        pytest.skip("nothing is recorded on a CPU; test_padding_changes_no_step pads there")
-    task, learned = parse_task(MOCK_TASK, "mock"), []
-    train = [specimen(mock_view(i, split="train"), task) for i in range(5)]
-    for where, small in (("cpu", 0), (device, 0), (device, 10**9)):
-        monkeypatch.setattr(outer_loop, "_SMALL", small)
-        method = ImamlVision(epochs=3, inner_steps=4, cg_steps=3, tasks_per_step=2, device=where)
-        method.meta_fit(train)
-        learned.append(torch.cat([p.flatten() for p in method._theta]))
-    torch.testing.assert_close(learned[1], learned[0], rtol=1e-5, atol=1e-7)
-    torch.testing.assert_close(learned[2], learned[0], rtol=1e-5, atol=1e-7)
-
-
-def test_padding_changes_no_step():
-    network = Network(7, 2, token=0, hidden=(5,), encoder=())
-    g = np.random.default_rng(0)
-    table = Table([(g.normal(size=(n, 7)), g.normal(size=(n, 2))) for n in (3, 5, 2, 4)], torch.float64, "cpu")
-    learned = []
-    for width in (1, 20):
-        theta = [p.requires_grad_(True) for p in network.start(torch.Generator().manual_seed(0))]
-        loop = OuterLoop(network, theta, table, Rates(1e-2, 1e-2, 5, 2.0, 100.0, 4), longest=14, device="cpu")
-        sets = [np.array([0, 1])], [np.array([2, 3])]
-        for _ in range(3):
-            loop._move(*(table.gather(torch.as_tensor(table.rows(tasks, width)), torch.zeros(1, 0)) for tasks in sets))
-        learned.append(theta)
-    torch.testing.assert_close(learned[1], learned[0], rtol=1e-9, atol=1e-12)
-
-
-def test_a_recorded_step_solves_no_longer_than_a_step(monkeypatch):
-    """What a GPU replays, called on a CPU: padded to one of a few lengths, and solved in as few turns."""
-    network = Network(7, 2, token=0, hidden=(5,), encoder=())
-    g = np.random.default_rng(0)
-    table = Table([(g.normal(size=(n, 7)), g.normal(size=(n, 2))) for n in (3, 5, 2, 4)], torch.float64, "cpu")
-    turns, turn = [], ImplicitGradient.turn
-    monkeypatch.setattr(ImplicitGradient, "turn", lambda self: (turns.append(1), turn(self)))
-    learned, counts, shapes = [], [], []
-    for recorded in (False, True):
-        theta = [p.requires_grad_(True) for p in network.start(torch.Generator().manual_seed(0))]
-        loop = OuterLoop(network, theta, table, Rates(1e-2, 1e-2, 5, 2.0, 100.0, 50), longest=14, device="cpu")
-        if recorded:
-            loop._device = torch.device("cuda")  # so that it records; the tensors stay where they are
-        for halves in ([0], [1, 2, 3]), ([3, 1], [0, 2]), ([2, 0], [1, 3]):
-            loop.step([tuple(np.array(half) for half in halves)], torch.zeros(1, 0))
-        shapes = sorted(loop._recorded)
-        learned.append(theta)
-        counts.append(len(turns))
-    assert shapes == [(1, 4, 12), (1, 8, 12), (1, 12, 8)]  # 3 and 11, 5 and 9, 9 and 5 samples, by fours
-    assert counts[1] == 2 * counts[0] < 2 * 3 * 20
-    torch.testing.assert_close(learned[1], learned[0], rtol=1e-9, atol=1e-12)
 
 
 def test_single_precision_agrees_with_double():
@@ -268,10 +206,9 @@ def test_the_papers_damping_makes_the_gradient_first_order():
         support, query = (table.batch([h[k::2] for h in halves], none) for k in (0, 1))
         phi = adapt(method._network, method._theta, support, rate=method.inner_rate, steps=method.inner_steps,
                     regularisation=method.regularisation)
-        solving = ImplicitGradient(method._network, phi, support, query, regularisation=method.regularisation,
-                                   damping=method.cg_damping)
-        solving.solve(method.cg_steps)
-        implicit, first = _joined(solving.gradient()), _joined(method._network.gradient(phi, query))
+        found = implicit_gradient(method._network, phi, support, query, steps=method.cg_steps,
+                                  regularisation=method.regularisation, damping=method.cg_damping)
+        implicit, first = _joined(found), _joined(method._network.gradient(phi, query))
         cosines[name] = torch.nn.functional.cosine_similarity(implicit.flatten(1), first.flatten(1))
         start = _joined([t[None].expand_as(p) for t, p in zip(method._theta, phi)])
         inner = _joined(method._network.gradient(phi, support))

@@ -24,10 +24,8 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
-from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
 from vsfsim.vsf.fields.surface_touch import DenseTouch
-from vsfsim.vsf.graphed_step import GraphedStep
 
 
 class NerfField(nn.Module):
@@ -154,7 +152,7 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
     on_host = torch.device(device).type == "cpu"
     parameters = list(model.parameters())
-    optimiser = Adam(parameters, s.rate, capturable=not on_host)
+    optimiser = torch.optim.Adam(parameters, lr=s.rate, foreach=True, capturable=not on_host)
     draws = _Draws(len(forces.index), size, s.free_points, generator, device)
 
     def step() -> torch.Tensor:
@@ -173,10 +171,10 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         optimiser.step()
         return misfit.detach()
 
-    graphed = GraphedStep(step, device=device)
+    replayed = step if on_host else _Replayed(step, device)
     for iteration in range(s.iterations):
         draws.fill(iteration, s.iterations)
-        misfit = graphed()
+        misfit = replayed()
         if progress is not None and iteration % 50 == 0:
             progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
     if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
@@ -214,6 +212,32 @@ def save_field(model: nn.Module, path: str | Path) -> None:
     with open(path, "wb") as file:
         np.savez_compressed(file, kind=model.kind, unit=model.unit,
                             **{f"set.{k}": v for k, v in model.settings.items() if v is not None}, **arrays)
+
+
+class _Replayed:
+    """``step`` on a GPU: its first three calls are made, because libraries allocate their memory in them; the next is
+    captured as a CUDA graph, which launches its hundred kernels as one and is replayed from then on. The step must read
+    all that changes from tensors that keep their addresses. The result is overwritten by the next call."""
+
+    def __init__(self, step: Callable[[], torch.Tensor], device: str):
+        self._step, self._device, self._calls = step, torch.device(device), 0
+        self._stream, self._graph = torch.cuda.Stream(self._device), torch.cuda.CUDAGraph()
+
+    def __call__(self) -> torch.Tensor:
+        self._calls += 1
+        with torch.cuda.device(self._device):
+            if self._calls <= 3:  # on the stream of the capture, which takes its memory from the same pool
+                current = torch.cuda.current_stream()
+                self._stream.wait_stream(current)
+                with torch.cuda.stream(self._stream):
+                    self._out = self._step()
+                current.wait_stream(self._stream)
+                return self._out
+            if self._calls == 4:
+                with torch.cuda.graph(self._graph, stream=self._stream):
+                    self._out = self._step()
+            self._graph.replay()
+        return self._out
 
 
 class _Draws:

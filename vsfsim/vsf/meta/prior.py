@@ -24,7 +24,6 @@ from torch.nn import functional
 
 from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.physics.threads import torch_threads
-from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior
 
@@ -186,7 +185,7 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
 def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], rate: float, epochs: int,
              patience: int, seed: int, rng: np.random.Generator,
              progress: Callable[[int, int, str], None] | None) -> Training:
-    optimiser = Adam(prior.parameters(), rate)
+    optimiser = torch.optim.Adam(prior.parameters(), lr=rate, foreach=True)
     best, best_value, kept = 0, score(prior, validation) if validation else np.inf, _copy(prior)
     history, checked = [score(prior, tasks)], [best_value]
     with torch.random.fork_rng(devices=[]):
