@@ -147,7 +147,8 @@ class _MarginalNll(torch.autograd.Function):
                 along, own = found.weighed(shift)
                 size = block.sizes(var[block.particle], found)
                 if s:
-                    cross = torch.linalg.solve_triangular(small_factor, root[:, None] * found.left[:, 1:].T, upper=False)
+                    crossed = root[:, None] * found.left[:, 1:].T
+                    cross = torch.linalg.solve_triangular(small_factor, crossed, upper=False)
                     size = size - (cross * cross).sum(dim=0)
                     pull = pull + own
                 grad_mean.index_add_(0, block.particle, -along)
