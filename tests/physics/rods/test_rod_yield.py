@@ -10,10 +10,9 @@ import warp as wp
 from stems import crossing, plant, stem, touch
 
 from vsfsim.core.errors import SceneError
-from vsfsim.physics.rods.memory import make_trees, make_work
+from vsfsim.physics.rods.memory import make_trees
 from vsfsim.physics.rods.model import build
-from vsfsim.physics.rods.problem import Trees
-from vsfsim.physics.rods.workspace import Work
+from vsfsim.physics.rods.structs import Trees, Work, allocate
 
 LENGTH, RADIUS, E = 0.3, 0.004, 2e9
 EI = E * np.pi * RADIUS**4 / 4.0
@@ -44,7 +43,7 @@ def there_and_back(far: float, steps: int) -> np.ndarray:
 def test_moment_and_tangent_are_the_derivatives_of_the_energy():
     """Elastic, yielding and yielding back, with a plastic bending left from before; central differences."""
     body = wired(2, moment=0.05)
-    tree, work = make_trees([build(body)], "cpu"), make_work(1, 3, 1, 8, 3)
+    tree, work = make_trees([build(body)], "cpu"), allocate(Work, B=1, N=3, K=1, C=8, D=4)
     kw, moment = build(body).wire[1]
     left = np.array([0.0, 0.02, -0.01])
     work.nodes.plastic.assign(np.tile(left, (1, 3, 1)))

@@ -22,7 +22,6 @@ from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import arm as one_press
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
-from vsfsim.physics.rods.memory import enter
 from vsfsim.vsf.stick_slip import stick_slip_kernel
 
 
@@ -50,7 +49,7 @@ class ArmEffector:
 
     def kernels(self, scene: Scene) -> list[Any]:
         """Those of the beams' solver, and of the oracle VSF's stick and slip."""
-        return [advance, enter, stick_slip_kernel(wp.float64)[0]]
+        return [advance, stick_slip_kernel(wp.float64)[0]]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Grow, look, aim along lines that the arm can follow, touch."""

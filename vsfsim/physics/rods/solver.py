@@ -17,8 +17,9 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.kernels.lanes import LANES
-from vsfsim.physics.rods.memory import enter, levels_of, make_results, make_touches, make_trees, make_work, quaternions
+from vsfsim.physics.rods.memory import levels_of, make_trees, quaternions, start
 from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel
+from vsfsim.physics.rods.structs import Results, Touches, Work, allocate
 
 SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
 ROOM = 512  # places for the contacts (three points of a fibre beside a capsule) of a touch
@@ -216,18 +217,18 @@ class RodBatch:
         self._plant = np.zeros(places, np.int32)
         self._frames, self._next, self._ended = np.zeros((3, places), np.int32)
         self._taken = np.zeros(places, bool)
+        sizes = {"B": places, "N": self._wide, "T": frames, "W": poses, "K": len(shapes), "C": options.room,
+                 "D": max(len(levels_of(m)[1]) for m in solver.models) + 1, "V": frames if keep_nodes else 0}
         with wp.ScopedDevice(solver.device):
-            self._touch = make_touches(places, frames, poses, [0.5 * s.length for s in shapes],
-                                       [s.radius for s in shapes])
+            self._touch, self._work = allocate(Touches, **sizes), allocate(Work, **sizes)
+            self._out = allocate(Results, **(sizes if keep_nodes else {**sizes, "N": 0}))
             touch = self._touch
-            touch.guarded, touch.hold, touch.out = int(options.guarded), options.hold, options.out
-            touch.newton, touch.travel, touch.work = options.newton, options.travel, options.work
+            touch.half.assign(np.array([0.5 * s.length for s in shapes]))
+            touch.radius.assign(np.array([s.radius for s in shapes], float))
+            touch.guarded = int(options.guarded)
+            for name in ("hold", "out", "newton", "travel", "work", "force_limit", "tolerance", "force_floor"):
+                setattr(touch, name, getattr(options, name))
             touch.patience = ENDLESS if options.patience is None else options.patience
-            touch.force_limit, touch.tolerance = float(options.force_limit), float(options.tolerance)
-            touch.force_floor = float(options.force_floor)
-            self._work = make_work(places, self._wide, len(shapes), options.room,
-                                   max(len(levels_of(m)[1]) for m in solver.models))
-            self._out = make_results(places, frames, len(shapes), self._wide if keep_nodes else 0)
             self._clock = wp.zeros(1, dtype=wp.uint64)
         self._gpu = wp.get_device(solver.device).is_cuda
 
@@ -305,7 +306,7 @@ class RodBatch:
             put(touch.plan, np.pad(plan, ((0, 0), (0, touch.plan.shape[1] - t))))
             put(touch.position, along(poses[..., :3, 3]))
             put(touch.rotation, along(quaternions(poses[..., :3, :3])))
-            wp.launch(enter, dim=(b, self._wide), inputs=[self.solver.trees, touch, begin], outputs=[self._work])
+            start(self._work, [models[p] for p in plant], some, plan)
         return some
 
     def advance(self, *, seconds: float = GPU_SPAN) -> int:

@@ -19,8 +19,7 @@ from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_
 from vsfsim.physics.rods.kernels.newton import equilibrate
 from vsfsim.physics.rods.kernels.segment import ONE, ZERO, gradient, real, spatial, vec3
 from vsfsim.physics.rods.kernels.yielding import has_yielded, segment_energy, segment_moment, yield_segment
-from vsfsim.physics.rods.problem import Results, Touches, Trees
-from vsfsim.physics.rods.workspace import Stick, Thread, Work
+from vsfsim.physics.rods.structs import Results, Stick, Thread, Touches, Trees, Work
 from vsfsim.physics.solve.frames import Reason
 
 # the block that a GPU's launches have, so that compiling ahead compiles what is launched

@@ -46,8 +46,7 @@ from vsfsim.physics.rods.kernels.segment import (
     vec3,
 )
 from vsfsim.physics.rods.kernels.yielding import segment_moment, segment_tangent
-from vsfsim.physics.rods.problem import Touches, Trees
-from vsfsim.physics.rods.workspace import Stale, Stick, Thread, Work
+from vsfsim.physics.rods.structs import Stale, Stick, Thread, Touches, Trees, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -11,8 +11,7 @@ from vsfsim.physics.rods.kernels.fibre import POINTS
 from vsfsim.physics.rods.kernels.geometry import fibre_patch
 from vsfsim.physics.rods.kernels.lanes import lane_count, lanes_before, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ZERO, real, vec3
-from vsfsim.physics.rods.problem import Touches, Trees
-from vsfsim.physics.rods.workspace import Stick, Thread, Work
+from vsfsim.physics.rods.structs import Stick, Thread, Touches, Trees, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

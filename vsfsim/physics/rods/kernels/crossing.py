@@ -15,8 +15,7 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.fibre import Fibre, fibre_in_capsule
 from vsfsim.physics.rods.kernels.lanes import lane_count
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, vec3
-from vsfsim.physics.rods.problem import Trees
-from vsfsim.physics.rods.workspace import Thread
+from vsfsim.physics.rods.structs import Thread, Trees
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

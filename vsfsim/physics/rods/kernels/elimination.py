@@ -11,8 +11,7 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.lanes import lane_count, sync
 from vsfsim.physics.rods.kernels.segment import mat66
-from vsfsim.physics.rods.problem import Trees
-from vsfsim.physics.rods.workspace import Stale, Thread, Work
+from vsfsim.physics.rods.structs import Stale, Thread, Trees, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

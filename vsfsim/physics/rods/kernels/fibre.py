@@ -16,7 +16,7 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, vec3
-from vsfsim.physics.rods.problem import Trees
+from vsfsim.physics.rods.structs import Trees
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

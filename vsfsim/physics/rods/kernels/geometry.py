@@ -9,8 +9,7 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.fibre import child_share, fibre_in_capsule, fibre_point, touching_patch
 from vsfsim.physics.rods.kernels.segment import ONE, quat, real, strain, vec3
-from vsfsim.physics.rods.problem import Touches, Trees
-from vsfsim.physics.rods.workspace import Work
+from vsfsim.physics.rods.structs import Touches, Trees, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

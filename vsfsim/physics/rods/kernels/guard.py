@@ -20,8 +20,7 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.lanes import lane_max, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
-from vsfsim.physics.rods.problem import Touches
-from vsfsim.physics.rods.workspace import Phase, Thread, Work
+from vsfsim.physics.rods.structs import Phase, Thread, Touches, Work
 from vsfsim.physics.solve.frames import Reason
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

@@ -18,8 +18,7 @@ from vsfsim.physics.rods.kernels.elimination import solve
 from vsfsim.physics.rods.kernels.lanes import lane_max, lane_sum, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, spatial, strain, vec3
 from vsfsim.physics.rods.kernels.yielding import segment_energy
-from vsfsim.physics.rods.problem import Touches, Trees
-from vsfsim.physics.rods.workspace import Thread, Work
+from vsfsim.physics.rods.structs import Thread, Touches, Trees, Work
 from vsfsim.physics.solve.frames import Reason
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

@@ -17,8 +17,7 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, Strain, energy, vec3
-from vsfsim.physics.rods.problem import Trees
-from vsfsim.physics.rods.workspace import Work
+from vsfsim.physics.rods.structs import Trees, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

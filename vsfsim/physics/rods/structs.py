@@ -1,0 +1,300 @@
+"""What the rod kernels are given, work on and give back: tables of Warp structs, and their memory on a device.
+
+A row has a field's type, its shape and its meaning. The letters of a shape are sizes, "-" is a single number:
+
+    P plants               B touches                     T frames of a touch
+    S nodes of all plants  N nodes of the largest plant  W poses on the way of a touch
+    Q fibres of all plants K capsules                    C places for the contacts of a touch
+    L levels of all plants D levels of the deepest plant, and the end
+"""
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+
+
+def struct(name: str, **rows: Any) -> Any:
+    """A Warp struct of the fields ``rows``, "type shape  meaning" or another struct."""
+    types, shapes = dict(rows), {}
+    for field, row in rows.items():
+        if isinstance(row, str):
+            dtype, shapes[field], _ = row.split(maxsplit=2)
+            types[field] = getattr(wp, dtype)
+            if shapes[field] != "-":
+                types[field] = wp.array(dtype=types[field], ndim=len(shapes[field]))
+    out = wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__}))
+    out.shapes = shapes
+    return out
+
+
+def allocate(kind: Any, **sizes: int) -> Any:
+    """An instance of a struct with its arrays zeroed, of the ``sizes`` that its rows name."""
+    out = kind()
+    for field, variable in kind.vars.items():
+        if isinstance(variable.type, wp.array):
+            shape = tuple(2 if letter == "2" else sizes[letter] for letter in kind.shapes[field])
+            setattr(out, field, wp.zeros(shape, dtype=variable.type.dtype))
+        elif field not in kind.shapes:
+            setattr(out, field, allocate(variable.type, **sizes))
+    return out
+
+
+def filled(kind: Any, **values: np.ndarray) -> Any:
+    """An instance of a struct with the ``values`` of all its fields."""
+    out = kind()
+    for field, variable in kind.vars.items():
+        setattr(out, field, wp.array(np.ascontiguousarray(values[field]), dtype=variable.type.dtype))
+    return out
+
+
+class Phase(IntEnum):
+    """What a guarded arm does, see `kernels.guard`."""
+
+    AS_PLANNED = 0
+    CREEPING = 1
+    BACK = 2
+
+
+class Stick(IntEnum):
+    """Whether a point of a patch may have friction: not if it did not touch at the end of the last stride; since an
+    earlier stride; or since this one, which may still lose it."""
+
+    FREE = 0
+    STUCK = 1
+    NEW = 2
+
+
+class Stale(IntEnum):
+    """What elimination has to do again at a node: nothing; what a node further from the root has changed; or all,
+    because a contact of its own segment entered or left the model of the step."""
+
+    NO = 0
+    BELOW = 1
+    CONTACTS = 2
+
+
+# The plants, one after the other. A node and the segment from its parent to it share a number; node 0 of a plant is
+# clamped and has no segment. Numbers of nodes are counted within a plant.
+Trees = struct(
+    "Trees",
+    first="int32 P  first node of each plant, and the end",
+    parent="int32 S  parent of a node",
+    rest="vec3d S  position at rest [m]",
+    frame="quatd S  frame of the segment at rest, its x along the segment",
+    length="float64 S  length of the segment [m]",
+    kd="vec3d S  axial and shear stiffnesses of the segment [N/m]",
+    kphi="vec3d S  torsional and bending stiffnesses of the segment [N m]",
+    wire="vec2d S  bending stiffness of its core and the moment at which that yields, or 0 [N m]",
+    load="vec3d S  dead force on the node [N]",
+    reach="float64 S  longest way along segments from the node to a descendant [m]",
+    bound="float64 S  radius around the segment's middle line that holds all its fibres [m]",
+    fibre="int32 S  first fibre of each segment, and the end",
+    child="int32 S  child with the highest number, -1 for none",
+    next="int32 S  sibling with the next lower number, -1 for none",
+    rank="int32 S  nodes of a plant by their level, the number of segments from the root",
+    level="int32 L  first place of each level in `rank`, and the end, plant after plant",
+    levels="int32 P  first entry of each plant in `level`, and the end",
+    offset="vec3d Q  offset of a fibre from the segment's middle line, at rest [m]",
+    radius="float64 Q  radius of the branch around a fibre [m]",
+    tip="int32 Q  1 where a fibre is the tip of a branch, a point",
+    # linear between the ends: the stiffness of a cantilever falls with the cube of its length
+    softness="vec2d Q  (contact penalty)^(-1/3) at the parent's and the child's end [(m/N)^(1/3)]",
+    floor="float64 P  bound on the rounding error of the residual of each plant [N]")
+
+# The touches: the capsules, their poses, and the limits of the solver, which `RodOptions` explains.
+Touches = struct(
+    "Touches",
+    plant="int32 B  number of the touched plant",
+    friction="float64 B  coefficient of friction [-]",
+    frames="int32 B  number of frames",
+    half="float64 K  half length of each capsule [m]",
+    radius="float64 K  radius of each capsule [m]",
+    position="vec3d BWK  positions of the capsules on the way [m]",
+    rotation="quatd BWK  their rotations",
+    last_pose="int32 B  number of the last pose on the way",
+    plan="float64 BT  where on the way each frame is planned [poses]",
+    inward="int32 B  number of frames before the planned way out",
+    guarded="int32 -  `RodOptions`",
+    hold="int32 -  `RodOptions`",
+    out="int32 -  `RodOptions`",
+    newton="int32 -  `RodOptions`",
+    travel="int32 -  `RodOptions`",
+    work="int32 -  `RodOptions`",
+    patience="int32 -  `RodOptions`",
+    force_limit="float64 -  `RodOptions` [N]",
+    tolerance="float64 -  `RodOptions` [-]",
+    force_floor="float64 -  `RodOptions` [N]")
+
+# What comes out, as in `RodFrames`.
+Results = struct(
+    "Results",
+    force="vec3d BTK  force on each capsule [N]",
+    moment="vec3d BTK  moment on each capsule about its origin [N m]",
+    reaction="spatial_vectord BT  force and moment of the pot on the plant, about node 0 [N, N m]",
+    residual="float64 BT  unbalanced force over contact force [-]",
+    energy="float64 BT  elastic energy [J]",
+    heat="float64 BT  work that yielding has turned into heat since the touch began [J]",
+    penetration="float64 BT  depth of the deepest point inside a capsule [m]",
+    slipping="float64 BT  share of the Gauss points in contact that slip [-]",
+    where="float64 BT  where the arm was on its way [poses]",
+    iterations="int32 BT  Newton iterations",
+    reason="int32 BT  `frames.Reason`",
+    contacts="int32 BT  number of touching patches, pairs of a fibre and a capsule",
+    x="vec3d BVN  positions of the nodes [m]; V is T or 0",
+    q="quatd BVN  rotations of the nodes")
+
+# The nodes of each touched plant, and which of them are solved.
+Nodes = struct(
+    "Nodes",
+    x="vec3d BN  position [m]",
+    x_start="vec3d BN  at the start of the stride [m]",
+    x_trial="vec3d BN  at a trial of the line search [m]",
+    x_saved="vec3d BN  to return to when a step is rejected [m]",
+    q="quatd BN  rotation since rest",
+    q_start="quatd BN  at the start of the stride",
+    q_trial="quatd BN  at a trial of the line search",
+    q_saved="quatd BN  to return to when a step is rejected",
+    active="int32 BN  1 where the node is an unknown, 0 where it moves rigidly with its parent",
+    strained="int32 BN  1 where the segment was strained at the last equilibrium",
+    plastic="vec3d BN  plastic bending of the core in the middle frame's axes, the first 0 [rad]",
+    heat="float64 BN  work that the segment's yielding has turned into heat [J]",
+    order="int32 BN  the active nodes, level by level",
+    level="int32 BD  first place of each level in `order`, and the end",
+    unloaded_reach="float64 BN  longest unloaded branch that the node carries rigidly [m]",
+    segment_clearance="float64 BN  of the segment, and what it carries rigidly, to capsules [m]",
+    node_clearance="float64 BN  least `segment_clearance` of segments that meet at the node [m]")
+
+# Kinematics of each segment, in the notation of `kernels.segment`, and its contacts in the present list.
+Segments = struct(
+    "Segments",
+    frame="quatd BN  Rm F, the frame in the middle of the segment",
+    span="vec3d BN  D, the vector from parent to child in the middle frame [m]",
+    half_rotation="vec3d BN  g, along half the rotation over the segment [-]",
+    span_rate="vec3d BN  D', its derivative along the step [m]",
+    relative_spin="vec3d BN  spin of the child less that of the parent along the step, world [rad]",
+    first_contact="int32 BN  place of its first contact in the list",
+    contact_count="int32 BN  number of its contacts; first a bit for each capsule that is near")
+
+# The linear system of a Newton step, in 6-vectors and 6 x 6 blocks of (position, spin) at the nodes [N, N m, m, rad]. A
+# segment contributes to two nodes: what ends in `_child` belongs to the node of its own number, what ends in `_parent`
+# to that node's parent. The elastic parts are first the segment's at its child, then the node's.
+System = struct(
+    "System",
+    gradient="spatial_vectord BN  of the potential",
+    contact_gradient_child="spatial_vectord BN  of the segment's contact energy at the child",
+    contact_gradient_parent="spatial_vectord BN  at the parent",
+    elastic_gradient="spatial_vectord BN  of the elastic energy less the dead load",
+    elastic_gradient_parent="spatial_vectord BN  of the segment's elastic energy at its parent",
+    elastic_block="spatial_matrixd BN  second derivative of the elastic energy",
+    elastic_block_parent="spatial_matrixd BN  of the segment's elastic energy at its parent",
+    elastic_coupling="spatial_matrixd BN  mixed, rows of the child and columns of the parent",
+    contact_block_child="spatial_matrixd BN  second derivative of the segment's contact energy",
+    contact_block_parent="spatial_matrixd BN  at the parent",
+    contact_rhs_child="spatial_vectord BN  minus the gradient of the contacts in the step's model",
+    contact_rhs_parent="spatial_vectord BN  at the parent",
+    diagonal="spatial_matrixd BN  diagonal block of the system",
+    child_parent="spatial_matrixd BN  rows of the node and columns of its parent",
+    parent_child="spatial_matrixd BN  rows of the parent, columns of the node (if unsymmetric)",
+    rhs="spatial_vectord BN  right-hand side",
+    eliminated_coupling="spatial_matrixd BN  inverse diagonal block times `child_parent`, eliminated",
+    eliminated_rhs="spatial_vectord BN  inverse diagonal block times `rhs`, eliminated",
+    stale="int32 BN  `Stale`",
+    step="spatial_vectord BN  the Newton step: displacement and spin")
+
+# Poses of the capsules in the present stride.
+Capsules = struct(
+    "Capsules",
+    x="vec3d BK  position at its end [m]",
+    x_start="vec3d BK  at its start [m]",
+    q="quatd BK  rotation at its end",
+    q_start="quatd BK  at its start")
+
+# The points of the patches of fibres and capsules that are close, `kernels.fibre.POINTS` of each. Two lists take turns
+# as that of the last stride and that of the present one; what has no first index 2 belongs to the present one.
+Contacts = struct(
+    "Contacts",
+    count="int32 2B  length of each list",
+    key="int32 2BC  number of the point; the lists are sorted by it",
+    fibre="int32 2BC  number of the fibre in `Trees`",
+    node="int32 2BC  segment of the fibre, counted within the plant",
+    capsule="int32 2BC  number of the capsule",
+    place="float64 2BC  place of the point along the segment, 0 to 1 [-]",
+    stiffness="float64 2BC  penalty of the point [N/m]",
+    stuck="int32 2BC  `Stick`",
+    in_step="int32 2BC  1 where the contact takes part in the model of the step",
+    stretch="vec3d 2BC  elastic slip at the start of the stride, in the capsule's frame [m]",
+    anchor="vec3d 2BC  where the surface point would be without friction force, world [m]",
+    gap_start="float64 2BC  gap of the patch at the start of the stride, 0 where closed [m]",
+    lever="vec3d 2BC  from the fibre to the surface point at the start of the stride, world [m]",
+    normal="vec3d 2BC  unit normal, from the capsule to the fibre",
+    depth="float64 2BC  penetration, negative for a gap [m]",
+    friction_limit="float64 2BC  largest friction force, coefficient times normal force [N]",
+    child_share="float64 BC  share of the child's node in the displacement of the point [-]",
+    arm_parent="vec3d BC  lever of the point from the parent's node [m]",
+    arm_child="vec3d BC  from the child's node [m]",
+    surface_arm_parent="vec3d BC  lever of the surface point from the parent's node [m]",
+    surface_arm_child="vec3d BC  from the child's node [m]",
+    normal_gradient="vec3d BC  of the normal energy by the point's position [N]",
+    friction_gradient="vec3d BC  of the friction energy by the surface point's position [N]",
+    slip="vec3d BC  tangential displacement of the surface point from its anchor [m]",
+    normal_hessian="mat33d BC  second derivative of the normal energy [N/m]",
+    friction_hessian="mat33d BC  of the friction energy [N/m]",
+    coulomb_hessian="mat33d BC  of the friction force by the point, through its limit [N/m]",
+    force="vec3d BC  force on the capsule [N]",
+    moment="vec3d BC  moment on the capsule about its origin [N m]")
+
+# How far each touch is. A launch may end in the middle of a frame; the next one continues there.
+Progress = struct(
+    "Progress",
+    list="int32 B  which of the two contact lists holds the last equilibrium",
+    next="int32 B  the next frame",
+    ended="int32 B  1 + the first frame that is not kept, 0 while the touch goes on",
+    # 1 from a penetration that may end on the wrong side of a capsule until nothing touches, 2 from a capsule going
+    # through the plant to the end of the touch
+    wrong_side="int32 B  whether a link may be inside the plant",
+    part="float64 B  finished part of the present frame [-]",
+    stride="float64 B  next stride as a part of the frame, 0 for a new frame [-]",
+    used="int32 B  Newton iterations of the present frame",
+    broken="int32 B  1 if a stride of the present frame ended without an equilibrium",
+    total="int32 B  Newton iterations of the frames before it")
+
+# State of the guard, see `kernels.guard`, and the equilibrium that it returns to.
+Guard = struct(
+    "Guard",
+    position="float64 B  where the arm is on its way [poses]",
+    good_position="float64 B  where it was last in equilibrium below the force limit [poses]",
+    turning_position="float64 B  where it turned [poses]",
+    clear_position="float64 B  the last position before it first touched [poses]",
+    pace="float64 B  advance per frame while it creeps [poses]",
+    phase="int32 B  `Phase`",
+    turning_frame="int32 B  frame in which it turned",
+    touched="int32 B  1 since the first contact",
+    failures="int32 B  consecutive frames without an equilibrium",
+    x="vec3d BN  positions of the nodes in that equilibrium [m]",
+    q="quatd BN  their rotations",
+    strained="int32 BN  `Nodes.strained`",
+    plastic="vec3d BN  `Nodes.plastic` [rad]",
+    heat="float64 BN  `Nodes.heat` [J]",
+    count="int32 B  number of its contacts",
+    key="int32 BC  `Contacts.key`",
+    stuck="int32 BC  `Contacts.stuck`",
+    stretch="vec3d BC  `Contacts.stretch` [m]")
+
+# State and scratch of the touches.
+Work = struct("Work", nodes=Nodes, segments=Segments, system=System, capsules=Capsules, contacts=Contacts,
+              progress=Progress, guard=Guard)
+
+# Which touch a thread works on, and its share of the work.
+Thread = struct(
+    "Thread",
+    b="int32 -  the touch",
+    o="int32 -  first node of its plant in `Trees`",
+    n="int32 -  number of nodes of its plant",
+    low="int32 -  first level of its plant in `Trees.level`",
+    high="int32 -  number of levels of its plant",
+    lane="int32 -  number of the thread among those of the touch, see `kernels.lanes`",
+    lanes="int32 -  number of threads of the touch")
