@@ -98,13 +98,11 @@ class Imaml:
         self._network = self._build(x.shape[1], y.shape[1])
         start = self._network.start(torch.Generator().manual_seed(self.seed), dtype=self._real())
         self._at = self.device
-        theta = [p.to(self.device) for p in start]
-        for p in theta:
-            p.requires_grad_(True)
+        theta = start.to(self.device).requires_grad_(True)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed))
         table = self._table([samples for touches in rows for samples in touches])
         first = np.cumsum([0, *(len(touches) for touches in rows)])
-        optimiser = torch.optim.Adam(theta, lr=self.outer_rate, foreach=True)
+        optimiser = torch.optim.Adam([theta], lr=self.outer_rate)
         before = torch.get_num_threads()
         torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other
         try:
@@ -115,16 +113,15 @@ class Imaml:
                     support, query = (table.batch([half[k] for half in halves], token) for k in (0, 1))
                     phi = im.adapt(self._network, theta, support, rate=self.inner_rate, steps=self.inner_steps,
                                    regularisation=self.regularisation)
-                    gradient = im.implicit_gradient(self._network, phi, support, query, steps=self.cg_steps,
-                                                    regularisation=self.regularisation, damping=self.cg_damping)
-                    for p, g in zip(theta, gradient):
-                        p.grad = g.mean(dim=0)
+                    theta.grad = im.implicit_gradient(
+                        self._network, phi, support, query, steps=self.cg_steps, regularisation=self.regularisation,
+                        damping=self.cg_damping).mean(dim=0)
                     optimiser.step()
         finally:
             torch.set_num_threads(before)
             self._at = "cpu"
-        self._theta = [p.detach().cpu() for p in theta]
-        if not all(torch.isfinite(p).all() for p in self._theta):
+        self._theta = theta.detach().cpu()
+        if not torch.isfinite(self._theta).all():
             self._scale = None
             raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or "
                               "inner_rate.")
@@ -159,8 +156,7 @@ class Imaml:
         if self._scale is None:
             raise MethodError("imaml has nothing to save yet; call meta_fit first.")
         (folder / "imaml.json").write_text(json.dumps({"vision": self._vision, "features": self.features}) + "\n")
-        theta = {f"theta{i}": p.cpu().numpy() for i, p in enumerate(self._theta)}
-        np.savez(folder / "imaml.npz", **self._scale, **theta)
+        np.savez(folder / "imaml.npz", **self._scale, theta=self._theta.numpy())
 
     def load(self, folder: Path) -> None:
         """Read what `save` wrote.
@@ -180,8 +176,7 @@ class Imaml:
         mine = {"vision": self._vision, "features": self.features}
         if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
             raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
-        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), dtype=self._real())
-                       for i in range(sum(name.startswith("theta") for name in list(arrays)))]
+        self._theta = torch.as_tensor(arrays.pop("theta"), dtype=self._real())
         self._scale = arrays
         self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
 

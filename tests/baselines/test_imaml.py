@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from vsfsim.baselines.imaml import Imaml, ImamlVision, _samples
-from vsfsim.baselines.implicit_maml import Batch, Network, _joined, adapt, implicit_gradient
+from vsfsim.baselines.implicit_maml import Batch, Network, adapt, implicit_gradient
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -40,28 +40,12 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
     phi = adapt(network, theta, support, **solve)
     gradient = implicit_gradient(network, phi, support, query, steps=60, regularisation=2.0)
     rng = np.random.default_rng(0)
-    for index in range(len(theta)):
-        at = tuple(rng.integers(n) for n in theta[index].shape)
-        step = torch.zeros_like(theta[index])
-        step[at] = 1e-5
-        ends = [query_loss([p + sign * step if i == index else p for i, p in enumerate(theta)]) for sign in (1, -1)]
+    for index in rng.choice(len(theta), 12, replace=False):
+        step = torch.zeros_like(theta)
+        step[index] = 1e-5
+        ends = [query_loss(theta + sign * step) for sign in (1, -1)]
         # Central differences of a function that is smooth but for ReLU kinks, of which none is within 1e-5.
-        torch.testing.assert_close(gradient[index][(slice(None), *at)], (ends[0] - ends[1]) / 2e-5, rtol=1e-4,
-                                   atol=1e-8)
-
-
-@pytest.mark.parametrize("token", [0, 3])
-def test_the_written_out_derivatives_are_those_of_automatic_differentiation(token):
-    network, b = Network(2, 1, token=token, hidden=(5, 6), encoder=(4, 2)), batch(1, token=token)
-    g = torch.Generator().manual_seed(3)
-    phi = [p + 0.3 * torch.randn(p.shape, generator=g, dtype=torch.float64)
-           for p in (q.expand(2, *q.shape) for q in network.start(g))]
-    v = [torch.randn(p.shape, generator=g, dtype=torch.float64) for p in phi]
-    leaves = [p.clone().requires_grad_(True) for p in phi]
-    expected = torch.autograd.grad(network.loss(leaves, b).sum(), leaves, create_graph=True)
-    torch.testing.assert_close(network.gradient(phi, b), [p.detach() for p in expected])
-    product = torch.autograd.grad(sum((x * d).sum() for x, d in zip(expected, v)), leaves)
-    torch.testing.assert_close(network.curvature(phi, b) @ v, list(product))
+        torch.testing.assert_close(gradient[:, index], (ends[0] - ends[1]) / 2e-5, rtol=1e-4, atol=1e-8)
 
 
 def test_tasks_in_a_batch_are_independent_of_each_other_and_of_the_padding():
@@ -70,20 +54,17 @@ def test_tasks_in_a_batch_are_independent_of_each_other_and_of_the_padding():
     both = batch(1)
     alone = Batch(both.x[1:, :4], both.token[1:], both.y[1:, :4], both.weight[1:, :4])
     together, single = (adapt(network, theta, b, rate=0.1, steps=7, regularisation=2.0) for b in (both, alone))
-    for a, b in zip(together, single):
-        torch.testing.assert_close(a[1], b[0])
+    torch.testing.assert_close(together[1], single[0])
     g1, g2 = (implicit_gradient(network, *given, steps=10, regularisation=2.0, damping=100.0)
               for given in ((together, both, both), (single, alone, alone)))
-    for a, b in zip(g1, g2):
-        torch.testing.assert_close(a[1], b[0])
+    torch.testing.assert_close(g1[1], g2[0])
 
 
 def test_without_support_nothing_moves():
     network = Network(2, 1, token=0, hidden=(5,), encoder=())
     theta = network.start(torch.Generator().manual_seed(0))
     empty = Batch(torch.zeros(1, 1, 2, dtype=torch.float64), torch.zeros(1, 0), torch.zeros(1, 1, 1), torch.zeros(1, 1))
-    for a, b in zip(adapt(network, theta, empty, rate=0.1, steps=5, regularisation=2.0), theta):
-        assert torch.equal(a[0], b)
+    assert torch.equal(adapt(network, theta, empty, rate=0.1, steps=5, regularisation=2.0)[0], theta)
 
 
 def test_an_epoch_has_one_step_for_all_objects_or_one_for_each():
@@ -97,8 +78,8 @@ def test_an_epoch_has_one_step_for_all_objects_or_one_for_each():
     for tasks_per_step in (0, 1):
         method = Imaml(epochs=1, inner_steps=2, cg_steps=2, tasks_per_step=tasks_per_step)
         method.meta_fit([specimen(mock_view(i, split="train"), task) for i in range(5)])
-        learned.append(float(method._theta[-1].abs().sum()))
-    start = float(method._network.start(torch.Generator().manual_seed(0))[-1].abs().sum())
+        learned.append(float(method._theta[-1]))
+    start = float(method._network.start(torch.Generator().manual_seed(0))[-1])
     assert abs(learned[0] - start) == pytest.approx(1e-3, rel=1e-3) and abs(learned[1] - start) > 1.5e-3
 
 
@@ -133,8 +114,8 @@ def test_the_paper_s_network(tmp_path):
     method.save(tmp_path)
     with np.load(tmp_path / "imaml.npz") as saved:
         token = len(saved["token_mean"])
-        shapes = [saved[f"theta{i}"].shape for i in range(0, 16, 2)]  # every second array is a bias
-    assert shapes == [(token, 64), (64, 7), (14, 32), (32, 128), (128, 64), (64, 32), (32, 16), (16, 1)]
+        shapes = [(token, 64), (64, 7), (14, 32), (32, 128), (128, 64), (64, 32), (32, 16), (16, 1)]
+        assert method._network.shapes == shapes and len(saved["theta"]) == sum(a * b + b for a, b in shapes)
 
 
 def test_it_learns_and_adapts():
@@ -208,10 +189,9 @@ def test_the_papers_damping_makes_the_gradient_first_order():
                     regularisation=method.regularisation)
         found = implicit_gradient(method._network, phi, support, query, steps=method.cg_steps,
                                   regularisation=method.regularisation, damping=method.cg_damping)
-        implicit, first = _joined(found), _joined(method._network.gradient(phi, query))
-        cosines[name] = torch.nn.functional.cosine_similarity(implicit.flatten(1), first.flatten(1))
-        start = _joined([t[None].expand_as(p) for t, p in zip(method._theta, phi)])
-        inner = _joined(method._network.gradient(phi, support))
-        left[name] = float((inner + method.regularisation * (_joined(phi) - start)).norm() / inner.norm())
+        implicit, first = found, method._network.gradient(phi, query)
+        cosines[name] = torch.nn.functional.cosine_similarity(implicit, first)
+        inner = method._network.gradient(phi, support)
+        left[name] = float((inner + method.regularisation * (phi - method._theta)).norm() / inner.norm())
     assert (cosines["paper"] > 0.99).all() and (cosines["exact"] < 0.95).all(), cosines
     assert left["exact"] < 0.5 < 0.8 < left["paper"], left
