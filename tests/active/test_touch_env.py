@@ -82,21 +82,6 @@ def test_the_objects_of_the_episodes_teach_the_estimator_nothing(env):
         assert not one.method.names & {o.specimen.name for o in one._objects}
 
 
-def test_farthest_points_are_far_from_one_another_and_episodes_repeat(env):
-    from vsfsim.active.choosers import at_random, episode, farthest
-
-    one = env(touches=6, objects="test").unwrapped
-    spread = {}
-    for choose in (at_random, farthest):
-        errors = episode(one, choose, seed=1)
-        np.testing.assert_array_equal(errors, episode(one, choose, seed=1))
-        assert errors.shape == (7,) and np.isfinite(errors).all()
-        place = one._shown()["places"][one._made, :3]
-        away = np.linalg.norm(place[:, None] - place[None], axis=2)
-        spread[choose] = away[np.triu_indices(6, 1)].min()
-    assert spread[farthest] > spread[at_random]
-
-
 def test_the_most_uncertain_touch_is_chosen_by_the_estimators_own_deviations(env):
     from vsfsim.active.choosers import episode, most_uncertain
     from vsfsim.core.errors import MethodError

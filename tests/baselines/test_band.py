@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy import sparse
 
-from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.particle_model import ParticleModel, VsfSettings
-from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
+from vsfsim.baselines.point_vsf import PointVsf
 from vsfsim.baselines.posterior import Posterior
-from vsfsim.baselines.sbml import Sbml
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
-from vsfsim.vsf.meta.composition import GaussianPrior
 
 SETTINGS = {"spacing": 0.005, "friction": 0.0, "noise_std": 1.0, "margin": 0.01, "table_height": 0.0, "device": "cpu"}
 
@@ -51,18 +45,6 @@ def test_a_band_leaves_out_the_air_behind_a_twig(twig):
     assert {tuple(p) for p in band} <= {tuple(p) for p in whole}
     with pytest.raises(MethodError, match="or a wider band"):
         ParticleModel.behind(from_above, VsfSettings(**SETTINGS, band=1e-7))
-
-
-def test_a_sample_of_the_particles_stands_for_all_of_them(twig):
-    whole = ParticleModel.behind(twig, VsfSettings(**SETTINGS))
-    few = ParticleModel.behind(twig, VsfSettings(**SETTINGS, max_particles=100))
-    assert len(few.particles) == 100 < len(whole.particles)
-    assert {tuple(p) for p in few.particles} <= {tuple(p) for p in whole.particles}
-    assert few.cell * 100 == pytest.approx(whole.cell * len(whole.particles)) and whole.cell == pytest.approx(5e-3**3)
-    many = ParticleModel.behind(twig, VsfSettings(**SETTINGS, max_particles=10**6))
-    np.testing.assert_array_equal(many.particles, whole.particles)
-    with pytest.raises(MethodError, match="max_particles is -1"):
-        VsfSettings(**SETTINGS, max_particles=-1)
 
 
 def test_springs_that_are_alike_are_means_of_knots_and_a_touch_tells_of_those_beside_it(twig, monkeypatch):
@@ -106,22 +88,3 @@ def test_a_reading_grows_with_a_power_of_the_summed_displacement():
     for growth in (0.0, 1.5):
         with pytest.raises(MethodError, match=f"growth is {growth}"):
             VsfSettings(**SETTINGS, growth=growth)
-
-
-@pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf, DenseVsf, Sbml])
-def test_every_particle_method_takes_both_and_refuses_what_is_none(method):
-    assert {"noise_share", "band"} <= set(inspect.signature(method).parameters)
-    made = method(noise_share=0.5, band=0.015)
-    assert (made.shelf.settings.noise_share, made.shelf.settings.band) == (0.5, 0.015)
-    with pytest.raises(MethodError, match="band is -1"):
-        method(band=-1.0)
-
-
-def test_the_stiffness_at_a_point_is_the_mean_of_the_particles_within_two_spacings():
-    """Three particles 4, 8 and 30 mm from a point, 5 mm apart by their settings; and far from all, the nearest one."""
-    model = SimpleNamespace(settings=SimpleNamespace(spacing=0.005, noise_std=1.0), cell=1e-6,
-                            particles=np.array([[0.004, 0.0, 0.0], [0.0, 0.008, 0.0], [0.0, 0.0, 0.03]]))
-    found = Posterior(model, np.array([1.0, 3.0, 7.0]), sparse.csr_matrix((0, 3)),
-                      GaussianPrior.plain(0.0, 4.0, 3)).density(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]))
-    np.testing.assert_allclose(found.mean, [2e6, 7e6])
-    np.testing.assert_allclose(found.std, [2e6, 2e6])

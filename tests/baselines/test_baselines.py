@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
-from vsfsim.baselines.particle_model import ObjectShelf, VsfSettings
 from vsfsim.baselines.point_vsf import PointVsf
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.metric_functions import spearman
@@ -58,14 +57,6 @@ def test_touches_reduce_the_error(method, train, subject):
     assert errors[2] < errors[1], errors
 
 
-def test_zero_shot_of_a_zero_mean_is_zero(train, subject):
-    view, recording = subject
-    for method in (GaussianZero(), PointVsf()):
-        method.meta_fit(train)
-        method.adapt(view.view, [])
-        assert all((answer == 0.0).all() for answer in method.predict([r.action for r in recording.readings]))
-
-
 def saved_prior(method, folder):
     method.save(folder)
     return json.loads((folder / "prior.json").read_text())
@@ -99,19 +90,6 @@ def test_stiffness_finds_the_stiff_half(train, subject):
     method.adapt(view.view, [])
     assert method.stiffness(points[inner]).std == pytest.approx(1000.0 / 0.005**3)
     assert (estimate.std < 1000.0 / 0.005**3).all()
-
-
-def test_an_object_and_the_rows_of_its_touches_are_made_once(subject):
-    view, recording = subject
-    shelf = ObjectShelf(VsfSettings(spacing=0.005, friction=0.0, noise_std=1.0, margin=0.01, table_height=0.0,
-                                    device="cpu"))
-    model = shelf.get(view.view)
-    assert shelf.get(dataclasses.replace(view.view, depth=view.view.depth.copy())) is model
-    action, other = (r.action for r in recording.readings[:2])
-    rows = model.observe(action)
-    assert model.observe(dataclasses.replace(action, poses=action.poses.copy())) is rows
-    assert model.observe(dataclasses.replace(action, observation="force-magnitude")) is not rows
-    assert (model.observe(other) != rows).nnz > 0
 
 
 def test_refusals(train, subject):

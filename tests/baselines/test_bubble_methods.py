@@ -1,24 +1,20 @@
 """The methods on touches of a bubble: its pressure, its skin, and the undented dome that they are told."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
-from test_failures import METHODS
 
 from measurements.palpation import palpate
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf
 from vsfsim.baselines.known_object import touched_points
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
-from vsfsim.bench.method import Action, Reading, Specimen, Surface, build_method, find_method
+from vsfsim.bench.method import Action, Reading, Surface
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.dome import Dome
-from vsfsim.core.errors import MethodError
 from vsfsim.vsf.fields.surface_touch import dome as cap
 
-AREA = np.pi * 0.03**2
 QUICK = {"iterations": 120, "batch": 400, "samples": 6}
 
 
@@ -61,66 +57,6 @@ def test_a_stiff_half_is_estimated_as_stiffer(build, skin, least, most):
     # A single touch may fall on ground that no other touched (0.61 to 1.54 over the six seeds). The mean of four is
     # 0.85 to 1.11, with a standard deviation of at most 0.09 about 0.95 to 1.01.
     assert 0.7 < np.mean(peaks) < 1.25
-
-
-def test_without_a_surface_a_field_is_fitted_to_the_total():
-    """`skin=False` and readings without a surface are one and the same; with it the forces on the vertices are looked
-    at."""
-    view, readings = mock_view(0).view, pressed()
-    quick, answers = {**QUICK, "iterations": 10}, []
-    for method, given in ((GridVsf(**quick, skin=False), readings),
-                          (GridVsf(**quick), [Reading(r.action, r.value, r.valid) for r in readings]),
-                          (GridVsf(**quick), readings)):
-        method.adapt(view, given[:4])
-        answers.append(method.predict([readings[8].action])[0])
-    np.testing.assert_array_equal(answers[0], answers[1])
-    assert np.abs(answers[0] - answers[2]).max() > 0.0
-
-
-def test_a_dome_in_a_message_is_short():
-    probe = pressed()[0].action.probe
-    assert re.fullmatch(r"Dome\(61 vertices, 15.0 mm high, [0-9a-f]{8}\)", str(probe))
-
-
-@pytest.fixture(scope="module")
-def felt():
-    readings = pressed()
-    train = [Specimen(f"s{i}", mock_view(i, split="train").view, tuple(readings[4 * i:4 * i + 4])) for i in range(2)]
-    return train, mock_view(3).view, readings
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_failure_is_clear_on_a_bubble(name, felt):
-    """No touches, silent ones, a lost one, a reading that is not a number, a skin that is not one, the wrong sensor."""
-    train, view, readings = felt
-    method = build_method(find_method(name), METHODS[name])
-    method.meta_fit(train)
-    silent = [dataclasses.replace(r, value=0.0 * r.value, surface=Surface(r.surface.vertices, 0.0 * r.surface.force))
-              for r in readings[:2]]
-    lost = dataclasses.replace(readings[0], value=np.full_like(readings[0].value, np.nan), valid=np.zeros(5, bool))
-    for support in ([], silent, [lost], readings[:1]):
-        method.adapt(view, support)
-        assert np.isfinite(method.predict([readings[9].action])[0]).all()
-    with pytest.raises(MethodError, match="not finite"):
-        method.adapt(view, [dataclasses.replace(readings[0], value=np.full_like(readings[0].value, np.nan))])
-    if name in ("dense-vsf", "neural-vsf", "grid-vsf"):
-        torn = readings[0].surface.force.copy()
-        torn[2, 3] = np.nan
-        with pytest.raises(MethodError, match="not finite in a frame that has others"):
-            method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices, torn))])
-        with pytest.raises(MethodError, match=r"both must be \(T, N, 3\)"):
-            method.adapt(view, [dataclasses.replace(readings[0],
-                                                    surface=Surface(readings[0].surface.vertices[:, :-1],
-                                                                    readings[0].surface.force))])
-    strange = dataclasses.replace(readings[9].action, observation="joint-torque", size=7)
-    if not name.startswith("imaml"):
-        method.adapt(view, [])
-    if name in ("neural-vsf", "grid-vsf", "near-springs", "surface-gp", "cnp"):
-        with pytest.raises(MethodError, match="'joint-torque'"):
-            method.predict([strange])
-    elif not name.startswith("imaml") and name != "contact-points":
-        with pytest.raises(MethodError, match="joint torques need an arm"):
-            method.predict([strange])
 
 
 def test_a_touch_whose_last_frame_has_no_equilibrium_still_locates():

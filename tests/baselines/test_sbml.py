@@ -166,25 +166,6 @@ def test_views_of_one_object_are_learned_from_or_held_out_together():
     assert sorted(Sbml(networks=3)._held_out(["alone"] * 2), key=min) == [{0}, {1}], "the other views are all there is"
 
 
-def test_one_prior_over_two_families(train, task):
-    # The second family reads another quantity, and its blocks are ten times as stiff and brighter.
-    other = parse_task(MOCK_TASK.replace("normal-force", "force-magnitude"), "mock")
-
-    def bright(view):
-        rgb = np.minimum(view.view.rgb.astype(int) + 90 * view.view.mask[..., None], 255).astype(np.uint8)
-        return dataclasses.replace(view, view=dataclasses.replace(view.view, rgb=rgb))
-
-    family = [specimen(bright(mock_view(20 + i, split="train", touches=10, stiffness=10.0)), other) for i in range(5)]
-    unified = Sbml(**{**FAST, "epochs": 150, "patience": 20, "noise_share": 0.0})
-    unified.meta_fit([*train[:5], *family])
-    first, second = mock_view(5), bright(mock_view(30, stiffness=10.0))
-    means = []
-    for view in (first, second):
-        unified.adapt(view.view, [])
-        means.append(unified.stiffness(np.array([[0.01, 0.0, 0.028]])).mean[0])
-    assert means[1] > 3.0 * means[0]
-
-
 def test_what_a_gpu_learns_is_what_the_host_learns(train, device, task):
     if device == "cpu":
         pytest.skip("the host alone learns here")
@@ -231,32 +212,3 @@ def test_refusals(fitted, train, task):
     reading = record(mock_view(5), task).readings[0]
     with pytest.raises(VsfsimError, match="not finite"):
         fitted.adapt(mock_view(5).view, [dataclasses.replace(reading, value=np.full_like(reading.value, np.nan))])
-
-
-def test_noise_in_proportion_to_a_touch(task):
-    view = mock_view(5, touches=4)
-    readings = record(view, task).readings
-    plain, shared = (Sbml(noise_std=2.0, noise_share=share).shelf.get(view.view) for share in (0.0, 0.5))
-    for reading in readings:
-        (rows, z), (own_rows, own_z) = plain.stack([reading]), shared.stack([reading])
-        factor = np.hypot(1.0, 0.5 * np.abs(z).max() / 2.0)
-        np.testing.assert_allclose(own_z * factor, z, rtol=1e-12)
-        np.testing.assert_allclose((own_rows * factor).toarray(), rows.toarray(), rtol=1e-12)
-    stds = []
-    for share in (0.0, 0.5):
-        method = Sbml(**{**FAST, "epochs": 1, "noise_std": 2.0, "noise_share": share})
-        method.meta_fit([specimen(mock_view(i, split="train", touches=4), task) for i in range(2)])
-        method.adapt(view.view, [])
-        stds.append((method.predict([readings[0].action])[0].max(), method.predict_std([readings[0].action])[0].min()))
-    assert stds[0][1] >= 2.0 and stds[1][1] >= np.hypot(2.0, 0.5
-                                                        * stds[1][0]), "no reading is foretold better than the model is"
-    with pytest.raises(VsfsimError, match="noise_share -1"):
-        Sbml(noise_share=-1.0)
-
-
-def test_what_is_held_out_of_a_training_is_a_share_of_the_objects_and_a_part_for_each_network():
-    names = [f"shoe-{k}" for k in range(8) for _ in range(2)]  # two views each
-    (quarter,) = Sbml(networks=1, validation=0.25)._held_out(names)
-    assert len(quarter) == 4 and len({names[i] for i in quarter}) == 2
-    parts = Sbml(networks=3, validation=0.25)._held_out(names)
-    assert sorted(i for part in parts for i in part) == list(range(16)) and [len(p) for p in parts] == [6, 6, 4]

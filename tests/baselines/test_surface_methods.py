@@ -8,7 +8,7 @@ from pages import README, named
 from vsfsim.baselines.near_springs import NearSprings
 from vsfsim.baselines.neural_process import NeuralProcess
 from vsfsim.baselines.surface_gp import SurfaceGp
-from vsfsim.baselines.surface_touches import SurfaceView, functions, projected
+from vsfsim.baselines.surface_touches import SurfaceView, functions
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.method import Reading, Specimen
 from vsfsim.bench.mock import mock_view
@@ -195,14 +195,3 @@ def test_what_was_learned_is_saved_and_loaded(make, task, train, tmp_path):
         answers.append(method.predict([action])[0])
     np.testing.assert_array_equal(*answers)
     assert np.abs(answers[0]).max() > 0.0
-
-
-def test_one_frame_in_contact_is_enough(train):
-    view = SurfaceView(train[0].view)
-    touch = train[0].touches[0]
-    depth = view.contact(touch.action).depth
-    only = np.zeros(len(depth), bool)
-    only[int(depth.argmax())] = True
-    row = projected(view, Reading(touch.action, touch.value, only))
-    w = np.linalg.lstsq(row.factor, row.value, rcond=None)[0]
-    np.testing.assert_allclose(functions(depth[only]) @ w, touch.value[only, 0], rtol=1e-9)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vsfsim.core.rotation import rotation_matrix
-from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.arm import load_arm
 from vsfsim.robot.gen3 import HOME
@@ -12,21 +11,6 @@ from vsfsim.robot.joint_torque import contact_rows
 from vsfsim.robot.reach import straight_touch
 from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.observe import joint_torque_rows
-
-
-def test_the_solver_sees_the_capsules_where_they_are():
-    arm = load_arm(punyo=True)
-    q = np.array([HOME, [0.3, -0.5, 1.0, 1.2, -0.4, 0.8, 2.0]])
-    links, poses, bodies = arm.postures(q).links, arm.body_poses(q), RigidBodies(arm.shapes)
-    points = np.random.default_rng(4).uniform(-0.2, 0.8, (50, 3))
-    for t in range(len(q)):
-        for k, c in enumerate(arm.capsules):
-            a, b = (links[t, arm.capsule_links[k]] @ [*end, 1.0] for end in (c.start, c.stop))
-            along = (b - a)[:3]
-            s = np.clip((points - a[:3]) @ along / (along @ along), 0.0, 1.0)
-            want = np.linalg.norm(points - a[:3] - s[:, None] * along, axis=1) - c.radius
-            local = (points - poses[t, k, :3, 3]) @ poses[t, k, :3, :3]
-            assert bodies.distance(k, local) == pytest.approx(want, abs=1e-9)
 
 
 def test_the_arm_presses_a_block_with_its_wrist(block, device):

@@ -32,19 +32,6 @@ def test_gaps_are_mujocos(punyo):
             assert table[t, m] == pytest.approx(ends.min() - arm.shapes[k].radius - 0.1, abs=1e-12)
 
 
-def test_segments_of_every_kind():
-    a, b = np.zeros(3), np.array([1.0, 0.0, 0.0])
-    cases = [([0.5, 1, 0], [0.5, 2, 0], 1.0), ([0.5, -1, 1], [0.5, 1, 1], 1.0), ([2, 0, 0], [3, 0, 0], 1.0),
-             ([0.2, 0.3, 0], [0.8, 0.3, 0], 0.3),
-             ([2, 1, 0], [2, -1, 0], 1.0), ([-1, 0, 0.5], [-2, 5, 0.5], np.hypot(1, 0.5)),
-             ([0.5, 0, -1], [0.5, 0, 1], 0.0)]
-    for c, d, want in cases:
-        assert clearance.segment_distance(a, b, np.array(c, float),
-                                          np.array(d, float)) == pytest.approx(want, abs=1e-12)
-        assert clearance.segment_distance(np.array(c, float), np.array(d, float), a,
-                                          b) == pytest.approx(want, abs=1e-12)
-
-
 def test_the_home_posture_is_free():
     arm = load_arm(punyo=True)
     at = arm.postures(np.array([gen3.HOME]))

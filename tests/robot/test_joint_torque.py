@@ -59,26 +59,6 @@ def test_rows_are_mujocos_jacobians(arm, case):
     assert rows.sum(axis=1) == pytest.approx(body_torque(arm, q, force, point=points), abs=1e-10)
 
 
-def test_torque_times_rate_is_force_times_velocity(arm, case):
-    """Virtual work, with velocities from two postures: no Jacobian at all."""
-    q, force, _ = case
-    rate, h = np.random.default_rng(8).normal(size=q.shape), 1e-6
-    velocity = (arm.body_poses(q + h * rate) - arm.body_poses(q - h * rate))[..., :3, 3] / (2 * h)
-    power = (force * velocity).sum(axis=(1, 2))
-    torque = body_torque(arm, q, force, moment=np.zeros_like(force))
-    assert (torque * rate).sum(axis=1) == pytest.approx(power, abs=1e-6)
-
-
-def test_a_contact_turns_only_the_joints_before_it(arm, case):
-    q, force, _ = case
-    rows = contact_rows(arm, q, arm.capsule_links, arm.body_poses(q)[..., :3, 3], force)
-    for k, link in enumerate(arm.capsule_links):
-        assert (rows[:, k, min(link, 7):] == 0.0).all()
-        assert link == 0 or (rows[:, k, 0] != 0.0).all()
-    none = contact_rows(arm, q, np.full(len(arm.shapes), -1), arm.body_poses(q)[..., :3, 3], force)
-    assert (none == 0.0).all()
-
-
 def test_a_moment_about_the_origin_is_the_same_as_its_force_at_the_point(arm, case):
     q, force, _ = case
     origin = arm.body_poses(q)[..., :3, 3]

@@ -32,11 +32,6 @@ def dressed():
     return spec
 
 
-@pytest.fixture(autouse=True)
-def no_folder(monkeypatch):
-    monkeypatch.delenv("VSFSIM_MENAGERIE", raising=False)
-
-
 @pytest.fixture
 def package(monkeypatch):
     made_up = types.ModuleType("mujoco_menagerie")
@@ -92,26 +87,3 @@ def test_a_copy_on_this_machine_is_used(monkeypatch, tmp_path, inside):
     # a file holds six digits
     assert np.abs(theirs.body_poses(q) - ours.body_poses(q)).max() < 1e-5
     assert np.abs(theirs.gravity_torque(q) - ours.gravity_torque(q)).max() < 1e-3
-
-
-def test_a_folder_without_the_model_says_how_to_get_it(monkeypatch, tmp_path):
-    monkeypatch.setenv("VSFSIM_MENAGERIE", str(tmp_path))
-    with pytest.raises(ArmError,
-                       match=r"neither kinova_gen3/gen3.xml nor gen3.xml is there.*git clone --depth 1 "
-                             r".*mujoco_menagerie.*or use the arm 'gen3'"):
-        load_arm("menagerie")
-
-
-def test_without_the_network_the_error_says_what_to_do(package):
-    def fail(entry):
-        raise package.MenagerieError("name or service not known")
-
-    package.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=fail)
-    with pytest.raises(ArmError, match=r"cannot be had: name or service not known.*github.com.*or use the arm 'gen3'"):
-        load_arm("menagerie")
-
-
-def test_another_model_is_refused(package):
-    package.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=lambda entry: mujoco.MjSpec())
-    with pytest.raises(ArmError, match="not the Gen3 that we know: it has no base_link"):
-        load_arm("menagerie")

@@ -7,7 +7,7 @@ from vsfsim.core.rigid import PressSpec
 from vsfsim.core.rotation import between, rotation_matrix, rotation_vector
 from vsfsim.core.scene import TouchSpec, parse_scene
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
-from vsfsim.robot.path import body_poses, press_path, straight, times, touch_path, turn_to
+from vsfsim.robot.path import body_poses, press_path, times, touch_path, turn_to
 
 AXES = [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0.3, -0.9, 0.2], [1e-9, 1.0, 0.0], [-0.5, 0.1, -0.8]]
 
@@ -23,15 +23,6 @@ def test_turn_is_a_rotation_that_points_the_probe_along_the_axis(axis, probe):
     lead = [0, 0, 1] if isinstance(probe, Plane) else [0, 0, -1]
     assert turn @ lead == pytest.approx(unit, abs=1e-12)
     assert np.array_equal(turn, turn_to(np.array(axis, float), probe)), "the same axis gives the same rotation"
-
-
-def test_a_vertical_press_leaves_the_probe_upright():
-    assert turn_to(np.array([0.0, 0.0, -1.0]), Sphere(0.01)) == pytest.approx(np.eye(3))
-
-
-def test_straight_starts_one_step_away_and_ends_at_the_stop():
-    way = straight(np.zeros(3), np.array([0.0, 3.0, -6.0]), 3)
-    assert way == pytest.approx(np.array([[0, 1, -2], [0, 2, -4], [0, 3, -6]]))
 
 
 START, STOP = (0.01, 0.02, 0.08), (0.02, 0.02, 0.06)

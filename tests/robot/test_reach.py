@@ -108,38 +108,6 @@ def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way):
     assert error.value.reason is Reason.SINGULAR
 
 
-def test_how_far_it_came_is_where_the_arm_ends(arm):
-    """Straight ahead at the height of joint 2 the wrist's reach ends the line: the flange gets to 0.902 m there, less
-    the bends of the links."""
-    with pytest.raises(Unreachable) as error:
-        straight_touch(arm, [0.6, 0.0, 0.2848], [1.1, 0.0, 0.2848], FORWARD, frames=11)
-    assert 0.6 + 0.5 * error.value.progress == pytest.approx(0.9025, abs=0.006), "to a step of 5 mm"
-
-
-def test_the_way_back_takes_the_angles_of_the_way_in(arm):
-    forth = np.tile(np.eye(4), (12, 1, 1))
-    forth[:, :3, :3] = FORWARD
-    forth[:, :3, 3] = START + np.linspace(0, 1, 12)[:, None] * (STOP - START)
-    q = follow(arm, np.concatenate([forth[:1], forth, forth[::-1]]))
-    assert np.array_equal(q[1:13], q[:12:-1]) and np.array_equal(q[0], q[1])
-
-
-def test_a_base_elsewhere_makes_the_same_touch(arm):
-    base = np.eye(4)
-    base[:3, :3], base[:3, 3] = rotation_matrix((0.0, 0.0, 2.0)), [-0.4, 0.3, 0.0]
-    there = load_arm(base=base)
-    q = straight_touch(there, base[:3, :3] @ START + base[:3, 3], base[:3, :3] @ STOP + base[:3, 3],
-                       base[:3, :3] @ FORWARD, frames=10)
-    assert q == pytest.approx(straight_touch(arm, START, STOP, FORWARD, frames=10), abs=1e-5)
-
-
-def test_the_given_posture_is_kept_near(arm):
-    q = straight_touch(arm, START, STOP, FORWARD, frames=10)
-    other = q[0] + np.array([0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.0])
-    near = straight_touch(arm, START, STOP, FORWARD, frames=10, near=other)
-    assert np.abs(near[0] - other).max() < 0.6 and np.abs(near[0] - q[0]).max() > 1e-3
-
-
 @pytest.mark.parametrize("poses", [np.zeros((0, 4, 4)), np.eye(4), np.full((2, 4, 4), np.nan),
                                    np.tile(np.diag([1.0, 1.0, -1.0, 1.0]), (2, 1, 1))])
 def test_poses_that_are_none_are_refused(arm, poses):

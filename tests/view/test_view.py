@@ -14,10 +14,8 @@ import pytest
 from vsfsim.bench.mock import mock_view
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.records import Truth
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.view.page import data_of, page
-from vsfsim.view.subject import of_truth
 
 
 @pytest.fixture(scope="module")
@@ -91,29 +89,6 @@ def test_frames_without_a_value_are_marked(folder):
     shown = of_view(replace(view, touches=(replace(touch, force=force, converged=converged),)))["touches"][0]
     assert shown["force"][3] == [None] * 3 and shown["normal_force"][3] is None and not shown["converged"][3]
     page("x", [shown])  # JSON without NaN
-
-
-def test_without_truth_the_visible_cloud_stands_for_the_object(folder):
-    from vsfsim.view.subject import of_view
-
-    view = Dataset.open(folder, blind=True)[0]
-    shown = of_view(view)
-    assert shown["log_modulus"] is None and shown["regions"] == []
-    cloud = view.view.points()
-    assert (abs(values(shown["points"]).min(axis=0) - cloud.min(axis=0)) < 0.002).all()
-
-
-def test_segments_become_rows_of_balls():
-    ends = np.array([[[0, 0, 0], [0, 0, 0.1]], [[0, 0, 0.1], [0.02, 0, 0.1]]], float)
-    truth = Truth(ends.mean(axis=1), np.array([1e6, 1e8]), np.array([0, 1]), ("stem", "leaf"),
-                  radius=np.array([0.005, 0.001]), half_width=np.array([0.0, 0.01]), segment_ends=ends)
-    shown = of_truth(truth)
-    where, radius, log = (values(shown[key]) for key in ("points", "radius", "log_modulus"))
-    stem = abs(log[:, 0] - 6.0) < 1e-3
-    assert stem.sum() == 40 and (~stem).sum() == 4
-    assert np.allclose(radius[stem], 0.005, atol=1e-6) and np.allclose(radius[~stem], 0.01, atol=1e-6)
-    assert np.allclose(where[stem][:, :2], 0.0, atol=1e-6) and np.allclose(np.diff(np.sort(where[stem][:, 2])), 0.0025,
-                                                                           atol=1e-5)
 
 
 def test_the_object_of_a_scene(vsfsim, tmp_path):
@@ -243,25 +218,6 @@ def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp
             assert np.allclose(t["reading"], clean, atol=1e-4)
             steps = np.arange(len(clean))
             assert np.allclose(t["predicted"], [100.0 * steps, 200.0 * steps, 200.0 * steps], rtol=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
-def test_a_browser_draws_the_estimate_beside_the_truth(tmp_path):
-    from vsfsim.view.encode import quantised
-    from vsfsim.view.subject import of_body
-
-    Image = pytest.importorskip("PIL.Image")
-    points = np.random.default_rng(0).uniform(-0.05, 0.05, (200, 3))
-    one = {**of_body(points, np.full(200, 1e3), np.zeros(200, int)), "estimate": quantised(np.full((200, 1), 6.0)),
-           "name": "ball", "about": "", "touches": [], "picture": None}
-    (tmp_path / "pair.html").write_bytes(page("pair", [one]))
-    image = drawn(Image, tmp_path / "pair.html", "cut=1")
-    halves = image[300:620, :260], image[300:620, 260:520]  # the aside takes 380 of 900 pixels
-    shapes = [np.ptp(half, axis=2) > 25 for half in halves]
-    assert shapes[0].sum() > 2000 and abs(int(shapes[0].sum()) - int(shapes[1].sum())) < 0.02 * shapes[0].sum()
-    low, high = (half[shape].mean(axis=0) for half, shape in zip(halves, shapes, strict=True))
-    assert low[2] > low[1] and high[1] > high[2], "viridis: violet for the least and yellow for the most"
 
 
 def test_a_result_without_its_dataset_shows_maps_and_one_without_either_says_what_to_do(result, tmp_path, monkeypatch):

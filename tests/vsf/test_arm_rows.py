@@ -6,7 +6,7 @@ from vsfsim.bench.reached_points import reached
 from vsfsim.robot.arm import load_arm
 from vsfsim.robot.chain import chain_of
 from vsfsim.robot.joint_torque import body_torque, contact_rows
-from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows, arm_torque_rows_each
+from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows
 
 
 def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
@@ -38,18 +38,3 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     assert (reached(particles, chain, np.zeros((0, 4, 4)), q=q) | ~held).all()
     assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)),
                               moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0
-
-
-def test_rows_of_several_touches_are_those_of_each_alone(device):
-    """On a GPU the launches of all are in flight together; particles begin each touch at rest."""
-    arm = load_arm("gen3")
-    chain = chain_of(arm)
-    rng = np.random.default_rng(2)
-    q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
-    touches = [q0 + np.linspace(0.0, 1.0, n)[:, None] * rng.normal(0.0, 0.15, 7) for n in (5, 1, 9)]
-    centre = chain.capsule_poses(chain.links(touches[0]))[-1, :, :3, 3]
-    particles = centre[rng.integers(4, len(centre), 300)] + rng.normal(0.0, 0.04, (300, 3))
-    together = arm_torque_rows_each(particles, chain, touches, friction=0.4, device=device)
-    assert [w.shape for w in together] == [(7 * len(q), 300) for q in touches] and all(w.nnz > 0 for w in together)
-    for w, q in zip(together, touches, strict=True):
-        assert (w != arm_torque_rows(particles, chain, q, friction=0.4, device=device)).nnz == 0

@@ -10,7 +10,6 @@ from test_localise import pose, wedge
 from measurements.palpation import palpate
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate.map import map_estimate
-from vsfsim.vsf.fields.neural import Fitting, density, fit
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.pose.localise import KnownObject, contact_pose, stiffness_pose
 from vsfsim.vsf.sticking import stick
@@ -91,21 +90,3 @@ def test_dense_forces_on_particles_find_it_and_the_papers_baselines_do_not(scene
     # The pressure alone: 12 to 172 degrees, in the median of eleven 26. The places of the contacts: 110 to 179.
     assert np.median(errors(scenes, by_pressure)[1]) > 2.0 * np.median(turn)
     assert np.median(errors(scenes, by_contact_points)[1]) > np.radians(60.0)
-
-
-def by_the_grid(known, _truth, touches, particles, contacts):
-    bounds = np.array([[-0.1, -0.1, -0.014], [0.1, 0.1, 0.002]])
-    model = fit("grid", touches, bounds, Fitting(iterations=600, samples=25, rate=3e-2, free_space=1e-3), cell=SPACING)
-    touched = particles[np.unique(np.concatenate([c.particle for c in contacts]))]
-    # A smooth field has no sharp step at the object's border: the threshold is lower, still four times the cover's
-    # density.
-    return stiffness_pose(known, touched, density(model, touched), threshold=4e8)
-
-
-@pytest.mark.slow
-def test_the_fast_continuous_field_finds_it(scenes):
-    shift, turn = errors(scenes[:3], by_the_grid)
-    # Seven seeds: 1.6 to 7.0 mm and 12 to 37 degrees. The field is blurred over cells of 4 mm, and 9 mm of the object
-    # are felt, so a turned pose may explain it better than the true one; an object turned over is 120 degrees off.
-    assert shift.max() < 0.016 and np.median(shift) < 0.005
-    assert np.degrees(turn).max() < 60.0

@@ -84,17 +84,6 @@ def test_map_and_std_are_those_of_the_dense_program(m, n, s):
                                            prior=prior), np.sqrt(np.einsum("ij,jk,ik->i", query, covariance, query)))
 
 
-def test_a_shared_component_carries_a_touch_to_untouched_particles():
-    prior = GaussianPrior(np.full(6, 10.0), np.full(6, 1.0), sparse.csr_matrix(np.repeat(np.eye(2), 3, axis=0)),
-                          np.zeros(2), np.full(2, 400.0))
-    w = sparse.csr_matrix(np.array([[0.01, 0, 0, 0, 0, 0]]))
-    result = structured_map(w, np.array([0.5]), noise_std=0.01, prior=prior)
-    assert result.mean[1] == pytest.approx(result.mean[2]) and result.mean[1] > 40.0
-    np.testing.assert_allclose(result.mean[3:], 10.0)
-    std = structured_std(w, noise_std=0.01, prior=prior)
-    assert std[1] < 2.0 and std[3] == pytest.approx(np.sqrt(401.0))
-
-
 def test_refusals():
     prior = GaussianPrior(np.ones(2), np.ones(2), sparse.csr_matrix(np.ones((2, 1))), np.zeros(1), np.zeros(1))
     with pytest.raises(VsfError, match="variances greater than 0"):

@@ -57,17 +57,6 @@ def test_the_tokens_are_timms():
     np.testing.assert_allclose(torch.cat([token, patches[0].flatten(0, 1)]), expected["tokens"], atol=1e-5)
 
 
-def test_positions_are_stretched_over_another_grid(checkpoint):
-    model, _ = checkpoint
-    assert model.positions(37, 37) is model.pos_embed
-    with torch.no_grad():  # a position that is linear along the rows stays so
-        model.pos_embed[0, 1:] = torch.arange(37.0).repeat_interleave(37)[:, None]
-    stretched = model.positions(10, 20)[0, 1:].reshape(10, 20, -1)[:, :, 0]
-    torch.testing.assert_close(stretched, stretched[:, :1].expand(-1, 20))
-    steps = stretched[2:8, 0].diff()
-    assert steps.min() > 3.0 and steps.max() < 4.4
-
-
 def test_end_to_end_from_a_file(checkpoint):
     model, path = checkpoint
     view, points = camera_view(), particles()
@@ -107,20 +96,6 @@ def test_refusals_say_what_to_do(checkpoint, tmp_path, monkeypatch):
     torch.save({**model.state_dict(), "cls_token": torch.zeros(1, 1, 5)}, tmp_path / "wrong.pth")
     with pytest.raises(VsfError, match=r"wrong shape: cls_token \(1, 1, 5\) instead of \(1, 1, 24\)"):
         dinov2.Dinov2.load("small", str(tmp_path / "wrong.pth"))
-
-
-def test_weights_are_found_in_the_usual_places(checkpoint, tmp_path, monkeypatch):
-    _, path = checkpoint
-    hub = tmp_path / "torch" / "hub" / "checkpoints"
-    hub.mkdir(parents=True)
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
-    (hub / "dinov2_vits14_pretrain.pth").write_bytes(path.read_bytes())
-    assert dinov2.find_weights("small") == hub / "dinov2_vits14_pretrain.pth"
-    own = tmp_path / "own"
-    own.mkdir()
-    (own / "dinov2_vits14_pretrain.pth").write_bytes(path.read_bytes())
-    monkeypatch.setenv("VSFSIM_DINOV2", str(own))
-    assert dinov2.find_weights("small") == own / "dinov2_vits14_pretrain.pth"
 
 
 def test_timms_checkpoint_is_read_with_and_without_its_mask_token(checkpoint, tmp_path, monkeypatch):

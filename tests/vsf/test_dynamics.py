@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from vsfsim.core import signed_distance
 from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.vsf.dynamics import _reach, simulate
+from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
 
 R = 0.02
@@ -125,34 +124,6 @@ def test_every_probe_releases_what_it_moved(probe, friction):
     assert np.isfinite(moved.displacement).all()
 
 
-@pytest.mark.parametrize("probe, half", [(Box((0.03, 0.02, 0.03)), 0.015), (Cylinder(0.015, 0.03), 0.015)])
-def test_flat_face_presses_straight_down(probe, half):
-    rng = np.random.default_rng(2)
-    cloud = rng.uniform([-0.009, -0.009, -0.02], [0.009, 0.009, 0.0], (200, 3))
-    u = last(cloud, probe, path((0, 0, 0.03), (0, 0, half - 0.008)), 0.0)
-    expected = np.zeros_like(cloud)
-    expected[:, 2] = np.minimum(-0.008 - cloud[:, 2], 0.0)
-    np.testing.assert_allclose(u, expected, atol=1e-12)
-
-
-def test_frictionless_capsule_moves_particles_to_its_nearest_surface_point():
-    rng = np.random.default_rng(3)
-    cloud = rng.uniform([-0.03, -0.012, -0.01], [0.03, 0.012, 0.0], (300, 3))
-    lying = Rotation.from_euler("y", 90, degrees=True).as_matrix()
-    u = last(cloud, Capsule(0.01, 0.04), path((0, 0, 0.02), (0, 0, 0.005), rotation=lying), 0.0)
-    axis_point = np.stack([np.clip(cloud[:, 0], -0.02, 0.02), np.zeros(300), np.full(300, 0.005)], axis=1)
-    away = cloud - axis_point
-    r = np.linalg.norm(away, axis=1, keepdims=True)
-    np.testing.assert_allclose(u, np.where(r < 0.01, away * (0.01 / r - 1), 0.0), atol=1e-9)
-
-
-@pytest.mark.parametrize("probe", [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.02, 0.004), Cylinder(0.003, 0.04),
-                                   Box((0.03, 0.02, 0.05))])
-def test_steps_go_by_the_thinnest_half_width_of_a_probe(probe):
-    """It is how deep the middle of a convex probe lies inside; particles are skipped by longer steps."""
-    assert _reach(probe)[1] == pytest.approx(-signed_distance.distance(probe, np.zeros((1, 3)))[0], rel=1e-12)
-
-
 def test_no_particle_is_skipped_at_20_mm_a_frame():
     # One frame above, the next below: a thin plate of 2 mm carries along everything on its way.
     rng = np.random.default_rng(4)
@@ -231,24 +202,6 @@ def test_unloading_with_friction_and_slip_returns_to_rest_and_is_deterministic()
     one, two = (simulate(grid, Sphere(R), poses, friction=0.3) for _ in range(2))
     assert np.diff(one.pointer)[-1] == 0 and np.diff(one.pointer).max() > 50
     assert np.array_equal(one.displacement, two.displacement) and np.array_equal(one.particle, two.particle)
-
-
-def test_far_particles_do_not_change_the_result():
-    # The cull is an optimisation only: a cloud with everything far off added gives the same displacements.
-    rng = np.random.default_rng(5)
-    cloud = rng.uniform([-0.02, -0.02, -0.02], [0.02, 0.02, 0.0], (300, 3))
-    far = rng.uniform([0.1, 0.1, 0.1], [1, 1, 1], (300, 3))
-    poses = path((0, 0, 0.03), (0, 0, 0.01))
-    one = simulate(cloud, Sphere(R), poses, friction=0.3)
-    two = simulate(np.concatenate([far, cloud]), Sphere(R), poses, friction=0.3)
-    assert np.array_equal(one.particle + 300, two.particle) and np.array_equal(one.displacement, two.displacement)
-
-
-def test_nothing_touched_is_empty():
-    moved = simulate(np.zeros((0, 3)), Sphere(R), path((0, 0, 1), (0, 0, 2)), friction=0.0)
-    assert moved.frames == 6 and len(moved.particle) == 0
-    rows = force_sum_rows(moved, 0)
-    assert rows.shape == (6, 0)
 
 
 @pytest.mark.parametrize("change, words", [

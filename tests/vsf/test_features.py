@@ -34,15 +34,6 @@ def test_bilinear_on_the_seen_and_mean_of_ten_on_the_hidden(view):
     assert (out[hidden] >= low - 1e-3).all() and (out[hidden] <= high + 1e-3).all()
 
 
-def test_a_coarse_grid_of_features_reads_the_same_place(view):
-    rows, columns = np.indices((16, 16))
-    coarse = FeatureImage(np.stack([4.0 * columns + 1.5, 4.0 * rows + 1.5], axis=-1).astype(np.float32),
-                          np.ones((16, 16), bool), np.zeros(1), stride=4.0, offset=1.5)
-    projected = projection(view, particles(), 0.005)
-    visible = projected.visible
-    np.testing.assert_allclose(project(coarse, projected)[visible], projected.pixel[visible], atol=1e-4)
-
-
 @pytest.mark.parametrize("name", ["local", "local-full", "xyzrgb"])
 def test_the_background_does_not_leak_in(view, name):
     rgb = view.rgb.copy()
@@ -72,20 +63,6 @@ def test_the_local_descriptor_tells_colours_textures_and_depth_apart(view):
     assert features[deep, -3].min() > features[top, -3].max(), "depth behind the surface"
 
 
-def test_a_camera_twice_as_far_sees_much_the_same(view):
-    # Scales are metres: twice the distance with twice the focal length is the same picture.
-    k = view.intrinsics.copy()
-    k[0, 0] *= 2
-    k[1, 1] *= 2
-    pose = view.camera_pose.copy()
-    pose[2, 3] += 0.37
-    far = dataclasses.replace(view, depth=np.where(view.mask, 0.74, 0).astype(np.float32), intrinsics=k,
-                              camera_pose=pose)
-    near, away = (particle_features("local-full", v, particles()[particles()[:, 2] > 0.025], spacing=0.005)
-                  for v in (view, far))
-    np.testing.assert_allclose(near[:, :18], away[:, :18], atol=0.05)
-
-
 def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone():
     rng = np.random.default_rng(0)
     parts = [np.c_[rng.normal(3, 2, (50, 2)), np.full(50, 7.0)].astype(np.float32) for _ in range(3)]
@@ -95,16 +72,6 @@ def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone()
     np.testing.assert_allclose(out[:, :2].std(axis=0), 1, rtol=1e-4)
     assert (out[:, 2] == 0.0).all()
     assert normalise(np.full((1, 3), 1e6, np.float32)).max() == 6.0
-
-
-def test_one_particle_and_particles_out_of_sight(view):
-    for name in ("local", "local-full", "xyzrgb"):
-        assert np.isfinite(particle_features(name, view, np.array([[0.0, 0.0, 0.02]]), spacing=0.005)).all()
-        # Behind the object and far from its surface: the least deep particle stands for what is seen.
-        assert np.isfinite(particle_features(name, view, np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.01]]),
-                                             spacing=1e-6)).all()
-        with pytest.raises(VsfError, match="none of the 2 particles lies on a ray through the view's mask"):
-            particle_features(name, view, np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]]), spacing=0.005)
 
 
 def test_refusals(view):

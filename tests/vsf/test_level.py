@@ -5,7 +5,6 @@ import pytest
 from scipy import sparse
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.structured import structured_map
 from vsfsim.vsf.meta.composition import GaussianPrior
 from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
 
@@ -79,23 +78,3 @@ def test_several_networks_are_a_mixture_and_the_level_scales_it():
     np.testing.assert_allclose(out.total_mean(), [2.0, 3.0])
     np.testing.assert_allclose(out.var, (0.25 * 3.0 + 0.01 * 5.0) / 0.36)
     np.testing.assert_allclose(out.total_std() ** 2, out.var + 0.3**2 * np.array([2.0, 3.0]) ** 2)
-
-
-def test_shared_components_are_scaled_with_the_others():
-    prior = GaussianPrior(np.array([1.0, 2.0]), np.array([1.0, 1.0]), sparse.csr_matrix(np.ones((2, 1))),
-                          np.array([3.0]), np.array([4.0]))
-    near = np.array([True, False])
-    out = blended([prior], Level(0.5, 1.0, 0.0), near, naive_mean=8.0, naive_var=1.0)  # the pattern's factor is 2
-    np.testing.assert_allclose(out.total_mean(), 2.5 * np.array([4.0, 5.0]))
-    np.testing.assert_allclose([out.var[0], out.group_var[0]], np.array([2.5**2, 5.0**2]) / 1.5**2)
-
-
-def test_one_touch_corrects_the_level_of_what_it_did_not_touch():
-    # Ten particles of 100 N/m, known to 1 % each and to a factor of 0.5 +- in common; one, touched, has 160 N/m.
-    prior = blended([plain([100.0] * 10, [1.0] * 10)], Level(std=0.5), np.ones(10, bool), naive_mean=100.0,
-                    naive_var=1.0)
-    row = sparse.csr_matrix(([0.01], ([0], [0])), shape=(1, 10))
-    found = structured_map(row, np.array([1.6]), noise_std=1e-4, prior=prior)
-    # Of the surprise of 60 N/m the common factor explains 2500 / 2501, and the noise next to nothing.
-    np.testing.assert_allclose(found.mean[1:], 100.0 + 60.0 * 2500.0 / 2501.0, rtol=1e-4)
-    assert found.mean[0] == pytest.approx(160.0, rel=1e-4)

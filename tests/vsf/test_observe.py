@@ -10,7 +10,7 @@ from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Sphere
 from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, joint_torque_rows, normal_force_rows, pressure_rows
+from vsfsim.vsf.observe import dense_force_rows, joint_torque_rows, normal_force_rows, pressure_rows
 from vsfsim.vsf.sticking import stick
 
 
@@ -108,22 +108,6 @@ def test_dense_forces_are_the_derivative_of_the_springs_energy():
     np.testing.assert_allclose(force[t].sum(axis=0), -(k[index, None] * contacts.displacement[part]).sum(axis=0),
                                rtol=1e-10)
     assert np.diff(w.tocsc().indptr).max() <= 9 * 8
-
-
-def test_a_plate_takes_particles_along_from_where_it_met_them_and_lets_go():
-    base, triangles = plate()
-    height = np.concatenate([np.linspace(0.002, -0.010, 7), np.linspace(-0.010, 0.004, 7)[1:]])
-    particles = grid([-0.018, -0.018, -0.012], [0.018, 0.018, 0.0], 0.003)
-    contacts = stick(particles, base + height[:, None, None] * [0, 0, 1.0], triangles)
-    for t, z in enumerate(height):
-        part = slice(contacts.pointer[t], contacts.pointer[t + 1])
-        expected = np.flatnonzero(particles[:, 2] > (z if t < 7 else max(z, -0.010)))
-        np.testing.assert_array_equal(contacts.particle[part], expected)
-        # Straight down: stuck at its own place, and as deep as the plate.
-        np.testing.assert_allclose(contacts.displacement[part][:, :2], 0, atol=1e-12)
-        np.testing.assert_allclose(contacts.displacement[part][:, 2], z - particles[expected, 2], atol=1e-12)
-    np.testing.assert_allclose(force_sum_rows(contacts.displacements(), len(particles)).sum(),
-                               np.linalg.norm(contacts.displacement, axis=1).sum())
 
 
 def test_a_rigid_sphere_of_triangles_moves_particles_like_the_exact_sphere():

@@ -1,13 +1,12 @@
 """Particle structure from a view: what is seen and what it hides."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
-from vsfsim.vsf.particles import bounds_from_view, particles_from_view
+from vsfsim.vsf.particles import particles_from_view
 
 H, W, F = 120, 160, 200.0
 HEIGHT = 0.5
@@ -60,26 +59,6 @@ def test_order_and_draw_are_deterministic_and_uniform():
     assert len({tuple(p) for p in one}) == 500 and {tuple(p) for p in one} <= {tuple(p) for p in everything}
     # A uniform draw keeps the mean: 500 of them, standard error of z about 1.2 mm.
     assert np.abs(one.mean(axis=0) - everything.mean(axis=0)).max() < 0.006
-
-
-def test_bounds_stand_on_the_table():
-    view = from_above()
-    bounds = bounds_from_view(view, margin=0.01)
-    cloud = view.points()
-    np.testing.assert_allclose(bounds[0, :2], cloud[:, :2].min(axis=0) - 0.01)
-    np.testing.assert_allclose(bounds[1], cloud.max(axis=0) + 0.01)
-    assert bounds[0, 2] == 0.0
-    assert particles_from_view(view)[:, 2].min() > 0.0
-
-
-def test_empty_mask_and_points_behind_the_camera():
-    view = from_above()
-    blind = replace(view, mask=np.zeros_like(view.mask))
-    assert particles_from_view(blind, bounds=np.array([[0, 0, 0], [0.1, 0.1, 0.1]])).shape == (0, 3)
-    with pytest.raises(VsfError, match="mask is empty"):
-        bounds_from_view(blind)
-    above = particles_from_view(view, bounds=np.array([[-0.1, -0.1, 0.6], [0.1, 0.1, 0.8]]))
-    assert above.shape == (0, 3)
 
 
 @pytest.mark.parametrize("change, words", [

@@ -56,17 +56,6 @@ def test_the_way_follows_the_branch_and_crosses_a_gap_at_a_price():
     assert where[198, 95, 0] > way[198, 95] + 0.15
 
 
-def test_the_particles_get_fifteen_finite_numbers():
-    depth = np.zeros((60, 60))
-    depth[5:58, 20:40] = 1.0
-    view = picture(depth)
-    particles = view.points()[::50] + [0.0, 0.004, 0.0]
-    found = particle_features("local-thick", view, particles, spacing=0.01)
-    plain = particle_features("local", view, particles, spacing=0.01)
-    assert found.shape == (len(particles), plain.shape[1] + 4) and np.isfinite(found).all()
-    assert np.isfinite(view_token("local-thick", view)).all()
-
-
 def test_place_is_thickness_and_place_alone_as_logarithms():
     """On a stem of 20 mm, 0.25 m high, with an arm of 6 mm to the side near its top."""
     depth = np.zeros((300, 220))
@@ -95,17 +84,3 @@ def test_a_leaf_that_hangs_far_below_the_foot_has_finite_features():
     assert place(view)[:, 2].min() < -0.06
     found = particle_features("place", view, view.points()[::50], spacing=0.01)
     assert np.isfinite(found).all() and np.isfinite(view_token("place", view)).all()
-
-
-def test_parts_that_join_only_one_another_are_as_far_as_ten_times_the_straight_line():
-    """A stem with a leaf beside it, and two leaves far from both whose nearest part is the other."""
-    depth = np.zeros((300, 400))
-    depth[20:290, 10:60] = 1.0
-    depth[180:260, 90:150] = 1.0
-    depth[60:140, 240:300] = 1.0
-    depth[60:140, 320:380] = 1.0
-    view = picture(depth)
-    where = np.full(depth.shape + (3,), np.nan)
-    where[view.mask] = place(view)
-    straight = np.hypot(0.260 - 0.035, 0.275 - 0.100)
-    assert where[100, 260, 0] == pytest.approx(10.0 * straight, rel=0.05)

@@ -40,15 +40,6 @@ def test_the_factors_behind_errors_are_found(true):
             float(true.std(np.array(predicted), np.array(springs))), rel=0.05)
 
 
-def test_the_unit_does_not_matter():
-    rng = np.random.default_rng(1)
-    predicted, springs, error = rng.uniform(0, 5, 300), rng.uniform(0, 1, 300), rng.standard_normal(300)
-    small = Width.of([Missed(error, predicted, springs)])
-    large = Width.of([Missed(1e3 * error, 1e3 * predicted, 1e3 * springs)])
-    np.testing.assert_allclose(large.std(1e3 * predicted, 1e3 * springs), 1e3 * small.std(predicted, springs),
-                               rtol=1e-3)
-
-
 def test_without_a_missed_reading_it_refuses():
     with pytest.raises(VsfError, match="no reading of a training object is missed"):
         Width.of([Missed(np.zeros(3), np.ones(3), np.ones(3))])

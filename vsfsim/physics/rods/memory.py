@@ -34,8 +34,8 @@ def make_trees(m: Sequence[RodModel], device: str) -> Any:
 
 
 def start(work: Any, models: Sequence[RodModel], some: slice, plan: np.ndarray) -> None:
-    """The touches ``some``, of the plants ``models`` and planned at ``plan`` (b, T): plants at rest, no contact, the arm
-    at its first pose."""
+    """Start the touches ``some``, of the plants ``models`` and planned at ``plan`` (b, T): plants at rest, no contact,
+    the arm at its first pose."""
     for part in (work.nodes, work.progress, work.guard):
         for name in part._cls.vars:
             getattr(part, name)[some].zero_()
