@@ -148,18 +148,13 @@ def result(name: str) -> str:
     return study(what.removesuffix("-standard"), "standard" if what.endswith("-standard") else "mini")
 
 
-def measurement(name: str, tables: int, first: int = 0, dataset: str = "", module: str = "", **settings: Any) -> str:
-    """``tables`` tables of `vsfsim measure NAME`, from the ``first`` one on, with the machine, the day and the notes;
-    ``module`` of measurements/ is by default that of the name."""
-    from vsfsim.core.shelf import datasets
-
+def measurement(name: str, tables: int, module: str = "", **settings: Any) -> str:
+    """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes; ``module`` of
+    measurements/ is by default that of the name."""
     sys.path.insert(0, str(ROOT))
-    operands = [datasets() / dataset] if dataset else []
-    script = importlib.import_module(f"measurements.{module or name.replace('-', '_')}")
-    found = script.measure(*operands, progress=print, **settings)
-    words = f"{name} datasets/{dataset}" if dataset else name
-    words += f" --tier {settings['tier']}" if "tier" in settings else ""
-    return with_notes(found, words, found.tables[first:first + tables])
+    found = importlib.import_module(f"measurements.{module or name}").measure(progress=print, **settings)
+    words = name + (f" --tier {settings['tier']}" if "tier" in settings else "")
+    return with_notes(found, words, found.tables[:tables])
 
 
 def with_notes(found: Any, words: str, tables: list) -> str:
@@ -242,25 +237,18 @@ MEASURED: dict[str, partial[str]] = {
     **{name: partial(result, name) for name in included()},
     "trust": partial(kept, "trust", "trust"),
     "plant-ceilings": partial(kept, "plant-ceilings", "artificial_plants.ceilings"),
-    "indentation": partial(kept, "indentation", "trust.indentation"),
-    "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
-    "shoe-forces": partial(measurement, "shoe-forces", 1),
+    "solver": partial(measurement, "solver", 2),
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini", "plants-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
-    "built": partial(measurement, "built", 1),
     "compile": partial(measurement, "compile", 1, module="datasets.compiling"),
-    "effectivity": partial(measurement, "effectivity", 1, module="trade.effectivity"),
     "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None),
-    "render": partial(measurement, "render", 1, folder=ROOT / "renderers"),
     "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
                        workers=os.cpu_count() or 1),
     "ranking": partial(measurement, "ranking", 1, module="trade.ranking", objects=8, touches=12, out=ROOT / "ranking",
-                       workers=os.cpu_count() or 1),
-    "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
+                       workers=os.cpu_count() or 1)}
 """Table by name of its file."""
-MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent", "built": "built",
-           "render": "render"}
+MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent"}
 """Of measurements/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
 
 

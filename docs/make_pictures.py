@@ -19,7 +19,6 @@ PICTURES = {
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
     "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
-    "plants-v4": [["measure", "plant-sheet", "plants-v4", "--picture", "OUT"]],
     "accuracy": [["tradeoff", "foam-block", "--touches", "2", "--picture", "OUT"]],  # goes on with tradeoff/foam-block
     "contact-sheet": [["generate", "shoes-v3-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
                        "DATASET"],

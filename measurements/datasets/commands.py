@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,20 +15,6 @@ app = typer.Typer(rich_markup_mode=None)
 @app.callback()
 def _group() -> None:
     """Datasets."""
-
-
-@app.command()
-def loading(folder: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.")],
-            workers: Annotated[list[int] | None, typer.Option(min=0, help="Processes that read; may be given again. "
-                                                                          "Default: 0, 2 and 8.")] = None,
-            item: Annotated[str, typer.Option(help="touch or view: what one item is.")] = "touch",
-            shuffle: Annotated[bool, typer.Option("--shuffle", help="Read in random order.")] = False,
-            json: JsonFile = None) -> None:
-    """Read throughput of `dataset.torch()` in a DataLoader, and the memory that reading takes."""
-    from measurements.datasets.loading import measure, text
-
-    rows = measure(folder, workers or [0, 2, 8], item=item, shuffle=shuffle)
-    report(text(rows), rows, json)
 
 
 @app.command()
@@ -60,17 +45,6 @@ def compiling(scene: Annotated[list[str] | None,
 
 
 @app.command()
-def built(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]...",
-                                                            help="Names of scenes; default: all that ship.")] = None,
-          json: JsonFile = None) -> None:
-    """What each scene builds for its first object: elements, pictures, contacts, arrays, kernels, packages."""
-    from measurements.built import measure
-
-    found = measure(scene or (), progress=step)
-    report(found.text(), found.record(), json, indent=1)
-
-
-@app.command()
 def gpu(scene: Annotated[str, typer.Argument(help="Name of a scene with [touches], or the path of its .toml file.")],
         device: Device = "cuda:0",
         objects: Annotated[int | None, typer.Option(min=1, help="Default: the scene's own number.")] = None,
@@ -85,21 +59,3 @@ def gpu(scene: Annotated[str, typer.Argument(help="Name of a scene with [touches
 
     found = measure(scene, device=device, objects=objects, touches=touches, workers=workers, cores=cores, progress=step)
     report(found.text(), found.record(), json, indent=1)
-
-
-@app.command("recorded-punyo")
-def recorded_punyo(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="With pc_K.npy, rgb_K.npy and "
-                                                                                 "pressure_K.npy of each frame K.")],
-                   mesh: Annotated[Path, typer.Option(help="Mesh of the free dome: .vtk, .ply or .obj.")],
-                   frame: Annotated[list[int], typer.Option(help="Number of a frame; may be given again.")],
-                   flat: Annotated[Path | None, typer.Option(help="The same mesh before it was blown up, for "
-                                                                  "`membrane`.")] = None,
-                   tilt: Annotated[float, typer.Option(help="From the mesh's frame to the camera's, about y [deg].")
-                                   ] = 25.0,
-                   stiffness: Annotated[float, typer.Option(help="E h of the skin [N/m].")] = 680.0,
-                   json: JsonFile = None) -> None:
-    """Contact forces of a recorded Punyo, by every estimator, frame by frame."""
-    from measurements.datasets.recorded_punyo import measure, text
-
-    rows = measure(folder, mesh, frames=frame, flat=flat, tilt=tilt, stiffness=stiffness)
-    report(text(rows), rows, json)

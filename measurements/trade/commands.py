@@ -58,30 +58,6 @@ def ranking(fidelity: Annotated[list[str] | None, typer.Option(help="Only this o
 
 
 @app.command()
-def effectivity(json: JsonFile = None) -> None:
-    """Estimates of the force's error, by the contact's radius and by a dual-weighted residual, on S1 and S2."""
-    from measurements.trade.effectivity import measure
-
-    found = measure(progress=step)
-    report(found.text(), found.record(), json, indent=1)
-
-
-@app.command()
-def render(scene: Annotated[list[str] | None, typer.Argument(metavar="[SCENE]...", help="Names or paths of scenes; "
-                                                             "default: a shoe, a plant.")] = None,
-           peer: Annotated[list[str] | None, typer.Option(help="Only this one; may be given again.")] = None,
-           out: Annotated[Path, typer.Option(help="Folder of their venvs, made on the first run.")] =
-           Path("renderers"), json: JsonFile = None) -> None:
-    """Draw depth in other renderers, each in a venv of its own, and compare with rays in double precision."""
-    from measurements.render import PEERS, measure
-
-    for name in peer or []:
-        check_choice("--peer", name, PEERS)
-    found = measure(scene or (), peer or (), folder=out, progress=step)
-    report(found.text(), found.record(), json, indent=1)
-
-
-@app.command()
 def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; may be given again.")] = None,
           case: Annotated[list[str] | None, typer.Option(help="S1, S2 or foam; may be given again.")] = None,
           tier: Annotated[str, typer.Option(help="Whose mesh all press: fem-coarse or fem.")] = "fem",

@@ -33,17 +33,3 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Random presses, the fi
     found = measure(cells, seed, out, limit=limit, workers=workers or os.cpu_count() or 1, progress=step,
                     budget=None if budget is None else seconds_of("--budget", budget))
     report(found.text(), found.record(), json, indent=1)
-
-
-@app.command()
-def indentation(body: Annotated[list[int] | None, typer.Option(min=0, help="Number of a random body; may be given "
-                                                                           "again. Default: 1 to 6.")] = None,
-                out: Annotated[Path | None, typer.Option(help="File that keeps each press as soon as it is done; a "
-                                                              "later run goes on with it.")] = None,
-                workers: Cores = None,
-                json: JsonFile = None) -> None:
-    """The local indentation, with and without, on random bodies that it was not fitted to."""
-    from measurements.trust.indentation import BODIES, measure
-
-    found = measure(body or BODIES, out, workers=workers or os.cpu_count() or 1, progress=step)
-    report(found.text(), found.record(), json, indent=1)

@@ -10,8 +10,6 @@ import pytest
 from stems import crossing
 from stems import touch as push
 
-from measurements import arm as arm_modes
-from measurements import plants as plant_touches
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import SceneError
@@ -209,18 +207,6 @@ def test_kinect_noise_is_seeded_grows_with_distance_and_loses_edges(made):
 
 
 @pytest.mark.slow
-def test_the_measurement_of_plants_counts_readings_and_stages(scene_file, tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
-    measured = plant_touches.measure(device="cpu", scene=str(path), objects=1, views=1, touches=1)
-    found = measured.record()
-    assert found["readings"] > 5 and found["touches"] == 1 and found["readings_per_s"] > 0.0
-    assert set(found["stages_s"]) == {"grow", "look", "aim", "kinematics", "solve", "torque", "truth"}
-    assert "NOT ALL" not in measured.text()
-    for less in ({"cut": 1}, {"views_made": 0}):
-        assert "NOT ALL" in plant_touches.report({}, {**measured.numbers, **less}).text()
-
-
 @pytest.mark.parametrize(("old", "new", "word"), [
     ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"',
                                                        "at_limit"), ('family = "plant"', 'family = "shoe"',
@@ -295,24 +281,3 @@ def test_a_sweep_through_the_whole_crown(step, device):
     lost = np.flatnonzero(frames.penetration[:, 0].reshape(len(travel), -1).max(axis=1) > 1e-3)
     assert len(lost) and not converged[lost[0]:].any()
     assert np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9
-
-
-@pytest.mark.slow
-def test_the_measurement_of_the_arm_splits_what_the_dynamic_arm_reads_beside_the_kinematic_one(scene_file, tmp_path):
-    """The difference is the sum of its parts (friction, inertia, lag) joint by joint, and the soft drive leaves the
-    path further than the stiff one."""
-    path = tmp_path / "small.toml"
-    path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
-    measured = arm_modes.measure(device="cpu", scene=str(path), touches=2)
-    stiff, soft = rows = measured.record()["rows"]
-    assert (stiff["drive"], soft["drive"]) == ("position", "impedance") and stiff["touches"] == soft["touches"] > 0
-    assert np.array_equal(stiff["kinematic_rms"], soft["kinematic_rms"]) and max(stiff["kinematic_rms"]) > 0.01
-    assert soft["tool_m"] > 2.0 * stiff["tool_m"] > 0.0
-    for row in rows:
-        parts = np.array([row[part] for part in ("friction", "inertia", "lag")])
-        # rms of a sum: at most the sum of the rms (Minkowski), and no less than the largest less the others
-        whole = np.array(row["rms"])
-        assert (whole <= parts.sum(axis=0) + 1e-9).all() and (whole >= 2 * parts.max(axis=0) - parts.sum(axis=0)
-                                                              - 1e-9).all() and (whole > 0.0).any()
-    text = measured.text()
-    assert "position" in text and "impedance" in text and f"{stiff['rms'][0]:.3f}" in text

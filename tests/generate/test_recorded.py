@@ -3,13 +3,16 @@
 import dataclasses
 import itertools
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from measurements.openvsf import punyo
-from measurements.openvsf.folder import _ply
+sys.path.insert(0, str(Path(__file__).parents[1] / "sensing"))
+from drawn_punyo import punyo
+
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task, open_dataset
@@ -114,8 +117,9 @@ def plants(tmp_path_factory):
 def shoes(tmp_path_factory):
     place, rng, bubble = tmp_path_factory.mktemp("rec") / "real", np.random.default_rng(1), punyo(_mount())
     felt = {f"shoe{k}": write_object(place / f"shoe{k}", rng, bubble=bubble) for k in range(4)}
-    mesh = place.parent / "punyo.ply"
-    mesh.write_bytes(_ply(bubble.vertices, bubble.triangles))
+    mesh = place.parent / "punyo.obj"
+    mesh.write_text("".join([*(f"v {x!r} {y!r} {z!r}\n" for x, y, z in bubble.vertices.tolist()),
+                             *(f"f {a} {b} {c}\n" for a, b, c in (bubble.triangles + 1).tolist())]))
     return felt, place, mesh, import_openvsf(place, place.parent / "d", Options(bubble=mesh, tare=5))
 
 

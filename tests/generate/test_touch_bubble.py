@@ -11,7 +11,7 @@ import pytest
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.dome import Dome, read_dome
-from vsfsim.core.errors import DatasetError, SceneError
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.data.dataset import Dataset
@@ -319,53 +319,3 @@ def test_an_object_in_the_way_of_every_target(tmp_path):
     body = type("M", (), {"mesh": type("K", (), {"points": samples, "faces": np.array([[0, 1, 1]])})()})()
     with pytest.raises(SceneError, match=r"no target of 200 can be reached by the \[sensor\]"):
         touch_bubble.aim(scene, body, sensor, view, lambda k: np.random.default_rng(k))
-
-
-# ------------------------------------------------------------------------------------------ what is made of it
-
-
-def test_the_pressure_laws_read_it(made):
-    from measurements import pressure_law as law
-
-    found = law.readings(Dataset.open(made, blind=True))
-    assert len(found.change) == 4 and len(np.unique(found.touch)) == 2 and (found.distance < 0.02).all()
-    # on a flat top all forces point the same way, nearly: the sum of sizes is the force, and a little more
-    assert ((found.summed >= found.normal * (1.0 - 1e-6)) & (found.summed < 1.2 * found.normal)).all()
-    area, semi_axis = law.rim_of_dataset(Dataset.open(made).load("felt-0000-v0"))
-    assert area == pytest.approx(law.BASE_AREA, rel=0.01) and semi_axis == pytest.approx(law.SEMI_AXIS, rel=1e-6)
-    result = law.judge(found, area=area, semi_axis=semi_axis)
-    assert result["touches"] == 2 and "sum|f|, scale fitted" in law.report({}, result).text()
-    # a small contact in the middle of a dome: more pressure a newton than F over the base
-    assert 130.0 < result["laws"][0]["best_scale"] < 250.0
-
-
-def test_the_force_estimators_read_it(made):
-    from measurements.dense_force import dataset as dense
-
-    data = Dataset.open(made)
-    (view,) = data
-    touch = view.touches[0]
-    assert dense.depths(touch) == pytest.approx([0.0, 0.0015, 0.003],
-                                                abs=1e-9) and dense.chosen(touch).tolist() == [1, 2]
-    first, second = dense.records([view])
-    assert first.depth == pytest.approx([0.0015, 0.003], abs=1e-9)
-    # in the mount's frame an object pushes the dome in
-    assert (first.force.sum(axis=1)[:, 2] < -0.1).all() and first.position[:, :, 2].min() > -1e-6
-    assert np.linalg.norm(second.force.sum(axis=1),
-                          axis=1) == pytest.approx(np.linalg.norm(view.touches[1].force[1:], axis=1), rel=1e-5)
-    calibration = dense.calibration_of(data, [view])
-    assert (calibration.stiffness == pytest.approx(680.0) and calibration.rim.sum() == 64
-            and calibration.pressure == Bubble().gauge_pressure)
-    with pytest.raises(DatasetError, match="2 touches to calibrate on and 0 to score"):
-        dense.measure(data)
-
-
-def test_a_dataset_without_a_skin_has_no_dense_forces(tmp_path):
-    from measurements.dense_force import dataset as dense
-    from vsfsim.bench.mock import mock_view
-
-    view = mock_view(0)
-    assert dense.records([view]) == []
-    fake = type("D", (), {"path": tmp_path})()
-    with pytest.raises(DatasetError, match="must be made with a bubble"):
-        dense.calibration_of(fake, [view])

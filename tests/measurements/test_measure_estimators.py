@@ -9,7 +9,6 @@ from scipy import optimize, sparse
 
 from measurements import estimators as side_by_side
 from measurements import fields as bench_fields
-from measurements import sbml as bench_sbml
 from measurements.estimators import batch, batch_dense
 from measurements.workload import Workload
 from vsfsim.core.errors import VsfError
@@ -73,20 +72,6 @@ def test_the_peak_is_that_of_the_work_alone():
     assert rested < 40.0
     assert 70.0 < process_memory.peak_memory() - before - rested < 120.0, "80 MB of doubles are 76 MiB"
     del held
-
-
-def test_the_cost_of_training_counts_readings_and_particles():
-    w, z, press = bench_sbml.readings(300, 6, 5)
-    assert w.shape[0] == len(z) == 30 and press.tolist() == [p for p in range(6) for _ in range(5)]
-    assert (np.diff(np.asarray(w.sum(axis=1)).reshape(6, 5), axis=1) > 0.0).all(), "deeper is more"
-    cost = bench_sbml.train(300, 6, 5)
-    assert cost.readings == 30 and cost.touched == len(np.unique(w.indices)) <= cost.particles == w.shape[1]
-    assert cost.value[1] < cost.value[0] and cost.step > 0.0, "it learns"
-    assert cost.whole == pytest.approx(20 * (cost.reduce + 400 * cost.step))
-    (row,) = bench_sbml.measure(300, 6, 5).tables[0].rows
-    assert row["readings"] == 30 and row["whole"] > 0.0
-    with pytest.raises(VsfError, match="at least 1, 1 and 2"):
-        bench_sbml.readings(300, 6, 1)
 
 
 def test_the_fields_are_compared_on_one_case():

@@ -1,9 +1,10 @@
 """The dynamic arm: its balance of torques, its slow limit, and the effects of speed and friction."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from measurements.arm import difference
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.robot.arm import ArmError, load_arm
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, inertial_torque, series, simulate
@@ -12,6 +13,22 @@ from vsfsim.robot.mujoco_model import JointParameters
 from vsfsim.robot.reach import straight_touch
 
 FRAMES = 21
+
+
+def rms(values):
+    return np.sqrt((values**2).mean(axis=0))
+
+
+def difference(arm, q, times, force, moment):
+    """The dynamic arm's readings less the kinematic arm's torques along ``q``: whole and by part, rms of a joint."""
+    kinematic, motion = body_torque(arm, q, force, moment=moment), simulate(arm, q, times, series(times, force, moment))
+    there, inertial = body_torque(arm, motion.q, force, moment=moment), inertial_torque(arm, motion)
+    gap = motion.torque - kinematic
+    away = arm.postures(motion.q).tool[:, :3, 3] - arm.postures(q).tool[:, :3, 3]
+    # friction is what remains: computed from the rates it would be wrong at rest, where their signs are rounding errors
+    return SimpleNamespace(dynamic=motion.torque, motion=motion, rms=rms(gap), largest=np.abs(gap).max(axis=0),
+                           scale=np.abs(kinematic).max(), inertia=rms(inertial), lag=rms(there - kinematic),
+                           friction=rms(motion.torque - there - inertial), tool=np.linalg.norm(away, axis=1).max())
 
 
 def smooth(n):

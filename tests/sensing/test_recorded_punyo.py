@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from drawn_punyo import punyo
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from measurements.openvsf import punyo
 from vsfsim.sensing.bubble_touch import estimate_forces, rim_of
 from vsfsim.sensing.membrane_fe import SensorError
 from vsfsim.sensing.recorded_punyo import read_sequence

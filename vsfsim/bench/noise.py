@@ -100,7 +100,7 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
         "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
         "relaxation": 0.02, "relaxation_time": 0.15,
         "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
-        # of a good force estimator at this depth noise (`vsfsim measure dense-force`), not of the sensor
+        # of a good force estimator at this depth noise, not of the sensor
         "node_force_share": 0.2,
     },
     "punyo-window": {

@@ -20,8 +20,6 @@ with d the tracked displacements. There is no constraint on the forces. The meth
                norms with smoothing between neighbours, and forces lie in a friction cone about the inward normal
     membrane   ours, if the stress-free shape is known: a neo-Hookean skin at the measured shape, otherwise as `taut`;
                relinearised about its own solution
-
-`vsfsim measure dense-force` compares all five with the simulator's true contact forces.
 """
 
 from __future__ import annotations

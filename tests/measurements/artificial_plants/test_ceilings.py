@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.measurements.test_plant_wires import scene
 
 from measurements.artificial_plants import ceilings
 from measurements.artificial_plants.ceilings import (
@@ -19,7 +20,6 @@ from measurements.artificial_plants.ceilings import (
     waves,
     with_classes,
 )
-from tests.measurements.test_plant_wires import scene
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene

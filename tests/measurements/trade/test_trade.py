@@ -5,16 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_scenes import BLOCK
 
 from measurements import indent
 from measurements.trade import ranking
-from measurements.trade.effectivity import dual_weighted
 from measurements.trade.ranking import agreement, kendall
-from vsfsim.core.scene import parse_scene
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.plot import draw
-from vsfsim.physics import tiers
 
 
 def test_rankings_agree_as_far_as_their_objects_do():
@@ -24,17 +20,6 @@ def test_rankings_agree_as_far_as_their_objects_do():
     mixed = one + [[0, 0, 0, 0], [0, 0, 0, 8], [0, 0, 0, 0]]  # the middle one is worst where the last object is drawn
     tau, low, high = agreement(mixed, one)
     assert tau == pytest.approx(1 / 3) and low == pytest.approx(1 / 3) and high == 1.0
-
-
-def test_a_field_that_the_elements_hold_has_no_residual():
-    model = tiers.build(parse_scene(BLOCK, "small.toml").sample(0), "fem")
-    x = model.mesh.points
-    straight = x @ [[0.1, 0.0, 0.2], [0.0, -0.1, 0.0], [0.0, 0.3, 0.05]]
-    assert abs(dual_weighted(model, straight, straight, 0.3)) < 1e-20
-    # of the energy of a bent block a part
-    bent = np.stack([np.zeros(len(x)), np.zeros(len(x)), 5e3 * x[:, 0] ** 4], axis=1)
-    energy = 5e4 / 2.6 * float(np.mean((2e4 * x[:, 0] ** 3) ** 2)) * 0.06 * 0.06 * 0.03
-    assert 1e-4 * energy < dual_weighted(model, bent, bent, 0.3) < 0.5 * energy
 
 
 def test_a_peer_that_is_not_there_is_skipped_with_the_reason(tmp_path, monkeypatch):

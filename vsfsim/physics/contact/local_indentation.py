@@ -8,10 +8,10 @@ a compliance in series with the penalty restores it:
     u_local = c p,   c = C (1 - nu^2) h^2 / (a E) / (1 + RESOLVED (a / h)^3),   c E / h <= MOST
 
 C is fitted once, to the compliance that a mesh of S1's block lacks against a fine one, see
-`measurements/shallow.py`; with h -> 0 the compliance vanishes as the error of quadratic elements does. a is the contact
-radius of the rigid geometry, (area of the rest surface inside the body / 2 pi)^(1/2), which is (R d)^(1/2) for a ball
-of radius R at a depth d (Hertz). It depends on the pose alone, so that a frame has a potential and unloading retraces
-loading. Past `SATURATED` of an element the contact is as stiff as elsewhere: there the mesh resolves it.
+`tests/verification/test_shallow.py`; with h -> 0 the compliance vanishes as the error of quadratic elements does. a is
+the contact radius of the rigid geometry, (area of the rest surface inside the body / 2 pi)^(1/2), which is (R d)^(1/2)
+for a ball of radius R at a depth d (Hertz). It depends on the pose alone, so that a frame has a potential and unloading
+retraces loading. Past `SATURATED` of an element the contact is as stiff as elsewhere: there the mesh resolves it.
 
 This is the mean of places in an element. Where the contact is much smaller than the element its place decides, and
 what is missing is taken from the object itself (``by_place``), see `MissingCompliance`.

@@ -3,7 +3,7 @@
 A contact of radius a on elements of edge h is felt as if it were as wide as an element can show, so that a small one
 is too stiff. The error of the force on 40 random balls of 2 to 25 mm radius, at random places of a block of 0.1 x 0.1 x
 0.05 m on elements of 7 to 16 mm, at five depths up to 1.5 radii, against the same tier on a mesh that is refined to two
-fifths of the contact radius (`vsfsim measure shallow --balls 24`; 200 frames of `fem-coarse` and `fem`), by the radius
+fifths of the contact radius (200 frames of `fem-coarse` and `fem`), by the radius
 over the edge that the frame itself measured:
 
     a / h             0.1-0.15  0.15-0.2  0.2-0.25  0.25-0.3  0.3-0.35  0.35-0.4  0.4-0.5  0.5-0.7  0.7-1  over 1

@@ -1,12 +1,8 @@
-"""`vsfsim measure built`: only what a scene requires is built, and each of its needs changes what is read."""
+"""Each of a scene's needs changes what is read, and what is not needed does not."""
 
-import numpy as np
 import pytest
 
-from measurements.built import arrays_of, measure
-from vsfsim.core.scene import load_scene, parse_scene
-from vsfsim.core.shelf import find_scene
-from vsfsim.generate.effector import effector_of
+from vsfsim.core.scene import parse_scene
 from vsfsim.press.command import press
 
 SCENE = """
@@ -43,21 +39,3 @@ def test_a_need_that_is_dropped_is_missed_and_one_that_is_added_is_not(stuff):
           f"deformation")
     assert abs(flat - whole) > NOISE and abs(bare - whole) > NOISE and abs(large - whole) < NOISE
     assert force(stuff, *NEEDS, "appearance", "contact", "coupling") == whole, "what is unused changes nothing"
-
-
-def test_a_bubble_without_an_object_needs_kernels_too():
-    scene = load_scene(find_scene("punyo")).sample(0)
-    assert scene.object is None and effector_of(scene).kernels(scene)
-
-
-def test_arrays_are_counted_once():
-    one = np.zeros(3)
-    assert len(list(arrays_of({"a": one, "b": [one, np.ones(2)], "c": {"d": (one,)}}))) == 2
-
-
-@pytest.mark.slow
-def test_scenes_build_only_what_they_need():
-    rows = {row["scene"]: row for row in measure(["foam-block", "plants-v4-mini", "punyo"]).record()["built"]}
-    assert all("mujoco" not in row["modules"] and "matplotlib" not in row["modules"] for row in rows.values())
-    assert "triangle" in rows["punyo"]["elements"] and rows["foam-block"]["elements"].split()[1:] == ["tet10"]
-    assert rows["punyo"]["pictures"] == "-" and rows["foam-block"]["pictures"] == "RGB-D"

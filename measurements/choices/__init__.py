@@ -1,1 +1,0 @@
-"""Settings of methods, chosen on objects that no task asks."""
