@@ -28,10 +28,8 @@ from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.vsf.displacements import Displacements
-from vsfsim.vsf.stick_slip import stick_slip_kernel
+from vsfsim.vsf.stick_slip import mat33, stick_slip, vec3, vec4
 from vsfsim.vsf.sticking import stick
-
-PRECISIONS = ("float64", "float32")
 
 # Largest number of entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
 _CHUNK = 16_000_000
@@ -39,12 +37,12 @@ _CHUNK = 16_000_000
 _SWEPT = 200_000
 # Number of concurrent launches on a GPU, and of the streams that they are distributed over.
 _TOGETHER, _STREAMS = 64, 16
-# A friction coefficient this large is pure sticking in either precision, and mu * |u| stays finite.
+# A friction coefficient this large is pure sticking, and mu * |u| stays finite.
 _STICKING = 1e6
 
 
 def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, friction: float,
-             device: str = "cpu", precision: str = "float64", max_step: float = 1e-3) -> Displacements:
+             device: str = "cpu", max_step: float = 1e-3) -> Displacements:
     """Drag a rigid probe through a cloud of particles.
 
     Particles start at rest. A particle inside the probe at the first pose starts at the nearest point of the probe's
@@ -57,7 +55,6 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
         poses: probe-to-world transforms, rigid (T, 4, 4) [m]; the probe moves straight between them.
         friction: Coulomb coefficient mu >= 0 [-]; `math.inf` is pure sticking (Neural VSF).
         device: Warp device, "cpu" or "cuda:0".
-        precision: of the kernel, "float64" or "float32"; the result is float64 either way.
         max_step: longest path of a point of the probe in one substep [m]. It is limited further to a quarter of the
             probe's smallest half-width, so that the probe skips no particle. The time of contact is found exactly
             within a substep; sliding with 0 < mu < inf is resolved to about this length.
@@ -68,11 +65,11 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
     Raises:
         VsfError: a shape does not fit, a value is not finite, the friction is negative, or a pose is not rigid.
     """
-    return _launched(particles, probe, poses, friction, device, precision, max_step)()
+    return _launched(particles, probe, poses, friction, device, max_step)()
 
 
 def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.ndarray]], *, friction: float,
-                  device: str = "cpu", precision: str = "float64", max_step: float = 1e-3) -> list[Displacements]:
+                  device: str = "cpu", max_step: float = 1e-3) -> list[Displacements]:
     """`simulate` of several probes and their poses, each through particles at rest.
 
     On a GPU many launches run concurrently, because one launch has few particles with many substeps each and leaves
@@ -81,24 +78,24 @@ def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.nd
     Args, Raises: as `simulate`.
     """
     if not wp.get_device(device).is_cuda:
-        return [simulate(particles, probe, poses, friction=friction, device=device, precision=precision,
-                         max_step=max_step) for probe, poses in moves]
+        return [simulate(particles, probe, poses, friction=friction, device=device, max_step=max_step)
+                for probe, poses in moves]
     streams = [wp.Stream(device) for _ in range(min(_STREAMS, len(moves)))]
     out: list[Displacements] = []
     for first in range(0, len(moves), _TOGETHER):
         begun = []
         for k, (probe, poses) in enumerate(moves[first:first + _TOGETHER]):
             with wp.ScopedStream(streams[k % len(streams)]):
-                begun.append(_launched(particles, probe, poses, friction, device, precision, max_step))
+                begun.append(_launched(particles, probe, poses, friction, device, max_step))
         wp.synchronize_device(device)
         out += [collect() for collect in begun]
     return out
 
 
-def _launched(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str, precision: str,
-           max_step: float) -> Callable[[], Displacements]:
+def _launched(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str,
+              max_step: float) -> Callable[[], Displacements]:
     """Launch the kernels of `simulate`; the returned function waits for the result."""
-    particles, poses = _checked(particles, probe, poses, friction, precision, max_step)
+    particles, poses = _checked(particles, probe, poses, friction, max_step)
     frames = len(poses)
     near = np.flatnonzero(_swept(particles, probe, poses))
     if frames == 0 or len(near) == 0:
@@ -106,28 +103,25 @@ def _launched(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, frict
     rotation, origin, frame_of = _substeps(probe, poses, particles[near], max_step)
     if isinstance(probe, Dome):
         return lambda: _stuck(particles, near, probe, rotation, origin, frame_of)
-    # Float32 loses fewer digits when positions are relative to the touch instead of the world's origin.
+    # Digits are lost where the world's origin is far from the touch.
     shift = poses[0, :3, 3] if not isinstance(probe, Plane) else particles[near[0]]
-    real = wp.float64 if precision == "float64" else wp.float32
-    dtype = np.float64 if precision == "float64" else np.float32
-    kernel, vec3, vec4, mat33 = stick_slip_kernel(real)
     kind, size = sdf.encode(probe, fillet=0.0)
     with wp.ScopedDevice(device):
-        turn_array = wp.array(rotation.astype(dtype), dtype=mat33)
-        origin_array = wp.array((origin - shift).astype(dtype), dtype=vec3)
+        turn_array = wp.array(rotation, dtype=mat33)
+        origin_array = wp.array(origin - shift, dtype=vec3)
         frame_array = wp.array(frame_of, dtype=wp.int32)
         launched = []
         chunk = max(1, _CHUNK // frames)
         for start in range(0, len(near), chunk):
             index = near[start:start + chunk]
-            rest = wp.array((particles[index] - shift).astype(dtype), dtype=vec3)
+            rest = wp.array(particles[index] - shift, dtype=vec3)
             moved = wp.zeros((frames, len(index)), dtype=vec3)
-            wp.launch(kernel, dim=len(index), inputs=[
-                kind, vec4(*size), real(min(float(friction), _STICKING)), turn_array, origin_array, frame_array, rest,
+            wp.launch(stick_slip, dim=len(index), inputs=[
+                kind, vec4(*size), min(float(friction), _STICKING), turn_array, origin_array, frame_array, rest,
             ], outputs=[moved])
             # the arrays that a launch reads are kept alive until it has finished
             launched.append((moved, index, (turn_array, origin_array, frame_array, rest)))
-    return lambda: _joined([_sparse(moved.numpy().astype(np.float64), index) for moved, index, _ in launched], frames)
+    return lambda: _joined([_sparse(moved.numpy(), index) for moved, index, _ in launched], frames)
 
 
 def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray,
@@ -227,7 +221,7 @@ def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
             np.concatenate([np.zeros(1, np.int32), end]))
 
 
-def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, precision: str,
+def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float,
              max_step: float) -> tuple[np.ndarray, np.ndarray]:
     particles, poses = np.asarray(particles, np.float64), np.asarray(poses, np.float64)
     if particles.ndim != 2 or particles.shape[1] != 3 or not np.isfinite(particles).all():
@@ -246,8 +240,6 @@ def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, fricti
                        f"vsfsim.core.shape, or a Dome.")
     if not float(friction) >= 0.0:
         raise VsfError(f"vsf.simulate: friction is {friction!r}; it must be 0 or greater (math.inf sticks always).")
-    if precision not in PRECISIONS:
-        raise VsfError(f"vsf.simulate: precision is {precision!r}; allowed: {', '.join(PRECISIONS)}.")
     if not 0.0 < max_step < math.inf:
         raise VsfError(f"vsf.simulate: max_step is {max_step!r}; it must be a length in metres greater than "
                        f"0, e.g. 1e-3.")

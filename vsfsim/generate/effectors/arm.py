@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
@@ -22,7 +21,7 @@ from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.generate.presses import arm as one_press
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
-from vsfsim.vsf.stick_slip import stick_slip_kernel
+from vsfsim.vsf.stick_slip import stick_slip
 
 
 class ArmEffector:
@@ -49,7 +48,7 @@ class ArmEffector:
 
     def kernels(self, scene: Scene) -> list[Any]:
         """Those of the beams' solver, and of the oracle VSF's stick and slip."""
-        return [advance, stick_slip_kernel(wp.float64)[0]]
+        return [advance, stick_slip]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Grow, look, aim along lines that the arm can follow, touch."""

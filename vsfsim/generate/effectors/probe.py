@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, ObjectView, Touch
@@ -34,7 +33,7 @@ from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import times, touch_path
-from vsfsim.vsf.stick_slip import stick_slip_kernel
+from vsfsim.vsf.stick_slip import stick_slip
 
 # touches that are solved together, on a CPU as many as share a back-solve; part of what fixes the bits
 BATCH = {"cpu": 16, "cuda": 64}
@@ -57,7 +56,7 @@ class Probe:
     def kernels(self, scene: Scene) -> list[Any]:
         """Those of the solver, and of the oracle VSF's stick and slip."""
         own = tiers.elements(scene, tiers.choose(scene))
-        return [*solver_kernels(own), stick_slip_kernel(wp.float64)[0]]
+        return [*solver_kernels(own), stick_slip]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals, press."""
