@@ -165,12 +165,11 @@ class ParticleModel:
             self.rows[key] = predicted / row.force_per_unit
         return self.rows[key]
 
-    def plain(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
-        """All valid rows of some touches in the unit of the readings: W (m, n), z (m,) and the touch of each (m,)."""
+    def plain(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """All valid rows of some touches in the unit of the readings: W (m, n) and z (m,)."""
         rows = [self.observe(one.action)[np.flatnonzero(np.repeat(one.valid, one.action.size))] for one in readings]
         every = sparse.csr_matrix(sparse.vstack([sparse.csr_matrix((0, len(self.particles))), *rows]))
-        return (every, np.concatenate([np.zeros(0), *(one.value[one.valid].ravel() for one in readings)]),
-                np.repeat(np.arange(len(rows)), [row.shape[0] for row in rows]))
+        return every, np.concatenate([np.zeros(0), *(one.value[one.valid].ravel() for one in readings)])
 
     def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
         """All valid rows of some touches: W (m, n) and z (m,), in units in which each has the noise of

@@ -18,7 +18,6 @@ from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
 from vsfsim.vsf.meta.composition import GaussianPrior
-from vsfsim.vsf.meta.spatial import Places, Smoothed, Spatial
 from vsfsim.vsf.meta.width import Missed, Width
 
 
@@ -79,7 +78,7 @@ class Posterior:
 
     def predict(self, actions: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of each action."""
-        return [self._answer(self.model.observe(action)).reshape(-1, action.size) for action in actions]
+        return [(self.model.observe(action) @ self.stiffness).reshape(-1, action.size) for action in actions]
 
     def predict_std(self, actions: Sequence[Action]) -> list[np.ndarray]:
         """Standard deviations (T, d) of the readings: what is left of the springs', and the noise of a reading."""
@@ -90,7 +89,7 @@ class Posterior:
         every = self._reading_std(sparse.vstack(rows))
         out, first = [], 0
         for action, mine in zip(actions, rows):
-            predicted, springs = self._answer(mine), every[first:first + mine.shape[0]]
+            predicted, springs = mine @ self.stiffness, every[first:first + mine.shape[0]]
             if self.width is not None:
                 std = self.width.std(predicted, springs)
             else:
@@ -103,8 +102,8 @@ class Posterior:
 
     def missed(self, readings: Sequence[Reading]) -> Missed:
         """What is measured, what is predicted and what the springs leave open in further touches."""
-        every, measured, _ = self.model.plain(readings)
-        predicted = self._answer(every)
+        every, measured = self.model.plain(readings)
+        predicted = every @ self.stiffness
         return Missed(measured - predicted, predicted, self._reading_std(every))
 
     def density(self, points: np.ndarray) -> Estimate:
@@ -122,10 +121,6 @@ class Posterior:
         cell = self.model.cell
         return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / cell,
                         np.array([std[g].mean() for g in groups]) / cell)
-
-    def _answer(self, rows: sparse.csr_matrix) -> np.ndarray:
-        """Readings of ``rows`` (q, n): (q,)."""
-        return rows @ self.stiffness
 
     def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         """Of readings to come, rows (q, n), without their own noise (q,)."""
@@ -170,33 +165,6 @@ class Filtered(Posterior):
 
     def _std(self) -> np.ndarray:
         return np.sqrt(self.var)
-
-
-@dataclass
-class Alike(Posterior):
-    """What is known where neighbours share what touches tell (`vsfsim.vsf.meta.spatial`). The stiffness is cut at 0
-    after the update, and so is a predicted reading of one number."""
-
-    known: Smoothed
-    """The springs."""
-
-    @classmethod
-    def after(cls, model: ParticleModel, support: Sequence[Reading], prior: GaussianPrior, spatial: Spatial,
-              places: Places) -> Alike:
-        """The exact update by the support."""
-        check_support(support)
-        rows, readings, touch = model.plain(support)
-        known = Smoothed.after(spatial, prior, places, rows, readings, touch)
-        return cls(model, np.maximum(known.mean, 0.0), rows, prior, known)
-
-    def _answer(self, rows: sparse.csr_matrix) -> np.ndarray:
-        return np.maximum(rows @ self.known.mean, 0.0)
-
-    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
-        return self.known.reading_std(rows)
-
-    def _std(self) -> np.ndarray:
-        return self.known.spring_std()
 
 
 class PosteriorAnswers:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
-from vsfsim.baselines.posterior import Alike, Posterior, PosteriorAnswers
+from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
 from vsfsim.baselines.visible_cloud import visible_cloud
 from vsfsim.bench.method import Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
@@ -27,7 +27,6 @@ from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
-from vsfsim.vsf.meta.spatial import Felt, Places, Spatial
 from vsfsim.vsf.meta.width import Missed, Width
 
 if TYPE_CHECKING:  # torch is imported where it is used
@@ -65,9 +64,6 @@ class Sbml(PosteriorAnswers):
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
-        spatial: with several networks of structure HE, neighbouring springs deviate together from what the networks
-            say, by a Gaussian process whose hyper-parameters are found on objects that they did not learn from
-            (`vsfsim.vsf.meta.spatial`); without it they deviate independently, as in the paper.
         growth: power of the summed displacement with which a reading grows, see
             `vsfsim.baselines.particle_model.VsfSettings` [-]; 1 as in the paper.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
@@ -80,7 +76,7 @@ class Sbml(PosteriorAnswers):
                  patience: int = 40, dropout: float = 0.1, output: str = "softplus", second: str = "std",
                  validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 3.0,
                  noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
-                 band: float = 0.0, spatial: bool = False, growth: float = 1.0, max_particles: int = 0,
+                 band: float = 0.0, growth: float = 1.0, max_particles: int = 0,
                  device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
@@ -96,11 +92,7 @@ class Sbml(PosteriorAnswers):
             raise MethodError(f"sbml: networks is {networks!r}; it must be at least 1.")
         if not common_std >= 0.0:
             raise MethodError(f"sbml: common_std is {common_std!r}; it must be 0 or greater.")
-        if spatial and (networks < 2 or structure != "HE"):
-            raise MethodError(f"sbml: spatial needs several networks of structure HE, whose deviations it is found on; "
-                              f"networks is {networks} and structure '{structure}'. Give --set networks=3.")
-        self.spatial, self.second, self.networks, self.common_std = (
-            spatial, second, networks, common_std)
+        self.second, self.networks, self.common_std = second, networks, common_std
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, "cpu",
@@ -111,7 +103,6 @@ class Sbml(PosteriorAnswers):
         self._normaliser: Normaliser | None = None
         self._learned: list[MetaPrior] = []
         self._level, self._naive = Level(), (0.0, 1.0)  # weights; naive mean [N/m] and variance [(N/m)^2]
-        self._shared: Spatial | None = None  # what neighbours share; None without ``spatial``
         self._width: Width | None = None  # of predicted readings; None for noise_std and noise_share
         self.training: list[Training] = []
         """How the training of each network went."""
@@ -146,7 +137,7 @@ class Sbml(PosteriorAnswers):
         common = self.networks > 1 and self.structure == "HE" and self.common_std > 0.0
         known = [Composition.of("HE+HO", self._normaliser(f)) for f in raw] if common else parts
         tasks = [self._task(*row) for row in zip(models, specimens, raw, known)]
-        self._learned, self.training, self._width, self._shared, held_out, own = [], [], None, None, [], []
+        self._learned, self.training, self._width, held_out, own = [], [], None, [], []
         for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
                 self.seed, spawn_key=(2, number)).generate_state(1)[0])
@@ -169,8 +160,6 @@ class Sbml(PosteriorAnswers):
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2
         self._learned = [network.cpu() for network in self._learned]
-        if own and self.spatial:
-            self._shared = Spatial.of([self._felt(*given) for given in own])
         if own:
             self._width = Width.of([one for given in own for one in self._missed(*given)])
 
@@ -185,7 +174,7 @@ class Sbml(PosteriorAnswers):
             found = [network.of(features, part) for network in self._learned]
             self._priors[id(model)] = found[0] if self.networks == 1 else self._blended(found, model, view)
         self._view = view
-        self.posterior = self._after(model, support, self._priors[id(model)])
+        self.posterior = Posterior.under(model, support, self._priors[id(model)])
         self.posterior.width = self._width
 
     def share(self, other: Sbml) -> None:
@@ -199,8 +188,7 @@ class Sbml(PosteriorAnswers):
         table = {"structure": self.structure, "features": self.features, "output": self.output, "second": self.second,
                  "networks": self.networks, "size": len(self._normaliser.mean), "unit": self._learned[0].unit,
                  "level": asdict(self._level), "naive": list(self._naive), "count": len(self._learned),
-                 "width": None if self._width is None else asdict(self._width),
-                 "spatial": None if self._shared is None else asdict(self._shared)}
+                 "width": None if self._width is None else asdict(self._width)}
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
         weights = {f"net{number}.{name}": value.cpu().numpy() for number, network in enumerate(self._learned)
@@ -225,8 +213,7 @@ class Sbml(PosteriorAnswers):
             raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that "
                               f"`save` wrote.") from error
         # A folder that is older than a parameter was written with the only choice of its time.
-        table = {"second": "std", "networks": 1, "count": 1, "level": {}, "naive": [0.0, 1.0], "width": None,
-                 "spatial": None, **table}
+        table = {"second": "std", "networks": 1, "count": 1, "level": {}, "naive": [0.0, 1.0], "width": None, **table}
         for key in ("structure", "features", "output", "second", "networks"):
             if table.get(key) != getattr(self, key):
                 raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not "
@@ -235,7 +222,6 @@ class Sbml(PosteriorAnswers):
         self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
         self._level, self._naive = Level(**table["level"]), tuple(table["naive"])
         self._width = None if table["width"] is None else Width(**table["width"])
-        self._shared = None if table["spatial"] is None else Spatial(**table["spatial"])
         self._learned = []
         for number in range(table["count"]):
             network = self._build(table["size"], Spread(table["unit"], table["unit"]), self.seed)
@@ -252,17 +238,7 @@ class Sbml(PosteriorAnswers):
         """Readings of a training object under the prior of the one network that took no step on it: all before any
         touch, and the second half of them after the first."""
         blend, half = self._blended([prior], model, specimen.view), len(specimen.touches) // 2
-        return [self._after(model, specimen.touches[:k], blend).missed(specimen.touches[k:]) for k in (0, half)]
-
-    def _felt(self, model: ParticleModel, specimen: Specimen, prior: GaussianPrior) -> Felt:
-        """A training object under the prior of the one network that took no step on it."""
-        rows, readings, touch = model.plain(specimen.touches)
-        return Felt(readings, rows, touch, Places.of(model.particles), self._blended([prior], model, specimen.view))
-
-    def _after(self, model: ParticleModel, support: Sequence[Reading], prior: GaussianPrior) -> Posterior:
-        if self._shared is None:
-            return Posterior.under(model, support, prior)
-        return Alike.after(model, support, prior, self._shared, Places.of(model.particles))
+        return [Posterior.under(model, specimen.touches[:k], blend).missed(specimen.touches[k:]) for k in (0, half)]
 
     def _near(self, model: ParticleModel, view: View) -> np.ndarray:
         """Particles within two spacings of the visible surface, where touches reach (n,) bool."""

@@ -133,26 +133,6 @@ def test_several_networks_find_the_level_that_no_picture_shows(train, task, tmp_
 
 
 @pytest.mark.slow
-def test_neighbours_share_what_touches_tell(train, task, tmp_path):
-    near = Sbml(**{**FAST, "rate": 1e-2, "epochs": 6}, networks=3, spatial=True, growth=0.5)
-    near.meta_fit(train[:4])
-    errors = np.array([[error(near, task, range(k), index) for k in (0, 5)] for index in TEST])
-    assert near._shared.near > 0.1 and np.exp(np.log(errors[:, 1] / errors[:, 0]).mean()) < 0.8, errors
-    points = mock_view(10).view.points()[::40]
-    near.adapt(mock_view(10).view, [])
-    before = near.stiffness(points)
-    near.adapt(mock_view(10).view, record(mock_view(10), task).readings[:3])
-    after = near.stiffness(points)
-    assert (after.mean >= 0.0).all() and (after.std < before.std + 1e-9).all() and after.std.sum() < before.std.sum()
-    assert all((answer >= 0.0).all() for answer in near.predict([t.action for t in train[0].touches]))
-    near.save(tmp_path)
-    other = Sbml(**FAST, networks=3, spatial=True, growth=0.5, prior=str(tmp_path))
-    other.meta_fit([])
-    assert other._shared == near._shared and error(other, task, range(2)) == error(near, task, range(2))
-    with pytest.raises(VsfsimError, match="spatial needs several networks of structure HE"):
-        Sbml(spatial=True)
-
-
 def test_views_of_one_object_are_learned_from_or_held_out_together():
     names = [f"plants-{k:04d}" for k in range(6) for _ in range(4)]
     for networks, parts in ((1, 1), (3, 3), (9, 6)):
