@@ -54,7 +54,7 @@ BY_NAME = {"physics": {"scenes"}}
 HEAVY = {
     "core": {"numpy", "scipy"},
     "data": {"numpy", "h5py"},
-    "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild", "cholespy"},
+    "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},

@@ -17,7 +17,6 @@ from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.solve import increments, tangent_factor
 from vsfsim.physics.solve.work_check import WorkCheck
 
-_NEVER = 10**9  # iterations after which something is done
 Patch = Callable[[], list[Any]]
 
 
@@ -38,11 +37,8 @@ MECHANISMS: dict[str, tuple[str, Patch]] = {
         RigidContact, reach=Contact.reach)),
     "work": ("an equilibrium that lacks the work of the bodies is marked", _set(
         WorkCheck, snapped=lambda _self, columns, *_: torch.zeros(len(columns), dtype=torch.bool))),
-    "local factors": ("a factor of the most deformed nodes corrects the factor at rest", _set(
-        tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER)),
-    "whole factors": ("a factor of the whole deformed body preconditions", _set(tangent_factor, _FIRST=_NEVER)),
     "factors": ("a factor of a deformed state preconditions", _set(
-        tangent_factor, _NEAR=_NEVER, _VOLUME_NEAR=_NEVER, _FIRST=_NEVER)),
+        tangent_factor.TangentFactors, count=lambda *_: None)),
 }
 """What each does, and the patches without it."""
 

@@ -194,7 +194,8 @@ def test_touches_together_are_as_alone(cache, device):
     for b, way in enumerate(ways):
         alone, *_, own, _ = pressed(model, Sphere(0.008), way, device=device)
         # both within the tolerance of the balance, 5e-4 of the force
-        assert together.force[:, b] == pytest.approx(alone.force[:, 0], rel=2e-3, abs=2e-4)
+        apart = np.linalg.norm(together.force[:, b] - alone.force[:, 0], axis=1)
+        assert (apart < 5e-4 * np.linalg.norm(alone.force[:, 0], axis=1)).all(), apart
         assert pressure[:, b] == pytest.approx(own[:, 0], abs=1.0)
 
 

@@ -287,12 +287,11 @@ def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, line
     assert sdf.distance(ball, local).min() > -0.02 * model.element_size
 
 
-@pytest.mark.parametrize("linear", [False, True])
-def test_a_patch_that_grows_keeps_to_the_time_limit(block, line, linear, monkeypatch):
-    """What a larger patch needs may take longer than a frame has: the patch stays, and the frame is marked. A GPU has
-    the whole inverse and makes no columns."""
+def test_a_patch_that_grows_keeps_to_the_time_limit(block, line, monkeypatch):
+    """What a larger patch needs at the tier `linear` may take longer than a frame has: the patch stays, and the frame
+    is marked. A GPU has the whole inverse and makes no columns."""
     model = block((0.08, 0.04, 0.006), 0.01, young_modulus=1e6, fixed=(-0.041, -1, -1, -0.0399, 1, 1))
-    solver = Solver(model, Sphere(0.01), device="cpu", linear=linear, options=SolverOptions(seconds=1.0))
+    solver = Solver(model, Sphere(0.01), device="cpu", linear=True, options=SolverOptions(seconds=1.0))
     # the patch is planned for a pose far away, and the ball comes to the plate all the same
     plan, solve, far, begun = Reach.plan, RestFactor.solve, np.zeros((4, 4)), []
     far[2, 3] = 1.0

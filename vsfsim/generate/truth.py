@@ -55,7 +55,7 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray, *, de
         nodal = np.zeros(len(mesh.points))
         np.add.at(nodal, mesh.faces[face[near]], share[:, None] * values[local[near]])
         right[:, k] = (nodal[:, None] * -normal).ravel() * model.free
-    factor = model.factor if model.soft_factor is not None else model.predictor(device)
+    factor = model.factor
     moved = factor.solve_on(device, right)
     # of displacements that are off by e this is r . K^-1 r less e . K e: the error is the square of the factor's
     softness = ((2.0 * right - factor.stiffness @ moved) * moved).sum(axis=0)

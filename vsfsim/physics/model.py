@@ -26,7 +26,6 @@ MOST_NODES = 200_000
 """Of a body. The factor of a much larger one has more entries than the 32-bit indices of CHOLMOD number, which ends the
 process."""
 
-_LARGE = 4000  # nodes from which on the quick factor is made in place of the exact one; its solves take half the time
 
 
 @dataclass(frozen=True)
@@ -69,16 +68,6 @@ class Model:
         """The factor for predictions and preconditioning at large deformation."""
         return self.factor if self.soft_factor is None else self.soft_factor
 
-    def predictor(self, device: str) -> RestFactor:
-        """The `preconditioner` for rigid contact on a Warp ``device``: on a CPU the quick one where solves are the
-        cost, for large bodies and for nearly incompressible ones, which take many."""
-        quick = device == "cpu" and self._quick_serves
-        return self.preconditioner.quick(self.mesh.points) if quick else self.preconditioner
-
-    @property
-    def _quick_serves(self) -> bool:
-        return len(self.mesh.points) > _LARGE or self.keeps_volume
-
     def least_force(self) -> float:
         """Force [N] under which a force counts as zero: a billionth of the softest modulus on one element face, or a
         millionth of the weight."""
@@ -98,8 +87,8 @@ class Model:
         soft, make = self.soft_factor, functools.partial(RestFactor, free=free, points=self.mesh.points,
                                                          surface_nodes=self.mesh.surface_nodes())
         return dataclasses.replace(
-            self, free=free, factor=make(self.factor.stiffness, later=self._quick_serves),
-            soft_factor=None if soft is None else make(soft.stiffness, later=True))
+            self, free=free, factor=make(self.factor.stiffness),
+            soft_factor=None if soft is None else make(soft.stiffness))
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -230,9 +219,8 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     factor = functools.partial(RestFactor.of, free=free, surface_nodes=placed.surface_nodes(), points=placed.points)
     softer = tuple(block.softened() for block in blocks)
     compressible = all(a is b for a, b in zip(softer, blocks, strict=True))
-    soft = None if compressible else factor(assemble(len(placed.points), softer), later=True)
+    soft = None if compressible else factor(assemble(len(placed.points), softer))
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 factor(stiffness, later=soft is not None or len(placed.points) > _LARGE),
-                 soft_factor=soft)
+                 factor(stiffness), soft_factor=soft)

@@ -9,7 +9,7 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.run import kernels_of
 from vsfsim.physics import runtime
-from vsfsim.physics.linear.multifrontal import factor_kernels
+from vsfsim.physics.linear.cholesky import factor_kernels
 
 SCENES = "shoes-v3-mini", "shoes-v2-punyo-mini", "plants-v4-mini"  # solids, a bubble, plants
 

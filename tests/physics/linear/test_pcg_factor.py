@@ -165,7 +165,7 @@ def test_compliance_is_symmetric_and_equal_to_direct_solves(model):
 
 def test_columns_that_no_longer_fit_are_made_again(model):
     top = np.flatnonzero(model.mesh.points[:, 2] == 0.04)
-    small = RestFactor(model.factor.stiffness, model.free, model.mesh.surface_nodes())
+    small = RestFactor(model.factor.stiffness, model.free, model.mesh.surface_nodes(), model.mesh.points)
     small.columns_bytes = 8.0 * small.size * 3 * 12
     expected = small.whole_columns(top[:12])
     small.whole_columns(top[8:20])  # known ones and new ones, more together than are kept
@@ -210,11 +210,11 @@ def test_the_same_matrix_is_factorised_once(model):
     """By content: an equal stiffness made anew finds the factor; another support does not."""
     again = model.factor.stiffness.copy()
     nodes = model.mesh.surface_nodes()
-    first = RestFactor.of(again, model.free, nodes)
-    assert RestFactor.of(again.copy(), model.free.copy(), nodes) is first
+    first = RestFactor.of(again, model.free, nodes, model.mesh.points)
+    assert RestFactor.of(again.copy(), model.free.copy(), nodes, model.mesh.points) is first
     other = model.free.copy()
     other[np.flatnonzero(other == 1.0)[:3]] = 0.0
-    assert RestFactor.of(again, other, nodes) is not first
+    assert RestFactor.of(again, other, nodes, model.mesh.points) is not first
 
 
 @pytest.mark.parametrize("few", [True, False], ids=["columns kept", "triangular solves"])
@@ -275,7 +275,7 @@ def test_a_new_body_frees_the_columns_of_the_body_before():
 
     def body(modulus):
         matrix = modulus * (3.0 * np.eye(60) + np.eye(60, k=1) + np.eye(60, k=-1))
-        return RestFactor.of(sp.csr_matrix(matrix), np.ones(60), np.arange(20))
+        return RestFactor.of(sp.csr_matrix(matrix), np.ones(60), np.arange(20), np.eye(20, 3))
 
     one = body(1.0)
     before, whole = one.compliance(np.arange(8), np.arange(8)), one.whole_columns(np.arange(8))

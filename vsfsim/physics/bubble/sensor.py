@@ -254,7 +254,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     stopped = np.flatnonzero((free[2::3] > 0.0) & (points[:, 2] >= -spec.chamber))
     plate = stop.block(stopped, int(rim[0]), points, _STOP * spec.modulus, below=spec.chamber)
     blocks = (*elastic_blocks(spec, points, flat, faces), air, plate)
-    factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(),
+    factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(), points,
                                *gas.rest_coupling(air, len(points)))
     edge = mesh.edge(touched)
     total, edges = membrane_mesh.READ_OUT

@@ -71,13 +71,11 @@ class Contact(Protocol):
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
         """Move the bodies to ``pose`` (B, K, 4, 4); ``columns`` are about to be solved there."""
 
-    def gather(self, u: torch.Tensor) -> torch.Tensor:
-        """Displacements [m] or forces [N] of all patches (B, 3 s) out of those of all nodes u (3 n, B)."""
-        return u.gather(0, self.dof.clamp(min=0).T).T * self.mask
-
-    def gather_of(self, columns: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-        """The same of the touches ``columns`` (k,) alone, u (3 n, k): (k, 3 s)."""
-        return u.gather(0, self.dof[columns].clamp(min=0).T).T * self.mask[columns]
+    def gather(self, u: torch.Tensor, columns: torch.Tensor | None = None) -> torch.Tensor:
+        """Displacements [m] or forces [N] of the patches (k, 3 s) of ``columns`` (k,), None for all, out of those of
+        all nodes u (3 n, k)."""
+        dof, mask = (self.dof, self.mask) if columns is None else (self.dof[columns], self.mask[columns])
+        return u.gather(0, dof.clamp(min=0).T).T * mask
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """Find gaps, forces and stiffness at displacements (k, 3 s) [m] of the patches. The methods below report what

@@ -220,8 +220,8 @@ class MissingCompliance:
     Args:
         model: the object, of quadratic tetrahedra.
         response: of the body at rest to forces.
-        compliance: of the patches of the touches (B, 3 s, 3 s) [m/N].
         faces: nodes and shape values of the parts of the patches, see `face_sums`.
+        width: nodes of a patch s.
     """
 
     @staticmethod
@@ -229,10 +229,9 @@ class MissingCompliance:
         """Whether an object of these elements lacks anything under bodies of these ``shapes``."""
         return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in shapes)
 
-    def __init__(self, model: Model, response: Response, compliance: torch.Tensor,
-                 faces: tuple[torch.Tensor, torch.Tensor]):
-        self._response, self._compliance, self._parts = response, compliance, faces
-        tensor = functools.partial(torch.as_tensor, device=compliance.device)
+    def __init__(self, model: Model, response: Response, faces: tuple[torch.Tensor, torch.Tensor], width: int):
+        self._response, self._parts, self._width = response, faces, width
+        tensor = functools.partial(torch.as_tensor, device=faces[0].device)
         self._nu, mesh = poisson_ratio(model) or 0.0, model.mesh
         a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
         self._of_face, across = model.surface_modulus, np.cross(b - a, c - a)
@@ -300,12 +299,16 @@ class MissingCompliance:
         """Work [m/N] of the touches ``at`` (k,) under forces along ``normal`` (k, 3), which its contact points share by
         their ``weight`` (k, 6 f), twice it."""
         out = []
-        shares = nodal_sums(*(part[at] for part in self._parts), weight[:, :, None], self._compliance.shape[1] // 3)
+        shares = nodal_sums(*(part[at] for part in self._parts), weight[:, :, None], self._width)
+        pushed = torch.zeros((len(self._parts[0]), self._width), dtype=torch.bool, device=at.device)
+        pushed[at] = shares[:, :, 0] > 0.0
+        self._response.prepare(pushed)
+        compliance = self._response.compliance()
         for b, nodes, n in zip(at.tolist(), shares[:, :, 0], normal, strict=True):
             some = nodes.nonzero()[:, 0]
             force = (nodes[some, None] * n).flatten()
             dof = (3 * some[:, None] + torch.arange(3, device=some.device)).flatten()
-            out.append(force @ self._compliance[b][dof[:, None], dof] @ force)
+            out.append(force @ compliance[b][dof[:, None], dof] @ force)
         return torch.stack(out)
 
     def _wide(self, place: torch.Tensor, normal: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:

@@ -155,17 +155,24 @@ class RigidContact(PointStiffness, Contact):
             "force": self.force, "rows": self._rows, "geometric": self._geometric, "coupling": self._coupling,
             "slips": self.slips, "held": self.held, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
         if not same:  # the same nodes may have more points
-            self.response: Response = response(self.model.factor if self._exact else self.model.predictor(self.device),
-                                               self.dof, device=self.device, exact=self._exact)
-            self.compliance = self.response.compliance()
-            self.yielding = self.compliance if self.springs is None else self.springs.yielding(self.compliance)
-        missing = self._by_place and MissingCompliance(self.model, self.response, self.compliance,
-                                                       (self._local, self._values))
+            self.response: Response = response(self.model.factor if self._exact else self.model.preconditioner,
+                                               self.dof, device=self.device, exact=self._exact, lazy=not self._exact)
+        missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
         self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, at_rest,
                                                    on=self._sinks, missing=missing or None)
         self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
         rigid_kernels.bind(k.Points, self._points, self._local_indentation.arrays, cut)
+
+    @property
+    def compliance(self) -> torch.Tensor:
+        """See `Contact`; 0 at nodes that have not been touched yet."""
+        return self.response.compliance()
+
+    @property
+    def yielding(self) -> torch.Tensor:
+        """That, and in series with it the compliance of springs that carry the bodies (B, 3 s, 3 s) [m/N]."""
+        return self.compliance if self.springs is None else self.springs.yielding(self.compliance)
 
     def _place(self, bodies: list[torch.Tensor], pose: np.ndarray) -> None:
         for own, values in zip(bodies, (pose[..., :3, 3], pose[..., :3, :3]), strict=True):

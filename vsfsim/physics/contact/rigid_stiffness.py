@@ -8,6 +8,7 @@ import torch
 
 from vsfsim.physics.contact.face_sums import at_points, nodal_sums
 from vsfsim.physics.contact.stiffness_block import ContactBlock, assembled
+from vsfsim.physics.linear.rest_factor import Response
 from vsfsim.physics.solve.mount import Springs
 
 
@@ -18,8 +19,8 @@ class PointStiffness:
     has_friction: bool
     gap: torch.Tensor
     coulomb: torch.Tensor
+    response: Response
     yielding: torch.Tensor
-    """Compliance of the patches (B, 3 s, 3 s) [m/N], and in series with it that of springs that carry the bodies."""
     free: torch.Tensor
     held: torch.Tensor
     springs: Springs | None
@@ -75,5 +76,10 @@ class PointStiffness:
         if self.gap.device.type != "cpu":
             geometric = None
         own = assembled(*self._faces(columns), self.own_stiffness(columns, geometric), self.free[columns])
+        if not isinstance(own, torch.Tensor):
+            touched = torch.zeros((self.batch, self.free.shape[1] // 3), dtype=torch.bool)
+            for b, matrix in zip(columns.tolist(), own.matrices, strict=True):
+                touched[b, torch.as_tensor(matrix.indices // 3).long()] = True
+            self.response.prepare(touched)
         return ContactBlock.of(own, self.yielding[columns] if len(columns) < self.batch else self.yielding,
                                nodes=self.has_friction, real=real)

@@ -19,10 +19,6 @@ class SparseStiffness:
     def __getitem__(self, which: torch.Tensor) -> SparseStiffness:
         return SparseStiffness([self.matrices[b] for b in _entries(which)])
 
-    def __setitem__(self, which: torch.Tensor, other: SparseStiffness) -> None:
-        for b, matrix in zip(_entries(which), other.matrices, strict=True):
-            self.matrices[b] = matrix
-
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
         return _stacked([torch.as_tensor(c @ x.numpy()) for c, x in zip(self.matrices, v, strict=True)])
 

@@ -86,7 +86,6 @@ def softened(block: Block) -> Block:
     e. A preconditioner with the whole lambda is then wrong by a factor of 1 + (lambda/mu) e^2, both ways. With a lower
     lambda it is too soft for volumes, which costs fewer iterations: without other factors S1 at nu = 0.499 takes 128
     conjugate gradients in its last frame with the whole of it and 45 with 30 mu, at nu = 0.4999 more than 1,500 and 83.
-    With a local factor where it is strained (`linear/local_factor.py`) 120 mu serves better than 30 mu.
     """
     p = block.parameters
     mu = p["mu"].mean(axis=1)

@@ -14,8 +14,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 _LEAF = 12  # nodes that are not cut any further: a dense front of 36 unknowns
-_CUTS = (0.4, 0.5, 0.6)  # shares of the nodes on one side that are tried, along each axis
-_LARGE = 60  # nodes above which all axes and shares are tried: there cuts cost most
+_LARGE = 60  # nodes above which all axes are tried: there cuts cost most
 
 
 @dataclass(frozen=True)
@@ -78,15 +77,14 @@ def _halves(graph: sp.csr_matrix, points: np.ndarray,
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for axis in axes:
         order = np.argsort(at[:, axis], kind="stable")
-        for share in _CUTS if len(nodes) > _LARGE else (0.5,):
-            left = np.zeros(len(nodes), bool)
-            left[order[:int(share * len(nodes))]] = True
-            separator = vertex_cover(part, left)
-            sizes = (left & ~separator).sum(), (~left & ~separator).sum()
-            # the front of the separator costs its cube, and the halves are no use if one of them is nearly all
-            cost = separator.sum() * (1.0 + 4.0 * max(0.0, max(sizes) / len(nodes) - 0.6))
-            if best is None or cost < best[0]:
-                best = (cost, separator, left)
+        left = np.zeros(len(nodes), bool)
+        left[order[:len(nodes) // 2]] = True
+        separator = vertex_cover(part, left)
+        sizes = (left & ~separator).sum(), (~left & ~separator).sum()
+        # the front of the separator costs its cube, and the halves are no use if one of them is nearly all
+        cost = separator.sum() * (1.0 + 4.0 * max(0.0, max(sizes) / len(nodes) - 0.6))
+        if best is None or cost < best[0]:
+            best = (cost, separator, left)
     _, separator, left = best
     return nodes[separator], (nodes[left & ~separator], nodes[~left & ~separator])
 

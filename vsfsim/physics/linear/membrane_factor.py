@@ -28,7 +28,7 @@ class MembraneFactor(RestFactor):
     """As `RestFactor`, for S + c g g^T with the supports held; ``stiffness`` is S alone.
 
     Args:
-        stiffness, free, surface_nodes: as `RestFactor`.
+        stiffness, free, surface_nodes, points: as `RestFactor`.
         gradient: g (3 n,) [m^2].
         rate: c [Pa/m^3], 0 for an open chamber.
     """
@@ -36,9 +36,9 @@ class MembraneFactor(RestFactor):
     coupling: tuple[np.ndarray, float]
     """g, supports not held (3 n,) [m^2], and c [Pa/m^3]."""
 
-    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray,
-                 rate: float):
-        super().__init__(stiffness, free, surface_nodes)
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, points: np.ndarray,
+                 gradient: np.ndarray, rate: float):
+        super().__init__(stiffness, free, surface_nodes, points)
         self.coupling = (gradient, rate)
         own = gradient * free
         answer = super().solve(own[:, None])[:, 0]
@@ -46,7 +46,7 @@ class MembraneFactor(RestFactor):
         self._share = rate / (1.0 + rate * float(own @ answer))
 
     @classmethod
-    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray,
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, points: np.ndarray,
            gradient: np.ndarray | None = None, rate: float = 0.0) -> MembraneFactor:
         """As `RestFactor.of`; arguments as the class."""
         assert gradient is not None
@@ -56,7 +56,7 @@ class MembraneFactor(RestFactor):
             digest.update(np.ascontiguousarray(part).tobytes())
         key = digest.hexdigest()
         if key not in _factors:
-            _factors[key] = cls(stiffness, free, surface_nodes, gradient, rate)
+            _factors[key] = cls(stiffness, free, surface_nodes, points, gradient, rate)
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
@@ -64,7 +64,13 @@ class MembraneFactor(RestFactor):
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
-        out = super().solve(right)
+        return self._coupled(super().solve(right))
+
+    def apply(self, right: np.ndarray) -> np.ndarray:
+        """As `RestFactor.apply`."""
+        return self._coupled(super().apply(right))
+
+    def _coupled(self, out: np.ndarray) -> np.ndarray:
         return out - self._answer[:, None] * (self._share * (self._own @ out))
 
     def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """The rest-state stiffness, inverted once for an object: it serves every touch of it.
 
-On the CPU it is a sparse Cholesky factor (CHOLMOD through cholespy, of a large body `large_factor`) and, for few
-touches, the columns of the inverse under the patch. On a GPU it is the dense inverse, so that one product (n x n x B)
-serves all touches at once where triangular solves would be slow.
+On the CPU it is a sparse Cholesky factor (`cholesky`) and, for few touches, the columns of the inverse under the patch.
+On a GPU it is the dense inverse, so that one product (n x n x B) serves all touches at once where triangular solves
+would be slow.
 """
 
 from __future__ import annotations
@@ -10,27 +10,27 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections import OrderedDict
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 import torch
 
 from vsfsim.physics import clock
+from vsfsim.physics.linear.cholesky import Cholesky, Order, blocks_of
 from vsfsim.physics.linear.dense_inverse import DenseResponse, dense_inverse, times
-from vsfsim.physics.linear.elimination import Order, blocks_of
-from vsfsim.physics.linear.large_factor import LargeFactor
-from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
 
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
 _KEPT = 4  # factors kept in this process, by content
 _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
 # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
 _ROWS, _SPARSE = 32, 0.4
-_LARGE = 60_000  # unknowns from which on `LargeFactor` takes a fifth of CHOLMOD's time or less
 DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a moment: 102 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
+
+_TRUST = 2e-2  # relative error in the energy norm up to which a short inverse preconditions as well as the exact one
 
 
 def forget_all() -> None:
@@ -46,8 +46,7 @@ class RestFactor:
         stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
         surface_nodes: nodes (s,) that `compliance` may be asked for.
-        later: factorise at the first use.
-        points: places of the nodes (n, 3) [m], which guide the elimination of a large body; CHOLMOD serves without.
+        points: places of the nodes (n, 3) [m], which guide the elimination.
     """
 
     size: int
@@ -55,35 +54,12 @@ class RestFactor:
     stiffness: sp.csr_matrix
     """The rest stiffness, supports not held (3 n, 3 n) [N/m]."""
     seconds: float
-    """Duration of the factorisation [s], 0 before it."""
+    """Duration of the factorisation [s], 0 before its first use."""
     columns_bytes: float = 512e6
     """Memory for columns of the inverse, of the touches of one run [byte]."""
-    _kept: type = np.float64  # of the whole columns
 
-    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *, later: bool = False,
-                 points: np.ndarray | None = None):
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, points: np.ndarray):
         self.seconds, self._points = 0.0, points
-        self._begin(stiffness, free, surface_nodes)
-        if not later:
-            self._solver  # noqa: B018  the factor is made here
-
-    @functools.cached_property
-    def _solver(self) -> Any:
-        began = clock.now()
-        k = self._held
-        # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
-        if self._points is not None and self.size >= _LARGE:
-            large = LargeFactor(self.order(self._points), np.asarray(blocks_of(k).data, np.float64))
-            self.seconds = clock.now() - began
-            return large
-        import cholespy  # CHOLMOD; only a body that is solved needs it
-
-        solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
-                                          k.data.astype(np.float64), cholespy.MatrixType.COO)
-        self.seconds = clock.now() - began
-        return solver
-
-    def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
         self.stiffness, self.free = stiffness, free
         mask = sp.diags(free)
         self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
@@ -95,12 +71,30 @@ class RestFactor:
         self._whole: dict[int, np.ndarray] = {}
         self._dense: dict[str, torch.Tensor] = {}
         self._on = ""
-        self._quick: RestFactor | None = None
-        self._order: Order | None = None
+
+    @functools.cached_property
+    def order(self) -> Order:
+        """The order of elimination of this body's mesh."""
+        return Order(self._blocks, self._points)
+
+    @functools.cached_property
+    def _blocks(self) -> sp.bsr_matrix:
+        return blocks_of(self._held)
+
+    @functools.cached_property
+    def _held_rows(self) -> sp.csr_matrix:
+        return self._held.tocsr()
+
+    @functools.cached_property
+    def _solver(self) -> Cholesky:
+        began = clock.now()
+        out = Cholesky(self.order, np.asarray(self._blocks.data, np.float64))
+        self.seconds = clock.now() - began
+        return out
 
     @classmethod
-    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *, later: bool = False,
-           points: np.ndarray | None = None) -> RestFactor:
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray,
+           points: np.ndarray) -> RestFactor:
         """The factor of this matrix: the one that this process made before, or a new one; arguments as the class."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
@@ -109,7 +103,7 @@ class RestFactor:
         if key not in _factors:
             for other in _factors.values():
                 other.forget()
-            _factors[key] = cls(stiffness, free, surface_nodes, later=later, points=points)
+            _factors[key] = cls(stiffness, free, surface_nodes, points)
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
@@ -117,38 +111,17 @@ class RestFactor:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
-        right = np.ascontiguousarray(right, dtype=np.float64)
-        out = np.empty_like(right)
-        for start in range(0, right.shape[1], _CHUNK):
-            part = np.ascontiguousarray(right[:, start:start + _CHUNK])
-            result = np.empty_like(part)
-            self._solver.solve(part, result)
-            out[:, start:start + _CHUNK] = result
-        return out
+        out = self._solver.solve(right)
+        return out + self._solver.solve(right - self._held_rows @ out)
+
+    def apply(self, right: np.ndarray) -> np.ndarray:
+        """As `solve`, to single precision in the energy norm, in less than half of the time."""
+        return self._solver.solve(right)
 
     def solve_on(self, device: str, right: np.ndarray) -> np.ndarray:
         """As `solve`, by the `dense` inverse if the device has it."""
         there = self._dense.get(device)
         return self.solve(right) if there is None else times(there, right)
-
-    def quick(self, points: np.ndarray) -> RestFactor:
-        """A factor of the same body with fewer digits, which takes a third of the time, for predictions and as a
-        preconditioner; this factor itself if the quick one is not accurate enough.
-
-        Args:
-            points: places of the nodes (n, 3) [m].
-        """
-        if self._quick is None:
-            self._quick = QuickFactor.of_trusted(self, points) or self
-            if self._quick is self:
-                self._solver  # noqa: B018  it will be needed: made now, not in the time of a frame
-        return self._quick
-
-    def order(self, points: np.ndarray) -> Order:
-        """The order of elimination of this body's mesh, made once; its nodes are at ``points`` (n, 3) [m]."""
-        if self._order is None:
-            self._order = Order(blocks_of(self._held), points)
-        return self._order
 
     def make(self, nodes: np.ndarray, *, whole: bool, deadline: float = float("inf")) -> bool:
         """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
@@ -164,12 +137,12 @@ class RestFactor:
             for j, i in enumerate(part):
                 right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
             answer = self.solve(right)
-            if whole and self._kept().nbytes * self.size * 3 * (len(self._whole) + len(part)) > self.columns_bytes:
+            if whole and 8.0 * self.size * 3 * (len(self._whole) + len(part)) > self.columns_bytes:
                 # those asked for stay: the caller has limited them to `columns_bytes` for all its touches
                 asked = {int(i) for i in nodes}
                 self._whole = {i: column for i, column in self._whole.items() if i in asked}
             surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
-            rows = np.ascontiguousarray(answer.T, dtype=self._kept) if whole else None
+            rows = np.ascontiguousarray(answer.T) if whole else None
             for j, i in enumerate(part):
                 self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
                 if rows is not None:
@@ -180,14 +153,12 @@ class RestFactor:
         """Give back the memory of the columns; they are made again if they are asked for."""
         for kept in (self._columns, self._whole, self._dense):
             kept.clear()
-        if self._quick is not None and self._quick is not self:
-            self._quick.forget()
 
     def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
         self.make(nodes, whole=True)
         return np.concatenate([self._whole[int(i)]
-                               for i in nodes]) if len(nodes) else np.zeros((0, self.size), self._kept)
+                               for i in nodes]) if len(nodes) else np.zeros((0, self.size))
 
     def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
         """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N];
@@ -224,28 +195,14 @@ class RestFactor:
         return self._moved
 
 
-class QuickFactor(RestFactor):
-    """A rest-state factor by `multifrontal`: accurate to about one per cent, which is enough for predictions and as a
-    preconditioner."""
-
-    _kept = np.float32
-
-    def __init__(self, exact: RestFactor, solver: Multifrontal):
-        self._begin(exact.stiffness, exact.free, exact._surface)
-        self._solver, self._order = solver, solver.order
-        self.seconds = solver.seconds
-
-    @classmethod
-    def of_trusted(cls, exact: RestFactor, points: np.ndarray, *, within: float = TRUST) -> QuickFactor | None:
-        """The quick factor, or None if its relative error for this body is not ``within`` a limit: it is tried with
-        uniform forces along each axis and with random ones."""
-        solver = Multifrontal.of(exact._held, points)
-        accurate = trusted(exact._held, solver.solve, _loads(exact), within=within)
-        return cls(exact, solver) if accurate else None
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """As `RestFactor.solve`, approximately."""
-        return self._solver.solve(right)
+def trusted(matrix: sp.spmatrix, solve: Callable[[np.ndarray], np.ndarray], loads: np.ndarray, *,
+            within: float = _TRUST) -> bool:
+    """Whether ``solve`` answers ``loads`` (3 n, k) to the relative error ``within`` in the matrix's energy norm."""
+    x = solve(loads)
+    miss = loads - matrix @ x
+    # |e|_A^2 = e . A e with e = A^-1 miss, itself found by the factor; |x|_A^2 = x . b
+    error, energy = np.einsum("ij,ij->j", solve(miss), miss), np.einsum("ij,ij->j", x, loads)
+    return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= within**2 * energy).all())
 
 
 def _loads(factor: RestFactor) -> np.ndarray:
@@ -315,13 +272,14 @@ class _Sparse:
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
         self._factor, self._dof = factor, dof
         self.took = 0.0
+        self._exact, self._real = exact, torch.float64 if exact else torch.float32
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
         few = self._few(width)
-        self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32,
-                                  device=device) if few else None
+        self._whole = torch.zeros((len(dof), width, factor.size), dtype=self._real, device=device) if few else None
         self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
-        self._ready = np.zeros((len(dof), width // 3), bool)
+        self._symmetric: torch.Tensor | None = None
+        self._ready, self._lazy = np.zeros((len(dof), width // 3), bool), lazy
         if not lazy:
             self.prepare(torch.as_tensor(np.arange(width // 3) < np.array([len(n) for n in self._nodes])[:, None]))
 
@@ -332,6 +290,8 @@ class _Sparse:
 
     def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
         """See `Response`."""
+        if self._lazy:
+            return True
         whole = self._few(3 * max(len(n) for n in nodes))
         return self._factor.make(np.unique(np.concatenate(nodes)), whole=whole, deadline=deadline)
 
@@ -341,7 +301,7 @@ class _Sparse:
         for b, asked in enumerate(nodes.cpu().numpy() & ~self._ready):
             if not asked.any():
                 continue
-            more = True
+            more, self._symmetric = True, None
             self._ready[b] |= asked
             new, own = self._nodes[b][asked[:len(self._nodes[b])]], self._nodes[b]
             at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
@@ -352,11 +312,14 @@ class _Sparse:
         return more
 
     def compliance(self) -> torch.Tensor:
-        return 0.5 * (self._compliance + self._compliance.mT)
+        if self._symmetric is None:
+            self._symmetric = 0.5 * (self._compliance + self._compliance.mT)
+        return self._symmetric
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         began = clock.now()
-        out = torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
+        solve = self._factor.solve if self._exact else self._factor.apply
+        out = torch.as_tensor(solve(right.detach().cpu().numpy()), device=right.device)
         self.took = clock.now() - began
         return out
 

@@ -10,7 +10,7 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import SolverOptions
-from vsfsim.physics.solve.tangent_factor import TangentFactors, touched_unknowns
+from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 _LAST, _LOOSE = 0.5, 0.3  # of nearly incompressible bodies: share of the step's tolerance to solve to, and the most
 
@@ -56,29 +56,24 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
-    local = [None if factors is None else factors.local_of(b) for b in columns.tolist()]
     own_factor = [None if factors is None else factors.of(b) for b in columns.tolist()]
     touched = bool(contact.touches(columns).any())
-    # a local factor has the contact in it; the factor at rest has not, and is corrected for it where no other has
-    knows = [part is not None and part.holds(touched_unknowns(contact, stiffness, k, b)) if own is None else True
-             for k, (b, part, own) in enumerate(zip(columns.tolist(), local, own_factor, strict=True))]
-    block = contact.block(columns) if touched and not all(knows) else None
+    # a factor of a deformed state has the contact in it; the one at rest is corrected for it
+    block = contact.block(columns) if touched and None in own_factor else None
 
     class Part:
         """What the products need of the columns ``which``."""
 
         def __init__(self, which: torch.Tensor | None):
             own = columns if which is None else columns[which]
+            picked = range(len(own)) if which is None else which.tolist()
             self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
             self.mask = contact.mask[own]
             self.at = contact.dof[own].clamp(min=0).T
-            picked = range(len(own)) if which is None else which.tolist()
             self.factors = [(j, own_factor[k]) for j, k in enumerate(picked) if own_factor[k] is not None]
-            self.local = [(j, local[k]) for j, k in enumerate(picked) if local[k] is not None]
+            self.resting = contact.mask.new_tensor([[1.0 * (own_factor[k] is None)] for k in picked])
             if touched:
                 self.stiffness = stiffness if which is None else stiffness[which]
-            missing = [[0.0 if knows[k] else 1.0] for k in picked]
-            self.lacks = contact.mask.new_tensor(missing) if any(not knows[k] for k in picked) else None
             if block is not None:
                 self.block = block if which is None else block.pick(which)
 
@@ -105,17 +100,11 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
         with clock.measure("back-solves"):
-            right = r.clone() if own.local else r
-            begun = [inner.before(right[:, j].numpy()) for j, inner in own.local]
-            for (j, _), (_, left) in zip(own.local, begun, strict=True):
-                right[:, j] = torch.as_tensor(left)
-            y = torch.empty_like(right) if len(own.factors) == right.shape[1] else response.solve(right)
-            if block is not None and own.lacks is not None:
-                y = y - response.patch(own.columns, own.lacks * own.block.apply(own.patch(y)))
+            y = torch.empty_like(r) if len(own.factors) == r.shape[1] else response.solve(r)
+            if block is not None:
+                y = y - response.patch(own.columns, own.resting * own.block.apply(own.patch(y)))
             for j, factor in own.factors:
-                y[:, j:j + 1] = torch.as_tensor(factor.solve(right[:, j:j + 1].numpy()))
-            for (j, inner), (first, _) in zip(own.local, begun, strict=True):
-                y[:, j] = torch.as_tensor(inner.after(r[:, j].numpy(), first, y[:, j].numpy()))
+                y[:, j:j + 1] = torch.as_tensor(factor.solve(r[:, j:j + 1].numpy()))
         return y
 
     if not contact.symmetric:
@@ -126,10 +115,4 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                                          plain=plain, deadline=deadline, resident=response.resident)
     if factors is not None:
         factors.count(columns, steps)
-        # a factor in short numbers may round to an indefinite one: then there is no step, and it is dropped
-        none = ((steps == 0) & (residual != 0.0).any(dim=0)).nonzero()[:, 0]
-        if len(none) and factors.drop(columns[none]):
-            direction[:, none], steps[none], curved[none] = newton_direction(
-                elasticity, contact, columns[none], residual[:, none], near=near[none], tolerance=tolerance[none],
-                iterations=iterations, plain=plain, deadline=deadline, factors=factors)
     return direction, steps, curved

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.linear.elimination import Order
+from vsfsim.physics.linear.cholesky import Order
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
@@ -252,17 +252,15 @@ class Elasticity:
             elif own.tangent is not None:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
 
-    def add_matrices(self, touch: int, order: Order, values: np.ndarray, at_nodes: np.ndarray | None = None) -> None:
+    def add_matrices(self, touch: int, order: Order, values: np.ndarray) -> None:
         """Add the tangents of all elements of one touch, on a CPU, to the blocks ``values`` (b, 3, 3) [N/m] of a matrix
-        in this ``order``, supports not held: products of each element with the unit vectors of its own nodes. With
-        ``at_nodes`` (n,) bool only elements that have one of these nodes are added."""
+        in this ``order``, supports not held: products of each element with the unit vectors of its own nodes."""
         at = self._at.numpy()[:, touch]
         for block, own, model, state in zip(self.blocks, self._of, self._model, self._state, strict=True):
             size, shared = 3 * block.nodes.shape[1], getattr(own, "shared", ())
-            chosen = np.arange(len(block)) if at_nodes is None else np.flatnonzero(at_nodes[block.nodes].any(axis=1))
-            for first in range(0, len(chosen), _TOGETHER):
-                rows = chosen[first:first + _TOGETHER]
-                count = len(rows)
+            for first in range(0, len(block), _TOGETHER):
+                rows = slice(first, first + _TOGETHER)
+                count = len(block.nodes[rows])
                 nodes = block.nodes[rows].astype(np.int64)
                 places = order.find(nodes[:, :, None], nodes[:, None, :])
                 own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]

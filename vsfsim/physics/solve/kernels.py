@@ -8,7 +8,7 @@ from typing import Any
 from vsfsim.physics.contact import intrusion, line_search, rigid_kernels
 from vsfsim.physics.contact.pair import kernels as pair_kernels
 from vsfsim.physics.elements.block import kernels_of
-from vsfsim.physics.linear.multifrontal import factor_kernels
+from vsfsim.physics.linear.cholesky import factor_kernels
 from vsfsim.physics.solve import elasticity, mount_kernels
 
 

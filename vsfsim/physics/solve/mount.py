@@ -152,8 +152,5 @@ class YieldingStiffness:
     def __getitem__(self, which: torch.Tensor) -> YieldingStiffness:
         return YieldingStiffness(self.fixed[which], self.toward[which], self.back[which])
 
-    def __setitem__(self, which: torch.Tensor, other: YieldingStiffness) -> None:
-        self.fixed[which], self.toward[which], self.back[which] = other.fixed, other.toward, other.back
-
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
         return torch.baddbmm(self.fixed @ v, self.toward[:, :, None], self.back[:, None] @ v, alpha=-1.0)

@@ -71,7 +71,6 @@ class Equilibrium:
 
     def reset_counts(self) -> None:
         """Count iterations from zero."""
-        self.factors.begin_frame()
         self.newton, self.cg, self.reason = (np.zeros(len(self.every), int) for _ in range(3))
 
     def exhausted(self, host: np.ndarray) -> np.ndarray:
@@ -105,7 +104,7 @@ class Equilibrium:
 
     def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
         """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
-        self.contact.evaluate(columns, self.contact.gather_of(columns, moved))
+        self.contact.evaluate(columns, self.contact.gather(moved, columns))
 
     def renew_friction(self, columns: torch.Tensor) -> State:
         """The state after renewing friction limits and tangent planes; the measure counts Coulomb's residual, too."""
@@ -257,7 +256,7 @@ class Equilibrium:
         base = self.u[:, columns]
         potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
         slope = (state["residual"][:, at] * direction).sum(dim=0)
-        reach = self.contact.reach(columns, self.contact.gather_of(columns, direction))
+        reach = self.contact.reach(columns, self.contact.gather(direction, columns))
         step = torch.where(reach < 1.0, (_SHORT_OF * reach).clamp(min=_LEAST), 1.0)
         moved, pending = torch.zeros_like(slope, dtype=torch.bool), torch.arange(len(columns), device=self.device)
         for halvings in range(12):

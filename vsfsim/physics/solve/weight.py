@@ -31,7 +31,7 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
     contact.move(pose, balance.every)
     contact.softening[:] = 0.0  # nothing touches yet
     balance.options = dataclasses.replace(options, newton=_NEWTON)
-    linear = model.predictor(balance.device).solve((model.load * model.free)[:, None])
+    linear = model.preconditioner.solve((model.load * model.free)[:, None])
     slope = torch.as_tensor(linear, dtype=torch.float64, device=balance.device)
     done, part, u = 0.0, 1.0, torch.zeros_like(slope)
     while done < 1.0 and part >= _LEAST and clock.now() < deadline:

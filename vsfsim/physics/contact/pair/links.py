@@ -23,12 +23,6 @@ class Compliance:
     on_sensor: torch.Tensor
     """Of the c sensor nodes, in the sensor's frame (B, 3 c, 3 c) [m/N]."""
 
-    def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them."""
-        split = self.on_object.shape[1]
-        return torch.cat([times(some(self.on_object, columns), force[:, :split]),
-                          times(some(self.on_sensor, columns), force[:, split:])], dim=1)
-
 
 @dataclass(frozen=True)
 class Links:
@@ -118,11 +112,6 @@ def some(table: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
     return table if len(which) == len(table) else table[which]
 
 
-def times(matrix: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
-    """Products (k, p) of matrices (k, p, q) and vectors (k, q)."""
-    return (matrix @ vector[:, :, None])[:, :, 0]
-
-
 @dataclass(frozen=True)
 class LinkStiffness:
     """The contact stiffness J^T J (directions carry the roots) as an operator: ``stiffness @ v`` for v (k, 3 s, 1)."""
@@ -132,9 +121,6 @@ class LinkStiffness:
 
     def __getitem__(self, which: torch.Tensor) -> LinkStiffness:
         return LinkStiffness(None if self.links is None else self.links.pick(which), self.free[which])
-
-    def __setitem__(self, which: torch.Tensor, other: LinkStiffness) -> None:
-        """The stiffness of a pair has no part that a retry would leave out: it is the same."""
 
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
         if self.links is None:

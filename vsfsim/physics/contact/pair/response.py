@@ -32,9 +32,8 @@ class PairResponse:
         inverse = sensor.factor.solve(np.diag(sensor.free))
         self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=self.device)
         self._sensor_single = self._sensor_compliance.to(torch.float32)
-        factor = model.preconditioner.quick(model.mesh.points) if self.device == "cpu" else model.preconditioner
-        self._object: Response = response(factor, surfaces.dof[:, :surfaces.width].reshape(surfaces.batch, -1),
-                                          device=self.device, exact=False, lazy=True)
+        dof = surfaces.dof[:, :surfaces.width].reshape(surfaces.batch, -1)
+        self._object: Response = response(model.preconditioner, dof, device=self.device, exact=False, lazy=True)
         self._object_compliance = self._object.compliance()
 
     @property

@@ -1,0 +1,315 @@
+"""A sparse Cholesky factor: dense fronts along a nested dissection of the mesh.
+
+CHOLMOD, as cholespy calls it, eliminates column by column at the speed of the memory; dense fronts (Duff and Reid 1983)
+let the processor work at its full speed. Of a front with the pivots A and the rows B below them, A^-1 and G = B A^-1
+are kept, so that a solve is products with dense blocks,
+
+    x_B -= G x_A  (children first),     x_A = A^-1 x_A - G^T x_B  (parents first).
+
+The elimination is in double precision. The blocks are kept in single precision, because reading them is the cost of a
+solve: every entry is rounded relative to the compliances of its own unknowns, so that soft parts beside stiff ones keep
+their digits. One refinement makes the answer exact (`RestFactor.solve`).
+"""
+
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import warp as wp
+from scipy.linalg import lapack
+
+from vsfsim.core.errors import MeshError
+from vsfsim.physics import clock
+from vsfsim.physics.linear.dissection import fronts
+from vsfsim.physics.runtime import ON_THE_HOST
+
+_WIDE = 8  # right-hand sides that share one reading of the factor
+_STRIP = 192  # rows of an update that are multiplied together
+NOT_DEFINITE = ("The stiffness of the body at rest is not positive definite: a part of it can move freely, or elements "
+                "have no volume. Hold the body by more of its nodes, or mend the mesh.")
+"""What `MeshError` says of such a matrix."""
+_LOOSE = 1e-15  # a pivot below this fraction of its diagonal entry is rounding error
+
+
+class Order:
+    """The order of elimination of every matrix whose blocks of 3 x 3 lie where those of ``matrix`` do.
+
+    Args:
+        matrix: (3 n, 3 n), three unknowns for each node, as `blocks_of` gives it.
+        points: places of the nodes (n, 3), which only guide the order.
+    """
+
+    tables: np.ndarray
+    """Of every front (f, 5): own and later unknowns; where its own unknowns, its panel and its list of later ones
+    begin."""
+    place: np.ndarray
+    """Of every unknown (3 n,) in the order of elimination."""
+    below: np.ndarray
+    """Places of the later unknowns of all fronts (w,)."""
+    entries: int
+    """Numbers of a factor."""
+    work: float
+    """Multiplications of an elimination for each number of the factor [-]; a solve reads every number twice."""
+    owners: np.ndarray
+    """Row of nodes of every block (b,)."""
+    neighbours: np.ndarray
+    """Column of nodes of every block (b,), ascending in each row."""
+
+    def __init__(self, matrix: sp.bsr_matrix, points: np.ndarray):
+        self.start, self.neighbours = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        count = len(self.start) - 1
+        self.owners = np.repeat(np.arange(count), np.diff(self.start))
+        self._keys = self.owners * count + self.neighbours
+        tree = fronts(sp.csr_matrix((np.ones(len(self._keys)), self.neighbours, self.start), (count, count)), points)
+        self.place = np.empty(3 * count, np.int32)
+        self.tables = np.zeros((len(tree), 5), np.int64)
+        # of every front: own nodes, nodes below and children end here; the update of its children begins there
+        self._at = np.zeros((len(tree) + 1, 4), np.int64)
+        slot, self.entries, below, self._room = 0, 0, 0, 0
+        for f, front in enumerate(tree):
+            p, q = 3 * len(front.own), 3 * len(front.boundary)
+            self.place[_unknowns(front.own)] = slot + np.arange(p)
+            self.tables[f] = p, q, slot, self.entries, below
+            slot, self.entries, below = slot + p, self.entries + p * (p + q), below + q
+            # a front's update takes the place of its children's
+            here = self._at[front.children[0], 3] if front.children else self._at[f, 3]
+            self._at[f, 3], self._at[f + 1, 3] = here, here + q * q
+            self._at[f + 1, :3] = self._at[f, :3] + (len(front.own), len(front.boundary), len(front.children))
+            self._room = max(self._room, int(here) + q * q)
+        self._wide = int(self.tables[:, :2].sum(axis=1).max())
+        p, q = self.tables[:, 0].astype(float), self.tables[:, 1].astype(float)
+        self.work = float((p**3 / 2.0 + p * p * q + p * q * q / 2.0).sum()) / max(self.entries, 1)
+        self.below = np.concatenate([*(self.place[_unknowns(front.boundary)] for front in tree), [0]]).astype(np.int32)
+        self._lists = [np.concatenate([*parts, [0]]).astype(np.int32) for parts in (
+            [f.own for f in tree], [f.boundary for f in tree], [np.array(f.children, np.int32) for f in tree])]
+
+    def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Numbers of the blocks of the nodes ``row`` and ``column`` (same shape); -1 where there is none."""
+        key = row.astype(np.int64) * (len(self.start) - 1) + column
+        at = np.searchsorted(self._keys, key)
+        return np.where(self._keys[np.minimum(at, len(self._keys) - 1)] == key, at, -1).astype(np.int32)
+
+    def walk(self, values: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """The fronts of the matrix with the blocks ``values`` (b, 3, 3) [N/m], children first.
+
+        Yields:
+            Number of the front; its matrix (p + q, p + q), of which only the lower triangle means anything, with its
+            own p rows first; and where its update (q, q) must be written before the next front is asked for, its lower
+            triangle at least.
+        """
+        work, stack = np.zeros(self._wide**2), np.empty(self._room)  # zeros: what lies above the diagonal is finite
+        arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
+            self._at, *self._lists, self.start, self.neighbours, values, np.full(len(self.start) - 1, -1, np.int32),
+            work, stack)]
+        for f, (p, q) in enumerate(self.tables[:, :2].tolist()):
+            wp.launch(_gather_kernel(), dim=1, device="cpu", inputs=[f, *arrays])
+            dense = work[:(p + q)**2].reshape(p + q, p + q)
+            update = stack[self._at[f, 3]:self._at[f, 3] + q * q].reshape(q, q)
+            if p:
+                yield f, dense, update
+            else:  # no edges connect the halves
+                update[:] = dense
+
+
+class Cholesky:
+    """A symmetric positive definite matrix, factorised.
+
+    Args:
+        order: the order of elimination.
+        values: the blocks of the matrix (b, 3, 3) [N/m], in the sequence of ``order``.
+
+    Raises:
+        MeshError: the matrix is not positive definite.
+    """
+
+    seconds: float
+    """Duration of the elimination [s]."""
+
+    def __init__(self, order: Order, values: np.ndarray):
+        began = clock.now()
+        panels = np.empty(order.entries, np.float32)
+        diagonal = np.empty(len(order.place))
+        on = order.owners == order.neighbours
+        diagonal.reshape(-1, 3)[order.owners[on]] = np.diagonal(values[on], axis1=1, axis2=2)
+        least = np.empty_like(diagonal)
+        least[order.place] = _LOOSE * diagonal
+        for f, dense, update in order.walk(values):
+            p, q, slot, first, _ = order.tables[f].tolist()
+            lower, fault = lapack.dpotrf(dense[:p, :p], lower=True)
+            if fault or (np.diag(lower)**2 < least[slot:slot + p]).any():
+                raise MeshError(NOT_DEFINITE)
+            inverse, _ = lapack.dpotri(lower, lower=True)
+            inverse = np.tril(inverse) + np.tril(inverse, -1).T
+            ties = dense[p:, :p]
+            gain = ties @ inverse
+            panel = panels[first:first + (p + q) * p].reshape(p + q, p)
+            panel[:p], panel[p:] = inverse, gain
+            for end in range(_STRIP, q + _STRIP, _STRIP):  # only the lower triangle is read
+                rows = update[end - _STRIP:end, :end]
+                np.matmul(gain[end - _STRIP:end], ties[:end].T, out=rows)
+                np.subtract(dense[p + end - _STRIP:p + end, p:p + end], rows, out=rows)
+        self._size, self._fronts = len(order.place), len(order.tables)
+        self._arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
+            order.tables, order.below, order.place, panels)]
+        self.seconds = clock.now() - began
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The inverse times ``right``, both (3 n, k), to single precision."""
+        right = np.ascontiguousarray(right, np.float64)
+        out, columns = np.empty_like(right), right.shape[1]
+        width = _WIDE if columns > 1 else 1
+        ends = [wp.array(a.reshape(-1), device="cpu", copy=False) for a in (right, out)]
+        work = wp.empty(2 * self._size * width, dtype=wp.float64, device="cpu")
+        for start in range(0, columns, width):
+            wp.launch(_solve_kernel(width), dim=1, device="cpu",
+                      inputs=[self._fronts, self._size, columns, start, *self._arrays, *ends, work])
+        return out
+
+
+def factor_kernels() -> list[Any]:
+    """One kernel of each module that a factor is made and applied with, on the host."""
+    kernels = [_gather_kernel(), _solve_kernel(1)]
+    ON_THE_HOST.update(kernel.module.name for kernel in kernels)
+    return kernels
+
+
+def blocks_of(matrix: sp.spmatrix) -> sp.bsr_matrix:
+    """The blocks of a matrix (3 n, 3 n), ascending in each row."""
+    out = matrix.tobsr((3, 3))
+    out.sort_indices()
+    return out
+
+
+def _unknowns(nodes: np.ndarray) -> np.ndarray:
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
+
+
+# A front's lower triangle: the matrix's rows of its own nodes, and the lower triangles of its children's updates. The
+# nodes of a child stand in the same order in its parent.
+_GATHER = """
+    const long long* t = ends.data + 4 * f;
+    const int* mine = own.data + t[0]; const int* under = below.data + t[1]; const int* child = children.data + t[2];
+    const int p = t[4] - t[0], q = t[5] - t[1], some = t[6] - t[2];
+    int* local = locals.data;
+    double* front = work.data;
+    const long long w = 3 * (p + q);
+    for (int i = 0; i < p; ++i) local[mine[i]] = i;
+    for (int i = 0; i < q; ++i) local[under[i]] = p + i;
+    for (long long i = 0; i < w; ++i) for (long long j = 0; j <= i; ++j) front[i * w + j] = 0.0;
+    for (int i = 0; i < p; ++i) for (int k = starts.data[mine[i]]; k < starts.data[mine[i] + 1]; ++k) {
+        const int j = local[neighbours.data[k]];
+        if (j < i) continue;  // eliminated before, or its transpose stands there
+        const double* v = values.data + 9LL * k;
+        for (int a = 0; a < 3; ++a) for (int b = 0; b < 3; ++b) front[(3 * j + a) * w + 3 * i + b] = v[3 * b + a];
+    }
+    for (int c = 0; c < some; ++c) {
+        const long long* s = ends.data + 4 * child[c];
+        const int* nodes = below.data + s[1];
+        const int m = s[5] - s[1];
+        const double* update = stack.data + s[3];
+        for (int i = 0; i < m; ++i) for (int a = 0; a < 3; ++a) {
+            double* row = front + (3 * local[nodes[i]] + a) * w;
+            const double* from = update + (3LL * i + a) * 3 * m;
+            for (int j = 0; j <= i; ++j) {
+                double* to = row + 3 * local[nodes[j]];
+                to[0] += from[3 * j]; to[1] += from[3 * j + 1]; to[2] += from[3 * j + 2];
+            }
+        }
+    }
+    for (int i = 0; i < p; ++i) local[mine[i]] = -1;
+    for (int i = 0; i < q; ++i) local[under[i]] = -1;
+"""
+
+
+@functools.cache
+def _gather_kernel() -> Any:
+    """The kernel that adds up the matrix of a front."""
+    long, whole, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.float64))
+
+    def gather(f: int, ends: long, own: whole, below: whole, children: whole, starts: whole, neighbours: whole,
+               values: double, locals: whole, work: double, stack: double): ...
+
+    native = wp.func_native(_GATHER)(gather)
+
+    def run(f: int, ends: long, own: whole, below: whole, children: whole, starts: whole, neighbours: whole,
+            values: double, locals: whole, work: double, stack: double):
+        native(f, ends, own, below, children, starts, neighbours, values, locals, work, stack)
+
+    return wp.Kernel(run, key="cholesky_gather")
+
+
+# Two sweeps through the blocks for some right-hand sides at once, eight numbers of a row at a time for a single one.
+_SOLVE = """
+    typedef double LANES __attribute__((vector_size(64), aligned(8)));
+    typedef float SHORT __attribute__((vector_size(32), aligned(4)));
+    typedef VALUE number;
+    const long long* t = table.data; const int* place = places.data; const double* b = right.data + start;
+    number* v = (number*)work.data; number* own = v + size;
+    const int some = columns - start < WIDTH ? columns - start : WIDTH;
+    for (int i = 0; i < size; ++i) {
+        double* to = (double*)(v + place[i]);
+        for (int l = 0; l < WIDTH; ++l) to[l] = l < some ? b[(long long)i * columns + l] : 0.0;
+    }
+    for (int f = 0; f < fronts; ++f) {
+        const long long p = t[5*f], q = t[5*f+1];
+        const number* a = v + t[5*f+2];
+        const float* row = panels.data + t[5*f+3] + p * p; const int* at = rows.data + t[5*f+4];
+        for (long long i = 0; i < q; ++i, row += p) {
+            number sum = {0};
+            SUM
+            v[at[i]] -= sum;
+        }
+    }
+    for (int f = fronts - 1; f >= 0; --f) {
+        const long long p = t[5*f], q = t[5*f+1];
+        number* a = v + t[5*f+2];
+        const float* row = panels.data + t[5*f+3]; const int* at = rows.data + t[5*f+4];
+        for (long long i = 0; i < p; ++i, row += p) {
+            number sum = {0};
+            SUM
+            own[i] = sum;
+        }
+        for (long long i = 0; i < q; ++i, row += p) {
+            const number u = v[at[i]];
+            for (long long j = 0; j < p; ++j) own[j] -= (double)row[j] * u;
+        }
+        for (long long j = 0; j < p; ++j) a[j] = own[j];
+    }
+    for (int i = 0; i < size; ++i) {
+        const double* from = (const double*)(v + place[i]);
+        for (int l = 0; l < some; ++l) out.data[(long long)i * columns + start + l] = from[l];
+    }
+"""
+_SUM_OF_ONE = """
+            LANES part = {0};
+            long long j = 0;
+            for (; j + 8 <= p; j += 8)
+                part += __builtin_convertvector(*(const SHORT*)(row + j), LANES) * *(const LANES*)(a + j);
+            for (int l = 0; l < 8; ++l) sum += part[l];
+            for (; j < p; ++j) sum += row[j] * a[j];
+"""
+_SUM_OF_MANY = """
+            for (long long j = 0; j < p; ++j) sum += (double)row[j] * a[j];
+"""
+
+
+@functools.cache
+def _solve_kernel(width: int) -> Any:
+    """The solve for ``width`` right-hand sides: one thread, since each front waits for the ones below it."""
+    long, whole, single, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.float32, wp.float64))
+    text = _SOLVE.replace("SUM\n", (_SUM_OF_ONE if width == 1 else _SUM_OF_MANY) + "\n")
+    text = text.replace("VALUE", "double" if width == 1 else "LANES").replace("WIDTH", str(width))
+
+    def sweep(fronts: int, size: int, columns: int, start: int, table: long, rows: whole, places: whole,
+              panels: single, right: double, out: double, work: double): ...
+
+    sweep.__name__ = sweep.__qualname__ = f"sweep_{width}"
+    native = wp.func_native(text)(sweep)
+
+    def solve(fronts: int, size: int, columns: int, start: int, table: long, rows: whole, places: whole,
+              panels: single, right: double, out: double, work: double):
+        native(fronts, size, columns, start, table, rows, places, panels, right, out, work)
+
+    return wp.Kernel(solve, key=f"cholesky_solve_{width}")
