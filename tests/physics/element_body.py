@@ -20,7 +20,7 @@ def tet(pointwise):
     """Quadratic tetrahedra, with so much of lambda at the Gauss points (in units of mu) and the rest in the element's
     mean volume."""
     def make(mesh, young_modulus, poisson_ratio):
-        return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, *lame(young_modulus, poisson_ratio),
+        return (tet10.block(mesh.tets, mesh.gradients, mesh.weights, *lame(young_modulus, poisson_ratio),
                             pointwise=pointwise),)
 
     return make

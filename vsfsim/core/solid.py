@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,6 +60,9 @@ class Solid:
     """Repairs and decisions, one sentence each."""
     laws: tuple[Law, ...] | None = None
     """Of each region (R,), or None where the scene gives one material for the whole object."""
+    nearest: Callable[[np.ndarray], np.ndarray] | None = None
+    """Gives the nearest points (k, 3) of the true surface to points (k, 3) [m], where the surface is curved and known:
+    edges of elements follow it. None for a body with flat faces."""
     parts: float = 0.0
     """By which share of its own the stiffness of a part inside is off in the mesh, the largest of all parts [-]."""
 

@@ -14,6 +14,7 @@ from vsfsim.core.solid import Law, Solid
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import tet10
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.elements.tet10_shape import GAUSS, shape_values
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.linear.rest_factor import RestFactor
@@ -117,7 +118,7 @@ def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: fl
         SceneError: the law cannot be that of such a material.
     """
     mu, lam = lame(young_modulus, poisson_ratio)
-    return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam, law=law, settings=settings),)
+    return (tet10.block(mesh.tets, mesh.gradients, mesh.weights, mu, lam, law=law, settings=settings),)
 
 
 def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool) -> Elements:
@@ -137,7 +138,7 @@ def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool)
             at = np.flatnonzero(np.isin(region, [r for r, own in enumerate(foam_of) if own == foam]))
             if not len(at):
                 continue
-            shape, e = (mesh.tets[at], mesh.gradients[at], mesh.volume[at]), young_modulus[at]
+            shape, e = (mesh.tets[at], mesh.gradients[at], mesh.weights[at]), young_modulus[at]
             own = {} if foam is None else {"law": hyperfoam.LAW, "settings": hyperfoam.settings_of(foam)}
             blocks.append(tet10.block(*shape, *lame(e, ratio[region[at]][:, None]), **own))
         return tuple(blocks)
@@ -146,16 +147,16 @@ def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool)
 
 
 def gravity_load(mesh: QuadraticMesh, density: float | np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """Consistent nodal weight (3 n,) [N]: -1/20 of a tetrahedron's weight on each corner, 1/5 on each edge node.
+    """Consistent nodal weight (3 n,) [N]: with straight sides -1/20 of a tetrahedron's weight on each corner, 1/5 on
+    each edge node.
 
     Args:
         mesh: the mesh.
         density: of the body, or of each tetrahedron (m,) [kg/m^3].
         gravity: (3,) [m/s^2].
     """
-    share = np.array([-0.05] * 4 + [0.2] * 6)
     nodal = np.zeros(len(mesh.points))
-    np.add.at(nodal, mesh.tets, (density * mesh.volume)[:, None] * share)
+    np.add.at(nodal, mesh.tets, np.reshape(density, (-1, 1)) * mesh.weights @ shape_values(GAUSS))
     return (nodal[:, None] * np.asarray(gravity, float)).ravel()
 
 
@@ -206,7 +207,7 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     refuse_loose(mesh.points, mesh.tets, held, where)
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if translation is None else np.asarray(translation, float)
-    placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces,
+    placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.weights, mesh.faces,
                            mesh.owner)
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
     acting, lowered = limited(placed, young_modulus)

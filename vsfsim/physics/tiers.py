@@ -13,7 +13,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
-from vsfsim.core.shape import Cylinder, Family, MeshFile, ProbeShape, Rod, extent
+from vsfsim.core.shape import Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
@@ -210,10 +210,8 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     field, (turn, shift) = spec.young_modulus, placement(spec)
     boxes = [np.sort(np.reshape(part.numbers, (2, 3)), axis=0) for part in field.inclusions if part.kind == "box"]
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
-    # a coarse bar is a 12-gon: inscribed in the circle it is 5 % too thin and bends 9 % too softly; of equal area it is
-    # 0.05 % off. A ball of equal volume would be 1-2 % of its radius too high, and so would its first contact
     solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
-                        cache=cache, focus=local, equal_volume=isinstance(spec.shape, (Rod, Cylinder)),
+                        cache=cache, focus=local,
                         parts=np.array(boxes) if boxes and TIERS[tier].elements is tetrahedra else None)
     if edges is not None and TIERS[tier].elements is tetrahedra:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)

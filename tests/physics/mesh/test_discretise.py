@@ -14,7 +14,9 @@ from vsfsim.core.quality import dihedral_angles, worst_angle
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Cylinder, Family, Rod, Sphere
 from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics.elements.tet10_shape import GAUSS, shape_values
 from vsfsim.physics.mesh.discretise import build_solid
+from vsfsim.physics.mesh.quadratic import quadratic_mesh
 from vsfsim.physics.mesh.structured import GROWTH, grid_line
 
 SPEC = parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5\n', "test.toml").sample(0).object
@@ -95,18 +97,23 @@ def test_boundary_lies_on_the_surface() -> None:
 
 
 @pytest.mark.parametrize("name", ["sphere", "cylinder", "rod"])
-def test_equal_volume(name: str) -> None:
+def test_a_round_body_has_round_faces_and_the_volume_of_its_shape(name: str) -> None:
     shape, resolution, volume = SHAPES[name]
-    assert solid_of(shape, resolution, equal_volume=True).volume() == pytest.approx(volume, rel=1e-12)
+    solid = solid_of(shape, resolution)
+    mesh = quadratic_mesh(solid)
+    assert mesh.volume.sum() == pytest.approx(volume, rel=1e-3) and (mesh.weights > 0.0).all()
+    nodes = mesh.points[np.unique(mesh.faces[:, 3:])]
+    off = np.linalg.norm(solid.nearest(nodes) - nodes, axis=1)
+    assert (off < 1e-12)[off < 1e-3 * resolution].all(), "on the surface, or on a flat end"
+    straight = quadratic_mesh(dataclasses.replace(solid, nearest=None))
+    moved = np.abs(mesh.points - straight.points).max(axis=1) > 0.0
+    assert 0 < moved.sum() <= len(nodes) and not moved[:len(solid.vertices)].any()
 
 
-def test_equal_volume_rod_has_the_round_bars_second_moment() -> None:
-    solid = solid_of(Rod(0.05, 0.006), 0.01, equal_volume=True)
-    corner = solid.vertices[solid.tets] - [0.0, 0.0, 0.006]
-    # Exact integral of a quadratic over a tetrahedron: V / 20 (sum z_i^2 + (sum z_i)^2).
-    z = corner[:, :, 2]
-    moment = (tet_volumes(solid.vertices, solid.tets) / 20.0 * ((z**2).sum(axis=1) + z.sum(axis=1) ** 2)).sum() / 0.05
-    assert moment == pytest.approx(math.pi * 0.006**4 / 4.0, rel=5e-4)
+def test_a_rod_has_the_round_bars_second_moment() -> None:
+    mesh = quadratic_mesh(solid_of(Rod(0.05, 0.006), 0.01))
+    z = np.einsum("qa,ma->mq", shape_values(GAUSS), mesh.points[mesh.tets][:, :, 2] - 0.006)
+    assert (mesh.weights * z**2).sum() / 0.05 == pytest.approx(math.pi * 0.006**4 / 4.0, rel=2e-3)
 
 
 def test_box_is_symmetric() -> None:

@@ -51,11 +51,15 @@ def kernels() -> Any:
     """The kernels of this element."""
     module = "vsfsim_anchor"
 
+    class Anchors:  # see `block`
+        nodes: wp.array2d(dtype=wp.int32)
+        stiffness: wp.array(dtype=real)
+
+    Anchors = wp.struct(Anchors, module=module)
+
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        stiffness: wp.array(dtype=real),
+        of: Anchors,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -66,20 +70,18 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        row = 3 * nodes[t, 0]
+        row = 3 * of.nodes[t, 0]
         energy = real(0.0)
         for c in range(3):
             u = u_in[row + c, b]
-            force_out[t, c, b] = stiffness[t] * u
-            energy += real(0.5) * stiffness[t] * u * u
+            force_out[t, c, b] = of.stiffness[t] * u
+            energy += real(0.5) * of.stiffness[t] * u * u
         energy_out[t, b] = energy
         det_out[t, b] = real(1.0)
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        stiffness: wp.array(dtype=real),
+        of: Anchors,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -89,11 +91,8 @@ def kernels() -> Any:
         force_out: wp.array3d(dtype=real),
     ):
         t, k = wp.tid()
-        row = 3 * nodes[t, 0]
+        row = 3 * of.nodes[t, 0]
         for c in range(3):
-            force_out[t, c, k] = stiffness[t] * x_in[row + c, k]
+            force_out[t, c, k] = of.stiffness[t] * x_in[row + c, k]
 
-    def parameters(block: Block, device: str) -> list[wp.array]:
-        return [wp.array(block.parameters["stiffness"], dtype=real, device=device)]
-
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, arguments=Anchors)

@@ -8,18 +8,17 @@ A file ``elements/NAME.py`` is found by its name. It provides
     kernels()                    Warp kernels in double precision, see below; ``kernels(law)`` of a solid element
     state_size(block)            numbers that a tangent stores per element and touch, besides the displacements
 
-``kernels()`` is an object with ``parameters(block, device)``, the element's own device arrays, each with a row for
-every element of the block. If elements share one, as a foam does its terms, its number is in ``shared``. They follow
-the nodes in
+``kernels()`` is an object with the Warp struct ``arguments``, whose members are ``nodes`` (m, a) int32 and parameters
+of the block, each with a row for every element, but for those that elements share: ``terms``, as of a foam. Such a
+struct comes first in
 
-    forces   (nodes, *parameters, index, u_in, force_out, energy_out, det_out)
-    tangent  (nodes, *parameters, index, projected, u_in, state_out)          or None if state_size is 0
-    multiply (nodes, *parameters, index, at_in, state_in, x_in, force_out)
+    forces   (arguments, index, u_in, force_out, energy_out, det_out)
+    tangent  (arguments, index, projected, u_in, state_out)          or None if state_size is 0
+    multiply (arguments, index, at_in, state_in, x_in, force_out)
 
 launched over (m elements, k touches), so that neighbouring threads are neighbouring touches and read neighbouring
 numbers. Their arrays are
 
-    nodes (m, a) int32           nodes of each element
     index (k,) int32             the touch of each column
     u_in, at_in (3 n, B)         present displacements, and those at which the tangent was taken [m]
     force_out (m, 3 a, B)        +dE/du of the element [N]; `forces` writes column index[k], `multiply` column k
@@ -38,11 +37,11 @@ its own.
 A block that couples all of its nodes through one number, as a gas does through its volume (elements/gas.py), has
 ``COLLECTIVE = True`` in its file:
 
-    share        (nodes, *parameters, index, u_in, share_out)
+    share        (arguments, index, u_in, share_out)
     respond      (law, index, number_in, response_out)
-    forces       (nodes, *parameters, index, u_in, response_in, force_out, energy_out, det_out)
-    share_change (nodes, *parameters, index, at_in, x_in, share_out)
-    multiply     (nodes, *parameters, index, at_in, response_in, true_in, change_in, x_in, force_out)
+    forces       (arguments, index, u_in, response_in, force_out, energy_out, det_out)
+    share_change (arguments, index, at_in, x_in, share_out)
+    multiply     (arguments, index, at_in, response_in, true_in, change_in, x_in, force_out)
 
 share_out (m, B) float64 is each element's part of the number, or of its change along x. response_out (RESPONSES, B)
 float64 is a function of the number, for a gas the pressure, its derivative and the energy. ``law(block, device)`` is
@@ -53,7 +52,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
 
@@ -81,6 +80,22 @@ class Block:
     def kernels(self) -> Any:
         """The element's kernels."""
         return kernels_of(self.kind, self.law)
+
+    def arguments(self, device: str) -> Any:
+        """The first argument of its kernels, on a Warp ``device``."""
+        import warp as wp
+
+        struct = self.kernels().arguments
+        out = struct()
+        for name, member in struct.vars.items():
+            given = self.nodes if name == "nodes" else self.parameters[name]
+            setattr(out, name, wp.array(given, dtype=member.type.dtype, device=device))
+        return out
+
+    def part(self, rows: slice, nodes: np.ndarray) -> Block:
+        """The elements ``rows`` with other ``nodes`` (k, a)."""
+        return replace(self, nodes=nodes, parameters={
+            name: value if name == "terms" else value[rows] for name, value in self.parameters.items()})
 
     @property
     def collective(self) -> bool:
@@ -115,7 +130,6 @@ def matrices_at_rest(block: Block) -> np.ndarray:
     width = int(block.nodes.max()) + 1 if len(block) else 1
     state = wp.zeros((len(block), element.state_size(block), 1), dtype=wp.float64, device="cpu")
     wp.launch(own.tangent, dim=(len(block), 1), device="cpu", inputs=[
-        wp.array(block.nodes, dtype=wp.int32, device="cpu"), *own.parameters(block, "cpu"),
-        wp.zeros(1, dtype=wp.int32, device="cpu"), 0,
+        block.arguments("cpu"), wp.zeros(1, dtype=wp.int32, device="cpu"), 0,
         wp.zeros((3 * width, 1), dtype=wp.float64, device="cpu"), state])
     return element.matrices(block, state.numpy()[:, :, 0])

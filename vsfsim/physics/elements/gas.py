@@ -148,16 +148,20 @@ def kernels() -> Any:
     least = wp.constant(double(_SMALLEST_VOLUME))
     infinite = wp.constant(double(_INFINITE))
 
+    class Gas:  # see `block`
+        nodes: wp.array2d(dtype=wp.int32)
+        points: wp.array2d(dtype=vec3)
+
+    Gas = wp.struct(Gas, module=module)
+
     @wp.func(module=module)
-    def vector(nodes: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=real), t: int, a: int, b: int):
-        i = 3 * nodes[t, a]
+    def vector(of: Gas, x: wp.array2d(dtype=real), t: int, a: int, b: int):
+        i = 3 * of.nodes[t, a]
         return vec3(double(x[i, b]), double(x[i + 1, b]), double(x[i + 2, b]))
 
     @wp.kernel(module=module, enable_backward=False)
     def share(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
+        of: Gas,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -166,9 +170,9 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        x0 = points[t, 0] + vector(nodes, u_in, t, 0, b)
-        x1 = points[t, 1] + vector(nodes, u_in, t, 1, b)
-        x2 = points[t, 2] + vector(nodes, u_in, t, 2, b)
+        x0 = of.points[t, 0] + vector(of, u_in, t, 0, b)
+        x1 = of.points[t, 1] + vector(of, u_in, t, 1, b)
+        x2 = of.points[t, 2] + vector(of, u_in, t, 2, b)
         share_out[t, b] = sixth * wp.dot(x0, wp.cross(x1, x2))
 
     @wp.kernel(module=module, enable_backward=False)
@@ -204,9 +208,7 @@ def kernels() -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
+        of: Gas,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -218,9 +220,9 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        x0 = points[t, 0] + vector(nodes, u_in, t, 0, b)
-        x1 = points[t, 1] + vector(nodes, u_in, t, 1, b)
-        x2 = points[t, 2] + vector(nodes, u_in, t, 2, b)
+        x0 = of.points[t, 0] + vector(of, u_in, t, 0, b)
+        x1 = of.points[t, 1] + vector(of, u_in, t, 1, b)
+        x2 = of.points[t, 2] + vector(of, u_in, t, 2, b)
         push = -sixth * response_in[0, b]
         f0 = push * wp.cross(x1, x2)
         f1 = push * wp.cross(x2, x0)
@@ -236,9 +238,7 @@ def kernels() -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def share_change(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
+        of: Gas,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -248,18 +248,16 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        x0 = points[t, 0] + vector(nodes, at_in, t, 0, b)
-        x1 = points[t, 1] + vector(nodes, at_in, t, 1, b)
-        x2 = points[t, 2] + vector(nodes, at_in, t, 2, b)
-        share_out[t, k] = sixth * (wp.dot(vector(nodes, x_in, t, 0, k), wp.cross(x1, x2))
-                                   + wp.dot(vector(nodes, x_in, t, 1, k), wp.cross(x2, x0))
-                                   + wp.dot(vector(nodes, x_in, t, 2, k), wp.cross(x0, x1)))
+        x0 = of.points[t, 0] + vector(of, at_in, t, 0, b)
+        x1 = of.points[t, 1] + vector(of, at_in, t, 1, b)
+        x2 = of.points[t, 2] + vector(of, at_in, t, 2, b)
+        share_out[t, k] = sixth * (wp.dot(vector(of, x_in, t, 0, k), wp.cross(x1, x2))
+                                   + wp.dot(vector(of, x_in, t, 1, k), wp.cross(x2, x0))
+                                   + wp.dot(vector(of, x_in, t, 2, k), wp.cross(x0, x1)))
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
+        of: Gas,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -272,12 +270,12 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        x0 = points[t, 0] + vector(nodes, at_in, t, 0, b)
-        x1 = points[t, 1] + vector(nodes, at_in, t, 1, b)
-        x2 = points[t, 2] + vector(nodes, at_in, t, 2, b)
-        d0 = vector(nodes, x_in, t, 0, k)
-        d1 = vector(nodes, x_in, t, 1, k)
-        d2 = vector(nodes, x_in, t, 2, k)
+        x0 = of.points[t, 0] + vector(of, at_in, t, 0, b)
+        x1 = of.points[t, 1] + vector(of, at_in, t, 1, b)
+        x2 = of.points[t, 2] + vector(of, at_in, t, 2, b)
+        d0 = vector(of, x_in, t, 0, k)
+        d1 = vector(of, x_in, t, 1, k)
+        d2 = vector(of, x_in, t, 2, k)
         push = -sixth * response_in[0, b] * true_in[b]
         swell = sixth * response_in[1, b] * change_in[k]
         f0 = push * (wp.cross(d1, x2) + wp.cross(x1, d2)) + swell * wp.cross(x1, x2)
@@ -288,11 +286,8 @@ def kernels() -> Any:
             force_out[t, 3 + c, k] = real(f1[c])
             force_out[t, 6 + c, k] = real(f2[c])
 
-    def parameters(block: Block, device: str) -> list[wp.array]:
-        return [wp.array(block.parameters["points"], dtype=vec3, device=device)]
-
     def law(block: Block, device: str) -> wp.array:
         return wp.array(block.parameters["law"], dtype=double, device=device)
 
     return SimpleNamespace(share=share, respond=respond, forces=forces, share_change=share_change, multiply=multiply,
-                           tangent=None, parameters=parameters, law=law)
+                           tangent=None, arguments=Gas, law=law)

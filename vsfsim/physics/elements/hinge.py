@@ -104,12 +104,16 @@ def kernels() -> Any:
     """The kernels of this element."""
     module = "vsfsim_hinge"
 
+    class Hinges:  # see `block`
+        nodes: wp.array2d(dtype=wp.int32)
+        edges: wp.array2d(dtype=vec3)
+        stiffness: wp.array3d(dtype=real)
+
+    Hinges = wp.struct(Hinges, module=module)
+
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        edges: wp.array2d(dtype=vec3),
-        stiffness: wp.array3d(dtype=real),
+        of: Hinges,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -120,17 +124,17 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        i0 = 3 * nodes[t, 0]
+        i0 = 3 * of.nodes[t, 0]
         first = vec3(u_in[i0, b], u_in[i0 + 1, b], u_in[i0 + 2, b])
         energy = real(0.0)
         for a in range(6):
             total = vec3()
             for c in range(1, 6):
-                i = 3 * nodes[t, c]
-                moved = edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first)
-                total += stiffness[t, a, c] * moved
-            j = 3 * nodes[t, a]
-            own = edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first)
+                i = 3 * of.nodes[t, c]
+                moved = of.edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first)
+                total += of.stiffness[t, a, c] * moved
+            j = 3 * of.nodes[t, a]
+            own = of.edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first)
             energy += real(0.5) * wp.dot(total, own)
             for c in range(3):
                 force_out[t, 3 * a + c, b] = total[c]
@@ -139,10 +143,7 @@ def kernels() -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        edges: wp.array2d(dtype=vec3),
-        stiffness: wp.array3d(dtype=real),
+        of: Hinges,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -152,19 +153,14 @@ def kernels() -> Any:
         force_out: wp.array3d(dtype=real),
     ):
         t, k = wp.tid()
-        i0 = 3 * nodes[t, 0]
+        i0 = 3 * of.nodes[t, 0]
         first = vec3(x_in[i0, k], x_in[i0 + 1, k], x_in[i0 + 2, k])
         for a in range(6):
             total = vec3()
             for c in range(1, 6):
-                i = 3 * nodes[t, c]
-                total += stiffness[t, a, c] * (vec3(x_in[i, k], x_in[i + 1, k], x_in[i + 2, k]) - first)
+                i = 3 * of.nodes[t, c]
+                total += of.stiffness[t, a, c] * (vec3(x_in[i, k], x_in[i + 1, k], x_in[i + 2, k]) - first)
             for c in range(3):
                 force_out[t, 3 * a + c, k] = total[c]
 
-    def parameters(block: Block, device: str) -> list[wp.array]:
-        p = block.parameters
-        return [wp.array(p["edges"], dtype=vec3, device=device),
-                wp.array(p["stiffness"], dtype=real, device=device)]
-
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, arguments=Hinges)

@@ -53,12 +53,16 @@ def kernels() -> Any:
     """The kernels of this element."""
     module, hard = "vsfsim_stop", wp.constant(real(HARD))
 
+    class Stops:  # see `block`
+        nodes: wp.array2d(dtype=wp.int32)
+        height: wp.array(dtype=real)
+        stiffness: wp.array(dtype=real)
+
+    Stops = wp.struct(Stops, module=module)
+
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        height: wp.array(dtype=real),
-        stiffness: wp.array(dtype=real),
+        of: Stops,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -69,22 +73,19 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        p = wp.max(-(height[t] + u_in[3 * nodes[t, 0] + 2, b] - u_in[3 * nodes[t, 1] + 2, b]), real(0.0))
-        push = stiffness[t] * p * (real(1.0) + p / hard)
+        p = wp.max(-(of.height[t] + u_in[3 * of.nodes[t, 0] + 2, b] - u_in[3 * of.nodes[t, 1] + 2, b]), real(0.0))
+        push = of.stiffness[t] * p * (real(1.0) + p / hard)
         for c in range(2):
             force_out[t, c, b] = real(0.0)
             force_out[t, 3 + c, b] = real(0.0)
         force_out[t, 2, b] = -push
         force_out[t, 5, b] = push
-        energy_out[t, b] = stiffness[t] * p * p * (real(0.5) + p / (real(3.0) * hard))
+        energy_out[t, b] = of.stiffness[t] * p * p * (real(0.5) + p / (real(3.0) * hard))
         det_out[t, b] = real(1.0)
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        height: wp.array(dtype=real),
-        stiffness: wp.array(dtype=real),
+        of: Stops,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -94,19 +95,16 @@ def kernels() -> Any:
         force_out: wp.array3d(dtype=real),
     ):
         t, k = wp.tid()
-        i = 3 * nodes[t, 0] + 2
-        j = 3 * nodes[t, 1] + 2
-        p = -(height[t] + at_in[i, index[k]] - at_in[j, index[k]])
+        i = 3 * of.nodes[t, 0] + 2
+        j = 3 * of.nodes[t, 1] + 2
+        p = -(of.height[t] + at_in[i, index[k]] - at_in[j, index[k]])
         out = real(0.0)
         if p > real(0.0):
-            out = stiffness[t] * (real(1.0) + real(2.0) * p / hard) * (x_in[i, k] - x_in[j, k])
+            out = of.stiffness[t] * (real(1.0) + real(2.0) * p / hard) * (x_in[i, k] - x_in[j, k])
         for c in range(2):
             force_out[t, c, k] = real(0.0)
             force_out[t, 3 + c, k] = real(0.0)
         force_out[t, 2, k] = out
         force_out[t, 5, k] = -out
 
-    def parameters(block: Block, device: str) -> list[wp.array]:
-        return [wp.array(block.parameters[name], dtype=real, device=device) for name in ("height", "stiffness")]
-
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, arguments=Stops)

@@ -20,8 +20,8 @@ at nu 0.499 they were not refined further.
 lambda_m adds a pressure to c of the law (see `laws/neo_hooke.py`), and one term of rank one per element to the tangent.
 F is recomputed for every product. What the law stores at the Gauss points and the gradient of Jbar are stored.
 
-The element has ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`), straight sides and four Gauss points,
-each with moduli of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows 3 i, 3 i + 1, 3 i + 2.
+The element has ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`) and four Gauss points, each with moduli
+and, where sides are curved, a Jacobian of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows 3 i, 3 i + 1, 3 i + 2.
 """
 
 import functools
@@ -47,14 +47,14 @@ POINTWISE = 4.0
 _NEARLY_INCOMPRESSIBLE, _SOFT_SHARE, _SOFT_BULK = 60.0, 0.5, 120.0
 
 
-def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.ndarray, lam: np.ndarray, *,
+def block(nodes: np.ndarray, gradients: np.ndarray, weights: np.ndarray, mu: np.ndarray, lam: np.ndarray, *,
           law: SolidLaw = neo_hooke.LAW, settings: Settings | None = None, pointwise: float = POINTWISE) -> Block:
     """A block of quadratic tetrahedra.
 
     Args:
         nodes: (m, 10), corners then edges.
-        gradients: of the barycentric coordinates (m, 4, 3) [1/m].
-        volume: (m,) [m^3].
+        gradients: of the last three barycentric coordinates at the Gauss points (m, 4, 3, 3) [1/m].
+        weights: volume of each Gauss point (m, 4) [m^3].
         mu: Lamé's second constant at small strain at the Gauss points (m, 4) [Pa].
         lam: Lamé's first constant there (m, 4) [Pa].
         law: of the material.
@@ -69,7 +69,7 @@ def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.n
     mean = np.where((over > 0.0).all(axis=1), 4.0 / (1.0 / np.maximum(over, 1e-300)).sum(axis=1), 0.0)
     own, terms = law.parameters(mu, local, settings or {})
     return Block("tet10", np.asarray(nodes, np.int32), {
-        "gradients": gradients, "volume": volume, "mu": mu, "lam": local, "mean_lam": mean, "own": own,
+        "gradients": gradients, "weights": weights, "mu": mu, "lam": local, "mean_lam": mean, "own": own,
         "terms": terms}, law=law.name)
 
 
@@ -97,22 +97,19 @@ def softened(block: Block) -> Block:
 def rest_stiffness(block: Block) -> np.ndarray:
     """Element stiffness at rest, that of linear elasticity (m, 30, 30) [N/m], rows node by node."""
     p = block.parameters
-    m = len(block)
-    out = np.zeros((m, 10, 3, 10, 3))
-    mean = np.zeros((m, 10, 3))
-    weight = 0.25 * p["volume"]
-    for q in range(4):
-        dn = shape_gradients(p["gradients"], q)
-        mean += weight[:, None, None] * dn
+    out = np.zeros((len(block), 10, 3, 10, 3))
+    gradients, weight = shape_gradients(p["gradients"]), p["weights"]
+    for q, dn in enumerate(np.swapaxes(gradients, 0, 1)):
         product = np.einsum("mai,mbj->maibj", dn, dn)
-        out += (weight * p["lam"][:, q])[:, None, None, None, None] * product
-        out += (weight * p["mu"][:, q])[:, None, None, None, None] * product.transpose(0, 1, 4, 3, 2)
-        dots = np.einsum("mac,mbc->mab", dn, dn)
+        lam, mu = ((weight * p[name])[:, q, None, None, None, None] for name in ("lam", "mu"))
+        out += lam * product + mu * product.transpose(0, 1, 4, 3, 2)
+        dots = np.einsum("maibi->mab", product)
         for c in range(3):
-            out[:, :, c, :, c] += (weight * p["mu"][:, q])[:, None, None] * dots
+            out[:, :, c, :, c] += mu[:, :, 0, :, 0] * dots
     if p["mean_lam"].any():
-        out += (p["mean_lam"] / p["volume"])[:, None, None, None, None] * np.einsum("mai,mbj->maibj", mean, mean)
-    return out.reshape(m, 30, 30)
+        mean = np.einsum("mq,mqai->mai", weight, gradients)
+        out += np.einsum("m,mai,mbj->maibj", p["mean_lam"] / weight.sum(axis=1), mean, mean)
+    return out.reshape(len(block), 30, 30)
 
 
 @functools.cache
@@ -131,24 +128,30 @@ def kernels(law: str) -> Any:
     respond, linearise, product = point.respond, point.linearise, point.multiply
     mean_at = wp.constant(4 * LAWS[law].stored)  # first row of the gradient of Jbar
 
+    class Tetrahedra:  # see `block`
+        nodes: wp.array2d(dtype=wp.int32)
+        gradients: wp.array2d(dtype=mat33)
+        weights: wp.array2d(dtype=real)
+        mean_lam: wp.array(dtype=real)
+        own: wp.array3d(dtype=real)
+        terms: wp.array2d(dtype=real)
+
+    Tetrahedra = wp.struct(Tetrahedra, module=module)
+
     @wp.func(module=module)
-    def pressure(x: mat103, s: mat43, g: mat33, mean_lam: real):
-        # lambda_m (Jbar - 1)
+    def pressure(of: Tetrahedra, x: mat103, s: mat43, t: int):
+        # lambda_m (Jbar - 1), and the volume
         total = real(0.0)
+        volume = real(0.0)
         for q in range(4):
-            trace, rest = volume_change(gradient(x, s, g, q))
-            total += trace + rest
-        return mean_lam * real(0.25) * total
+            trace, rest = volume_change(gradient(x, s, of.gradients[t, q], q))
+            total += of.weights[t, q] * (trace + rest)
+            volume += of.weights[t, q]
+        return of.mean_lam[t] * total / volume, volume
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        gradients: wp.array(dtype=mat33),
-        volume: wp.array(dtype=real),
-        mean_lam: wp.array(dtype=real),
-        own: wp.array3d(dtype=real),
-        terms: wp.array2d(dtype=real),
+        of: Tetrahedra,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -159,21 +162,22 @@ def kernels(law: str) -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        x = load(nodes, u_in, t, b)
+        x = load(of.nodes, u_in, t, b)
         s = edge_sums(x)
-        g = gradients[t]
-        weight = real(0.25) * volume[t]
         push = real(0.0)
         energy = real(0.0)
-        if mean_lam[t] > real(0.0):
-            push = pressure(x, s, g, mean_lam[t])
-            energy = real(2.0) * push * push / mean_lam[t]
+        if of.mean_lam[t] > real(0.0):
+            mean, volume = pressure(of, x, s, t)
+            push = mean
+            energy = real(0.5) * volume * push * push / of.mean_lam[t]
         lowest = real(1e30)
         force = mat103()
         total = mat43()
         for q in range(4):
-            value, det, p = respond(gradient(x, s, g, q), own, terms, t, q, push)
-            energy += value
+            g = of.gradients[t, q]
+            weight = of.weights[t, q]
+            value, det, p = respond(gradient(x, s, g, q), of.own, of.terms, t, q, push)
+            energy += weight * value
             lowest = wp.min(lowest, det)
             stress = stresses(weight * p, g)
             total += stress
@@ -182,18 +186,12 @@ def kernels(law: str) -> Any:
         for a in range(10):
             for c in range(3):
                 force_out[t, 3 * a + c, b] = force[a, c]
-        energy_out[t, b] = weight * energy
+        energy_out[t, b] = energy
         det_out[t, b] = lowest
 
     @wp.kernel(module=module, enable_backward=False)
     def tangent(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        gradients: wp.array(dtype=mat33),
-        volume: wp.array(dtype=real),
-        mean_lam: wp.array(dtype=real),
-        own: wp.array3d(dtype=real),
-        terms: wp.array2d(dtype=real),
+        of: Tetrahedra,
         index: wp.array(dtype=wp.int32),
         projected: int,
         # state in
@@ -204,21 +202,21 @@ def kernels(law: str) -> Any:
         # what the law stores at each Gauss point, then the gradient of Jbar times the volume
         t, k = wp.tid()
         b = index[k]
-        x = load(nodes, u_in, t, b)
+        x = load(of.nodes, u_in, t, b)
         s = edge_sums(x)
-        g = gradients[t]
-        weight = real(0.25) * volume[t]
         push = real(0.0)
-        mean = mean_lam[t] > real(0.0)
+        mean = of.mean_lam[t] > real(0.0)
         if mean:
-            push = pressure(x, s, g, mean_lam[t])
+            value, _ = pressure(of, x, s, t)
+            push = value
         force = mat103()
         total = mat43()
         for q in range(4):
+            g = of.gradients[t, q]
             d = gradient(x, s, g, q)
-            linearise(d, own, terms, t, q, b, push, projected, state_out)
+            linearise(d, of.own, of.terms, t, q, b, push, projected, state_out)
             if mean:
-                stress = stresses(weight * cofactor(deform(d)), g)
+                stress = stresses(of.weights[t, q] * cofactor(deform(d)), g)
                 total += stress
                 force = spread(force, stress, q)
         if mean:
@@ -229,13 +227,7 @@ def kernels(law: str) -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        gradients: wp.array(dtype=mat33),
-        volume: wp.array(dtype=real),
-        mean_lam: wp.array(dtype=real),
-        own: wp.array3d(dtype=real),
-        terms: wp.array2d(dtype=real),
+        of: Tetrahedra,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -246,26 +238,28 @@ def kernels(law: str) -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        u = load(nodes, at_in, t, b)
+        u = load(of.nodes, at_in, t, b)
         us = edge_sums(u)
-        x = load(nodes, x_in, t, k)
+        x = load(of.nodes, x_in, t, k)
         xs = edge_sums(x)
-        g = gradients[t]
-        weight = real(0.25) * volume[t]
         force = mat103()
         total = mat43()
+        volume = real(0.0)
         for q in range(4):
-            p = weight * product(gradient(u, us, g, q), gradient(x, xs, g, q), own, t, q, b, state_in)
+            g = of.gradients[t, q]
+            weight = of.weights[t, q]
+            volume += weight
+            p = weight * product(gradient(u, us, g, q), gradient(x, xs, g, q), of.own, t, q, b, state_in)
             stress = stresses(p, g)
             total += stress
             force = spread(force, stress, q)
         force = finish(force, total)
-        if mean_lam[t] > real(0.0):
+        if of.mean_lam[t] > real(0.0):
             along = real(0.0)
             for a in range(10):
                 for c in range(3):
                     along += state_in[t, mean_at + 3 * a + c, b] * x[a, c]
-            along = along * mean_lam[t] / volume[t]
+            along = along * of.mean_lam[t] / volume
             for a in range(10):
                 for c in range(3):
                     force[a, c] += along * state_in[t, mean_at + 3 * a + c, b]
@@ -273,9 +267,4 @@ def kernels(law: str) -> Any:
             for c in range(3):
                 force_out[t, 3 * a + c, k] = force[a, c]
 
-    def parameters(block: Block, device: str) -> list[wp.array]:
-        p = block.parameters
-        return [wp.array(p["gradients"][:, 1:], dtype=mat33, device=device),
-                *(wp.array(p[name], dtype=real, device=device) for name in ("volume", "mean_lam", "own", "terms"))]
-
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters, shared=(4,))
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, arguments=Tetrahedra)

@@ -1,9 +1,8 @@
-"""Shape functions of the ten-node tetrahedron with straight sides: gradients at its four Gauss points, on the host and
-in kernels.
+"""Shape functions of the ten-node tetrahedron: on the host anywhere, and at its four Gauss points in kernels.
 
-The gradient of a quadratic field is linear in the element. With the barycentric derivatives T_k at the corners it is
-far (T_0 + .. + T_3) + (near - far) T_q at Gauss point q. The sum is computed once per element, and the second term is
-short.
+The derivatives of a quadratic field by the barycentric coordinates are linear in the element. With their values T_k at
+the corners they are far (T_0 + .. + T_3) + (near - far) T_q at Gauss point q. The sum is computed once per element, and
+the second term is short.
 """
 
 from types import SimpleNamespace
@@ -20,19 +19,40 @@ GAUSS_NEAR = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0
 """Barycentric coordinate of a Gauss point for the corner nearest to it [-]."""
 GAUSS_FAR = (5.0 - np.sqrt(5.0)) / 20.0
 """Barycentric coordinate of a Gauss point for each of the other three corners [-]."""
+GAUSS = GAUSS_FAR + (GAUSS_NEAR - GAUSS_FAR) * np.eye(4)
+"""Barycentric coordinates of the four Gauss points (4, 4) [-]."""
 
 
-def shape_gradients(gradients: np.ndarray, q: int) -> np.ndarray:
-    """Gradients of the shape functions at Gauss point ``q`` (m, 10, 3) [1/m], from those of the barycentric coordinates
-    (m, 4, 3)."""
-    bary = np.full(4, GAUSS_FAR)
-    bary[q] = GAUSS_NEAR
-    shape = np.zeros((10, 4))
-    shape[np.arange(4), np.arange(4)] = 4.0 * bary - 1.0
+def shape_values(bary: np.ndarray) -> np.ndarray:
+    """Values of the ten shape functions (k, 10) at barycentric coordinates (k, 4)."""
+    return np.hstack([bary * (2.0 * bary - 1.0), 4.0 * bary[:, EDGES[:, 0]] * bary[:, EDGES[:, 1]]])
+
+
+def shape_derivatives(bary: np.ndarray) -> np.ndarray:
+    """Derivatives of the ten shape functions by the last three barycentric coordinates (k, 10, 3), where the first is
+    one less their sum, at barycentric coordinates (k, 4)."""
+    out = np.zeros((len(bary), 10, 4))
+    out[:, np.arange(4), np.arange(4)] = 4.0 * bary - 1.0
     for e, (i, j) in enumerate(EDGES):
-        shape[4 + e, i] = 4.0 * bary[j]
-        shape[4 + e, j] = 4.0 * bary[i]
-    return np.einsum("ak,mkc->mac", shape, gradients)
+        out[:, 4 + e, i], out[:, 4 + e, j] = 4.0 * bary[:, j], 4.0 * bary[:, i]
+    return out[:, :, 1:] - out[:, :, :1]
+
+
+def jacobians(nodes: np.ndarray, bary: np.ndarray) -> np.ndarray:
+    """Derivatives of the positions by the last three barycentric coordinates (m, k, 3, 3) [m], rows by coordinate, of
+    elements with ``nodes`` (m, 10, 3) [m] at barycentric coordinates (k, 4)."""
+    return np.einsum("kal,mac->mklc", shape_derivatives(bary), nodes)
+
+
+def determinants(matrices: np.ndarray) -> np.ndarray:
+    """Of matrices (..., 3, 3), in a fixed order of sums."""
+    return (np.cross(matrices[..., 0, :], matrices[..., 1, :]) * matrices[..., 2, :]).sum(axis=-1)
+
+
+def shape_gradients(gradients: np.ndarray) -> np.ndarray:
+    """Gradients of the shape functions at the Gauss points (m, 4, 10, 3) [1/m], from those of the last three
+    barycentric coordinates there (m, 4, 3, 3)."""
+    return np.einsum("qal,mqlc->mqac", shape_derivatives(GAUSS), gradients)
 
 
 def functions(module: str) -> Any:

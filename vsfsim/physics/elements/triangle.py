@@ -96,6 +96,15 @@ def kernels() -> Any:
     slack = wp.constant(real(-1e-9))
     zero, half, one, two, three = (wp.constant(real(v)) for v in (0.0, 0.5, 1.0, 2.0, 3.0))
 
+    class Triangles:  # see `block`
+        nodes: wp.array2d(dtype=wp.int32)
+        points: wp.array2d(dtype=vec3)
+        inverse: wp.array(dtype=mat22)
+        area: wp.array(dtype=real)
+        modulus: wp.array(dtype=real)
+
+    Triangles = wp.struct(Triangles, module=module)
+
     @wp.func(module=module)
     def regime(l1: real, l2: real):
         # 2: taut; 1: wrinkled; 0: slack
@@ -123,18 +132,17 @@ def kernels() -> Any:
         return w, g1, g2
 
     @wp.func(module=module)
-    def at(nodes: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=real), t: int, a: int, b: int):
-        i = 3 * nodes[t, a]
+    def at(of: Triangles, x: wp.array2d(dtype=real), t: int, a: int, b: int):
+        i = 3 * of.nodes[t, a]
         return vec3(x[i, b], x[i + 1, b], x[i + 2, b])
 
     @wp.func(module=module)
-    def deformation(nodes: wp.array2d(dtype=wp.int32), points: wp.array2d(dtype=vec3), inverse: wp.array(dtype=mat22),
-                    u: wp.array2d(dtype=real), t: int, b: int):
+    def deformation(of: Triangles, u: wp.array2d(dtype=real), t: int, b: int):
         # the two columns of F
-        x0 = points[t, 0] + at(nodes, u, t, 0, b)
-        e1 = points[t, 1] + at(nodes, u, t, 1, b) - x0
-        e2 = points[t, 2] + at(nodes, u, t, 2, b) - x0
-        r = inverse[t]
+        x0 = of.points[t, 0] + at(of, u, t, 0, b)
+        e1 = of.points[t, 1] + at(of, u, t, 1, b) - x0
+        e2 = of.points[t, 2] + at(of, u, t, 2, b) - x0
+        r = of.inverse[t]
         return e1 * r[0, 0] + e2 * r[1, 0], e1 * r[0, 1] + e2 * r[1, 1]
 
     @wp.func(module=module)
@@ -170,12 +178,7 @@ def kernels() -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
-        inverse: wp.array(dtype=mat22),
-        area: wp.array(dtype=real),
-        modulus: wp.array(dtype=real),
+        of: Triangles,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -186,31 +189,26 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        f1, f2 = deformation(nodes, points, inverse, u_in, t, b)
+        f1, f2 = deformation(of, u_in, t, b)
         basis, v1, l1, l2 = frame(f1, f2)
-        w, g1, g2 = law_of(l1, l2, modulus[t] / three, regime(l1, l2))
+        w, g1, g2 = law_of(l1, l2, of.modulus[t] / three, regime(l1, l2))
         u1 = vec3(basis[0, 0], basis[0, 1], basis[0, 2])
         u2 = vec3(basis[1, 0], basis[1, 1], basis[1, 2])
-        p1 = area[t] * (g1 * v1[0] * u1 - g2 * v1[1] * u2)
-        p2 = area[t] * (g1 * v1[1] * u1 + g2 * v1[0] * u2)
-        r = inverse[t]
+        p1 = of.area[t] * (g1 * v1[0] * u1 - g2 * v1[1] * u2)
+        p2 = of.area[t] * (g1 * v1[1] * u1 + g2 * v1[0] * u2)
+        r = of.inverse[t]
         pull1 = p1 * r[0, 0] + p2 * r[0, 1]
         pull2 = p1 * r[1, 0] + p2 * r[1, 1]
         for c in range(3):
             force_out[t, c, b] = -pull1[c] - pull2[c]
             force_out[t, 3 + c, b] = pull1[c]
             force_out[t, 6 + c, b] = pull2[c]
-        energy_out[t, b] = area[t] * w
+        energy_out[t, b] = of.area[t] * w
         det_out[t, b] = one
 
     @wp.kernel(module=module, enable_backward=False)
     def tangent(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
-        inverse: wp.array(dtype=mat22),
-        area: wp.array(dtype=real),
-        modulus: wp.array(dtype=real),
+        of: Triangles,
         index: wp.array(dtype=wp.int32),
         projected: int,
         # state in
@@ -220,9 +218,9 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        f1, f2 = deformation(nodes, points, inverse, u_in, t, b)
+        f1, f2 = deformation(of, u_in, t, b)
         basis, v1, l1, l2 = frame(f1, f2)
-        mu = modulus[t] / three
+        mu = of.modulus[t] / three
         state = regime(l1, l2)
         _, g1, g2 = law_of(l1, l2, mu, state)
         g11 = zero
@@ -261,12 +259,7 @@ def kernels() -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        # model
-        nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
-        inverse: wp.array(dtype=mat22),
-        area: wp.array(dtype=real),
-        modulus: wp.array(dtype=real),
+        of: Triangles,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
@@ -277,10 +270,10 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        d0 = at(nodes, x_in, t, 0, k)
-        d1 = at(nodes, x_in, t, 1, k) - d0
-        d2 = at(nodes, x_in, t, 2, k) - d0
-        r = inverse[t]
+        d0 = at(of, x_in, t, 0, k)
+        d1 = at(of, x_in, t, 1, k) - d0
+        d2 = at(of, x_in, t, 2, k) - d0
+        r = of.inverse[t]
         f1 = d1 * r[0, 0] + d2 * r[1, 0]
         f2 = d1 * r[0, 1] + d2 * r[1, 1]
         v = vec2(state_in[t, 9, b], state_in[t, 10, b])
@@ -298,8 +291,8 @@ def kernels() -> Any:
         odd = half * state_in[t, 15, b] * (a12 - a21)
         q1 = (state_in[t, 11, b] * a11 + g12 * a22) * u1 + (even - odd) * u2 + (state_in[t, 16, b] * wp.dot(n, h1)) * n
         q2 = (even + odd) * u1 + (g12 * a11 + state_in[t, 13, b] * a22) * u2 + (state_in[t, 17, b] * wp.dot(n, h2)) * n
-        p1 = area[t] * (q1 * v[0] - q2 * v[1])
-        p2 = area[t] * (q1 * v[1] + q2 * v[0])
+        p1 = of.area[t] * (q1 * v[0] - q2 * v[1])
+        p2 = of.area[t] * (q1 * v[1] + q2 * v[0])
         pull1 = p1 * r[0, 0] + p2 * r[0, 1]
         pull2 = p1 * r[1, 0] + p2 * r[1, 1]
         for c in range(3):
@@ -307,9 +300,4 @@ def kernels() -> Any:
             force_out[t, 3 + c, k] = pull1[c]
             force_out[t, 6 + c, k] = pull2[c]
 
-    def parameters(block: Block, device: str) -> list[wp.array]:
-        p = block.parameters
-        return [wp.array(p["points"], dtype=vec3, device=device), wp.array(p["inverse"], dtype=mat22, device=device),
-                *(wp.array(p[name], dtype=real, device=device) for name in ("area", "modulus"))]
-
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, arguments=Triangles)

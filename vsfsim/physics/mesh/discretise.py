@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 
@@ -20,8 +21,8 @@ MAX_CELLS = 2_000_000
 
 def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator | None = None,
                 cache: Path | None = None, focus: np.ndarray | None = None,
-                equal_volume: bool = False, parts: np.ndarray | None = None) -> Solid:
-    """Fill an object with straight-sided, positively oriented tetrahedra, in its own frame.
+                parts: np.ndarray | None = None) -> Solid:
+    """Fill an object with positively oriented tetrahedra, in its own frame.
 
     Args:
         spec: the object; only its shape is read.
@@ -32,7 +33,6 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
             coarsens up to 3x elsewhere; other shapes ignore it.
         parts: low and high corners of boxes inside (p, 2, 3) [m] in the object's frame, whose faces become faces of the
             elements of a box, and whose tops and bottoms those of a cylinder; other shapes ignore them.
-        equal_volume: for sphere, cylinder and rod, scale the inscribed polyhedron to the true volume.
 
     Raises:
         SceneError: an unknown family, bad family parameters, or a resolution that gives too many cells.
@@ -48,19 +48,23 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
     if isinstance(shape, Family):
         return _family(shape, resolution, np.random.default_rng(0) if rng is None else rng)
     _check_cells(shape, resolution)
+    nearest = None
     match shape:
         case Box(size):
             vertices, tets = blocks.box(size, resolution, focus=focus, parts=parts)
         case Sphere(radius):
-            vertices, tets = blocks.ball(radius, resolution, equal_volume=equal_volume)
+            vertices, tets = blocks.ball(radius, resolution)
+            nearest = functools.partial(blocks.on_round, (0.0, 0.0, radius), (1.0, 1.0, 1.0), radius)
         case Cylinder(radius, height):
             layers = None if parts is None or not len(parts) else parts[:, :, 2]
-            vertices, tets = blocks.cylinder(radius, height, resolution, equal_volume=equal_volume, parts=layers)
+            vertices, tets = blocks.cylinder(radius, height, resolution, parts=layers)
+            nearest = functools.partial(blocks.on_round, (0.0, 0.0, 0.0), (1.0, 1.0, 0.0), radius)
         case Rod(length, radius):
-            vertices, tets = blocks.rod(length, radius, resolution, equal_volume=equal_volume)
+            vertices, tets = blocks.rod(length, radius, resolution)
+            nearest = functools.partial(blocks.on_round, (0.0, 0.0, radius), (0.0, 1.0, 1.0), radius)
         case _:
             raise AssertionError(shape)
-    return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",))
+    return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), nearest=nearest)
 
 
 def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid:

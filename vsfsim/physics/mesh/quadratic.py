@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 from vsfsim.core.system.exact import inverse3
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS_FAR, GAUSS_NEAR
+from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, determinants, jacobians
 
 # The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
 _EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
@@ -19,23 +19,33 @@ FACE_NODES = np.array([
      _EDGE_OF[frozenset(map(int, f[[2, 0]]))]] for f in TET_FACES
 ])
 
+_NODES = np.vstack([np.eye(4), 0.5 * (np.eye(4)[EDGES[:, 0]] + np.eye(4)[EDGES[:, 1]])])
+_FOLDED = 0.2  # least Jacobian at a node over that of straight edges
+_ON_SURFACE = 1e-3  # distance of a corner from the true surface over the shortest side of its face
+_MOST_BENT = 0.15  # of an edge's middle over its length: an arc of 67 degrees; beyond it the edge crosses a sharp one
+
 
 @dataclass(frozen=True)
 class QuadraticMesh:
-    """Ten-node tetrahedra with straight sides, in the object's frame."""
+    """Ten-node tetrahedra, in the object's frame. Nodes of edges on a curved surface lie on it."""
 
     points: np.ndarray
     """Nodes, the corners first (n, 3) [m]."""
     tets: np.ndarray
     """Nodes of the tetrahedra (m, 10): corners, then the edges of `tet10_shape.EDGES`."""
     gradients: np.ndarray
-    """Gradients of the four barycentric coordinates (m, 4, 3) [1/m]."""
-    volume: np.ndarray
-    """Volumes (m,) [m^3]."""
+    """Gradients of the last three barycentric coordinates at the four Gauss points (m, 4, 3, 3) [1/m]."""
+    weights: np.ndarray
+    """Volume of each Gauss point (m, 4) [m^3]."""
     faces: np.ndarray
     """Boundary triangles, wound outwards (f, 6): corners, then edge nodes."""
     owner: np.ndarray
     """Tetrahedron behind each boundary triangle (f,)."""
+
+    @property
+    def volume(self) -> np.ndarray:
+        """Volumes of the tetrahedra (m,) [m^3]."""
+        return self.weights.sum(axis=1)
 
     def surface_nodes(self) -> np.ndarray:
         """Indices of the nodes on the boundary (s,), increasing."""
@@ -48,14 +58,12 @@ class QuadraticMesh:
 
 
 def gauss_points(solid: Solid) -> np.ndarray:
-    """Positions of the four Gauss points of every tetrahedron (m, 4, 3) [m]."""
-    bary = np.full((4, 4), GAUSS_FAR)
-    np.fill_diagonal(bary, GAUSS_NEAR)
-    return np.einsum("qk,mkc->mqc", bary, solid.vertices[solid.tets])
+    """Positions of the four Gauss points of every tetrahedron between its corners (m, 4, 3) [m]."""
+    return np.einsum("qk,mkc->mqc", GAUSS, solid.vertices[solid.tets])
 
 
 def quadratic_mesh(solid: Solid) -> QuadraticMesh:
-    """Put a node in the middle of every edge.
+    """Put a node in the middle of every edge, or on the true surface where the body has one.
 
     Args:
         solid: positively oriented corner tetrahedra.
@@ -64,22 +72,49 @@ def quadratic_mesh(solid: Solid) -> QuadraticMesh:
     corners = np.asarray(solid.vertices, float)
     pairs = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    middle = corners[edges].mean(axis=1)
     tets10 = np.hstack([tets, len(corners) + inverse.reshape(len(tets), 6)])
-    volume = tet_volumes(corners, tets)
-    assert (volume > 0).all(), "tetrahedra must be positively oriented"
-    frame = corners[tets[:, 1:]] - corners[tets[:, :1]]  # rows: edges from corner 0
-    inv = inverse3(frame)  # columns: gradients of coordinates 1..3
-    gradients = np.empty((len(tets), 4, 3))
-    gradients[:, 1:] = inv.transpose(0, 2, 1)
-    gradients[:, 0] = -gradients[:, 1:].sum(axis=1)
+    assert (tet_volumes(corners, tets) > 0).all(), "tetrahedra must be positively oriented"
+    middle = corners[edges].mean(axis=1)
+    bent = round_middles(solid, edges)
+    while True:
+        points = np.vstack([corners, middle + bent])
+        folded = (determinants(jacobians(points[tets10], _NODES))
+                  < _FOLDED * 6.0 * tet_volumes(corners, tets)[:, None]).any(axis=1)
+        if not folded.any():
+            break
+        bent[inverse.reshape(len(tets), 6)[folded]] = 0.0  # straight edges never fold
+    jacobian = jacobians(points[tets10], GAUSS)
     faces, owner = boundary_faces(tets)
     # find which face of its owner each boundary triangle is: the corner of the owner that it does not have
     local = np.array([[c in f for c in t] for f, t in zip(faces, tets[owner], strict=True)])
     opposite = np.argmin(local, axis=1)
     faces6 = np.take_along_axis(tets10[owner], FACE_NODES[opposite], axis=1)
-    return QuadraticMesh(np.vstack([corners, middle]), tets10.astype(np.int32), gradients, volume,
-                         faces6.astype(np.int32), owner)
+    return QuadraticMesh(points, tets10.astype(np.int32), np.swapaxes(inverse3(jacobian), 2, 3),
+                         determinants(jacobian) / 24.0, faces6.astype(np.int32), owner)
+
+
+def round_middles(solid: Solid, edges: np.ndarray) -> np.ndarray:
+    """How far the middles of ``edges`` (k, 2) are from the true surface (k, 3) [m]; 0 where a body has none, inside it,
+    and where a sharp edge lies between the corners.
+
+    An edge follows the surface if all corners of a face beside it lie there.
+    """
+    out = np.zeros((len(edges), 3))
+    if solid.nearest is None:
+        return out
+    faces, _ = boundary_faces(solid.tets)
+    sides = np.sort(np.stack([faces, np.roll(faces, 1, axis=1)], axis=2), axis=2)  # (f, 3, 2)
+    length = np.linalg.norm(np.diff(solid.vertices[sides], axis=2)[:, :, 0], axis=2)
+    used, at = np.unique(faces, return_inverse=True)
+    off = np.linalg.norm(solid.nearest(solid.vertices[used]) - solid.vertices[used], axis=1)[at.reshape(faces.shape)]
+    key = edges[:, 0] * np.int64(len(solid.vertices)) + edges[:, 1]
+    beside = sides[(off < _ON_SURFACE * length.min(axis=1)[:, None]).all(axis=1)].reshape(-1, 2)
+    rows = np.flatnonzero(np.isin(key, beside[:, 0] * np.int64(len(solid.vertices)) + beside[:, 1]))
+    ends = solid.vertices[edges[rows]]
+    found = solid.nearest(ends.mean(axis=1)) - ends.mean(axis=1)
+    near = np.linalg.norm(found, axis=1) < _MOST_BENT * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    out[rows[near]] = found[near]
+    return out
 
 
 def assemble(points: int, blocks: tuple[Block, ...]) -> sp.csr_matrix:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vsfsim.physics.elements.tet10_shape import EDGES
+from vsfsim.physics.elements.tet10_shape import determinants, jacobians
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 SHARE = 0.022
@@ -64,17 +64,8 @@ def corner_det_f(mesh: QuadraticMesh, nodes: np.ndarray, u: np.ndarray) -> float
     at = np.flatnonzero(on[mesh.tets].any(axis=1))
     if not len(at):
         return 1.0
-    moved, slope = u[mesh.tets[at]], mesh.gradients[at]  # (m, 10, 3), (m, 4, 3)
-    # at corner k the gradients of the shape functions are 3 or -1 times those of the four corners' coordinates, and 4
-    # times that of the other end for the edges at k
-    weight = np.zeros((4, 10, 4))
-    for k in range(4):
-        weight[k, :4] = np.diag(np.where(np.arange(4) == k, 3.0, -1.0))
-        for edge, (i, j) in enumerate(EDGES):
-            if k in (i, j):
-                weight[k, 4 + edge, j if k == i else i] = 4.0
-    strain = np.einsum("kab,mbd,mac->mkcd", weight, slope, moved, optimize=True)
-    return float(np.linalg.det(np.eye(3) + strain).min())
+    rest, bent = (determinants(jacobians(x[mesh.tets[at]], np.eye(4))) for x in (mesh.points, mesh.points + u))
+    return float((bent / rest).min())
 
 
 def resolved(error: np.ndarray, corner: np.ndarray, converged: np.ndarray, parts: float = 0.0) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 A ball is 20 tetrahedra of an icosahedron, a disc 6 triangles of a hexagon, each subdivided n times and
 pushed out shell by shell: no corner of a cube has to be flattened, and every boundary vertex lies on the
-true surface, so the missing volume falls as O(h^2).
+true surface, as do the nodes that `quadratic` puts between them, by `on_round`.
 """
 
 from __future__ import annotations
@@ -164,21 +164,28 @@ def disc(radius: float, rings: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(points), np.array(triangles)
 
 
+def on_round(centre: tuple[float, ...], across: tuple[float, ...], radius: float, points: np.ndarray) -> np.ndarray:
+    """The nearest points (k, 3) of a ball or an endless cylinder to ``points`` (k, 3) [m].
+
+    Args:
+        centre: a point of its centre or axis (3,) [m].
+        across: 1 for the coordinates that its radius counts in, 0 along its axis (3,).
+        radius: [m].
+    """
+    off = (points - np.array(centre)) * np.array(across)
+    return points + off * (radius / np.maximum(np.linalg.norm(off, axis=1), 1e-300) - 1.0)[:, None]
+
+
 def cylinder(radius: float, height: float, resolution: float, *,
-             equal_volume: bool = False, parts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+             parts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """A cylinder along +z with the centre of its base at the origin.
 
     Args:
         radius, height: [m]. resolution: largest edge length aimed at, along the axis and the radius [m].
         parts: low and high ends of layers inside (p, 2) [m], see `grid_line`.
-        equal_volume: push the rim out so that the polygon has the circle's area; a bar of 12 sides then
-            has the round bar's bending stiffness within 0.05 % (inscribed: 9 % too soft).
     """
     rings = max(2, math.ceil(radius / resolution - 1e-9))
     plane, triangles = disc(radius, rings)
-    if equal_volume:
-        sides = 6 * rings
-        plane = plane / math.sqrt(sides / (2.0 * math.pi) * math.sin(2.0 * math.pi / sides))
     levels = grid_line(0.0, height, resolution, parts=parts)
     vertices = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in levels])
     offsets = len(plane) * np.arange(len(levels) - 1)
@@ -191,21 +198,16 @@ def cylinder(radius: float, height: float, resolution: float, *,
     return vertices, split_prisms(prisms, rank)[0]
 
 
-def rod(length: float, radius: float, resolution: float, *,
-        equal_volume: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def rod(length: float, radius: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:
     """A round bar along +x; the origin is the lowest point of its end at x = 0. See `cylinder`."""
-    vertices, tets = cylinder(radius, length, resolution, equal_volume=equal_volume)
+    vertices, tets = cylinder(radius, length, resolution)
     # (x, y, z) -> (z, x, y) is a rotation: orientation stays.
     return np.column_stack([vertices[:, 2], vertices[:, 0], vertices[:, 1] + radius]), tets
 
 
-def ball(radius: float, resolution: float, *, equal_volume: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """A ball that stands on the origin, with a vertex there and one at the top.
-
-    Args:
-        radius: [m]. resolution: thickness of a shell, about the edge length [m].
-        equal_volume: scale up so that the volume is the ball's, not the inscribed polyhedron's.
-    """
+def ball(radius: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+    """A ball of a ``radius`` [m] that stands on the origin, with a vertex there and one at the top; ``resolution`` is
+    the thickness of a shell, about the edge length [m]."""
     shells = max(2, math.ceil(radius / resolution - 1e-9))
     directions, faces = _icosahedron()
     number: dict[tuple[tuple[int, int], ...], int] = {}
@@ -239,9 +241,6 @@ def ball(radius: float, resolution: float, *, equal_volume: bool = False) -> tup
     cut = np.array(tets + _cut_octahedra(vertices, np.array(octahedra)))
     flip = tet_volumes(vertices, cut) < 0.0
     cut[flip] = cut[flip][:, [1, 0, 2, 3]]
-    if equal_volume:
-        vertices *= (4.0 / 3.0 * math.pi * radius**3 / tet_volumes(vertices, cut).sum()) ** (1.0 / 3.0)
-        radius = float(vertices[:, 2].max())
     return vertices + np.array([0.0, 0.0, radius]), cut
 
 

@@ -105,7 +105,7 @@ class Collective:
 
     Args:
         block: a block of the model.
-        model: its nodes and parameters on the device.
+        model: its arguments on the device.
         own: kernels of the element.
         device: Warp device.
     """
@@ -115,7 +115,7 @@ class Collective:
     response: wp.array
     """The response to it (RESPONSES, B), float64; see `elements/block.py`."""
 
-    def __init__(self, block: Block, model: list[wp.array], own: Any, device: str):
+    def __init__(self, block: Block, model: Any, own: Any, device: str):
         self._rows, self._model, self._own, self._device = len(block), model, own, device
         self._responses, self._law = block.element.RESPONSES, own.law(block, device)
 
@@ -130,14 +130,14 @@ class Collective:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
 
     def _respond(self, index: wp.array, u: wp.array, number: wp.array, response: wp.array) -> None:
-        self._launch(self._own.share, (self._rows, len(index)), [*self._model, index, u, self._shares])
+        self._launch(self._own.share, (self._rows, len(index)), [self._model, index, u, self._shares])
         _add(index, 0, self._shares, self._parts, number)
         self._launch(self._own.respond, (len(index),), [self._law, index, number, response])
 
     def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
         """The number at u, the response to it, and the forces; see `Elasticity.forces`."""
         self._respond(index, u, self.number, self.response)
-        self._launch(self._own.forces, (self._rows, len(index)), [*self._model, index, u, self.response, *part])
+        self._launch(self._own.forces, (self._rows, len(index)), [self._model, index, u, self.response, *part])
 
     def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
         """Store the response at u, and whether the tangent is the true one."""
@@ -147,10 +147,10 @@ class Collective:
     def multiply(self, index: wp.array, at: wp.array, x: wp.array, force: wp.array) -> None:
         """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
         size = self._rows, len(index)
-        self._launch(self._own.share_change, size, [*self._model, index, at, x, self._shares])
+        self._launch(self._own.share_change, size, [self._model, index, at, x, self._shares])
         _add(index, 1, self._shares, self._parts, self._change)
         self._launch(self._own.multiply, size,
-                     [*self._model, index, at, self._tangent_response, self._true, self._change, x, force])
+                     [self._model, index, at, self._tangent_response, self._true, self._change, x, force])
 
 
 class Elasticity:
@@ -173,8 +173,7 @@ class Elasticity:
         self.blocks = model.blocks
         self._points = len(model.mesh.points)
         self._of = [block.kernels() for block in self.blocks]
-        self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
-                       for block, k in zip(self.blocks, self._of, strict=True)]
+        self._model = [block.arguments(device) for block in self.blocks]
         self._together = {i: Collective(block, self._model[i], self._of[i], device)
                           for i, block in enumerate(self.blocks) if block.collective}
         # slot s of the element forces belongs to node flat[s]; slots of one node in increasing order
@@ -233,7 +232,7 @@ class Elasticity:
             if i in self._together:
                 self._together[i].forces(index, u, part)
             else:
-                self._launch(own.forces, (len(block), count), [*model, index, u, *part])
+                self._launch(own.forces, (len(block), count), [model, index, u, *part])
         self._launch(self.kernels.gather, (self._points, count),
                      [self._start, self._slot, self._every, index, 0, self._force, self.internal])
         at = wp.to_torch(index).long()
@@ -250,27 +249,24 @@ class Elasticity:
             if i in self._together:
                 self._together[i].tangent(index, u, projected)
             elif own.tangent is not None:
-                self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
+                self._launch(own.tangent, (len(block), len(index)), [model, index, int(projected), u, state])
 
     def add_matrices(self, touch: int, order: Order, values: np.ndarray) -> None:
         """Add the tangents of all elements of one touch, on a CPU, to the blocks ``values`` (b, 3, 3) [N/m] of a matrix
         in this ``order``, supports not held: products of each element with the unit vectors of its own nodes."""
         at = self._at.numpy()[:, touch]
-        for block, own, model, state in zip(self.blocks, self._of, self._model, self._state, strict=True):
-            size, shared = 3 * block.nodes.shape[1], getattr(own, "shared", ())
+        for block, own, state in zip(self.blocks, self._of, self._state, strict=True):
+            size = 3 * block.nodes.shape[1]
             for first in range(0, len(block), _TOGETHER):
                 rows = slice(first, first + _TOGETHER)
                 count = len(block.nodes[rows])
                 nodes = block.nodes[rows].astype(np.int64)
                 places = order.find(nodes[:, :, None], nodes[:, None, :])
                 own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
-                alone = wp.array(np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape), device="cpu")
+                alone = block.part(rows, np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape))
                 matrix = wp.empty((count, size, size), dtype=real, device="cpu")
-                given = [a if i in shared else wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu")
-                         for i, a in enumerate(model[1:])]
                 wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
-                    alone, *given,
-                    wp.zeros(size, dtype=wp.int32, device="cpu"),
+                    alone.arguments("cpu"), wp.zeros(size, dtype=wp.int32, device="cpu"),
                     *(wp.array(a, dtype=real, device="cpu") for a in (
                         own_at, state.numpy()[rows, :, touch:touch + 1])), _units(size)[:count * size],
                     matrix])
@@ -294,7 +290,7 @@ class Elasticity:
             if i in self._together:
                 self._together[i].multiply(index, self._at, x, part[0])
             else:
-                self._launch(own.multiply, (len(block), len(index)), [*model, index, self._at, state, x, part[0]])
+                self._launch(own.multiply, (len(block), len(index)), [model, index, self._at, state, x, part[0]])
         self._launch(self.kernels.gather, (self._points, len(index)),
                      [self._start, self._slot, self._free, index, 1, self._force, out])
 
