@@ -181,7 +181,8 @@ def test_the_model_holds_what_the_scene_says():
     assert np.allclose(model.young_modulus, np.where(own_x < 0.0, 4e5, 1e5)[:, None], rtol=1e-12)
     # gradients turned with the body: they differentiate world coordinates
     x = model.mesh.points[model.mesh.tets[:, :4]]
-    assert np.einsum("mkc,mkd->mcd", model.mesh.gradients[:, 0], x[:, 1:] - x[:, :1]) == pytest.approx(np.broadcast_to(np.eye(3), (len(x), 3, 3)), abs=1e-10)
+    assert np.einsum("mkc,mkd->mcd", model.mesh.gradients[:, 0], x[:, 1:] - x[:, :1]) == pytest.approx(
+        np.broadcast_to(np.eye(3), (len(x), 3, 3)), abs=1e-10)
 
 
 def test_a_scan_is_cut_as_finely_as_a_box_of_its_size(tmp_path):

@@ -89,7 +89,7 @@ def test_a_clamped_thin_plate_with_default_meshing_bends_as_plate_theory_says(si
 
 @pytest.mark.slow
 def test_a_scanned_thin_plate_bends_as_plate_theory_says(tmp_path):
-    """The same plate as a surface file: filled by fTetWild at the default size, clamped over its first 0.1 mm."""
+    """The same plate as a surface file: filled at the default size, clamped over its first 0.1 mm."""
     trimesh = pytest.importorskip("trimesh")
     length, width, thick, nu, gravity = 0.06, 0.04, 0.002, 0.3, 1e-4
     trimesh.creation.box((length, width, thick)).export(tmp_path / "plate.stl")

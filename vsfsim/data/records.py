@@ -21,7 +21,7 @@ AUDIT_COLUMNS = ("force_balance", "min_det_f", "energy", "penetration")
 """Columns of `Touch.audit` that every simulated touch has; see there for the units."""
 CONTACT_COLUMNS = ("contact_points", "contact_radius")
 """Further columns of a touch by a rigid probe."""
-MESH_COLUMNS = ("mesh_error", "corner_det_f")
+MESH_COLUMNS = ("mesh_error", "corner_det_f", "rotation")
 """Further columns of a touch by a rigid probe on a solid of tetrahedra."""
 
 
@@ -92,9 +92,9 @@ class Touch:
     surface inside the probe, between the contact points too [m]. Of a rigid probe also contact_points = number of
     points in contact, and contact_radius = radius of a circle of the area in contact over the edge of the elements
     there [-]. On a solid of tetrahedra also mesh_error = estimated error of the force because the contact is small
-    against the elements [-], and corner_det_f = least det F at the corners of the tetrahedra in contact [-]. Of an
-    audited touch also finer_force = force of the same touch on a mesh one level finer, world (T, 3) [N];
-    finer_converged = bool, the frame is an equilibrium there [-]."""
+    against the elements [-], corner_det_f = least det F at the corners of the tetrahedra in contact [-], and rotation
+    = largest rotation of a tetrahedron [rad]. Of an audited touch also finer_force = force of the same touch on a mesh
+    one level finer, world (T, 3) [N]; finer_converged = bool, the frame is an equilibrium there [-]."""
     q: np.ndarray | None = None
     """Joint angles of the arm (T, 7) [rad], or None without an arm."""
     torque: np.ndarray | None = None

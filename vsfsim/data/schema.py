@@ -142,14 +142,17 @@ FIELDS: list[Field] = [
     _touch("audit/corner_det_f", "float64", "T", "1",
            "Smallest det F at the corners of the tetrahedra in contact; of a rigid probe on tetrahedra.",
            required=False, masked=True),
+    _touch("audit/rotation", "float64", "T", "rad",
+           "Largest rotation of a tetrahedron; of a rigid probe on tetrahedra.", required=False, masked=True),
     _touch("audit/finer_force", "float64", "T 3", "N",
            "Force of the same touch on a mesh one level finer, world, 0 where finer_converged is not; of one touch in "
            "ten of a dataset with --accuracy.", required=False),
     _touch("audit/finer_converged", "bool", "T", "1", "The frame is an equilibrium on the finer mesh.",
            required=False),
     _touch("resolved", "bool", "T", "1",
-           "The frame is an equilibrium, its mesh_error is 0.1 at most, no corner of an element is inside out, and the "
-           "mesh holds the parts inside; of a rigid probe on tetrahedra.", required=False),
+           "The frame is an equilibrium, its mesh_error is 0.1 at most, no corner of an element is inside out, at a "
+           "tier of small strain none turns by more than 0.13 rad, and the mesh holds the parts inside; of a rigid "
+           "probe on tetrahedra.", required=False),
     _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
     _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
     _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False,

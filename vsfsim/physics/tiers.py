@@ -27,6 +27,7 @@ from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.foot import scan_foot
 from vsfsim.physics.mesh.inclusions import held_stiffness, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
+from vsfsim.physics.mesh.resolved import TURNED
 from vsfsim.physics.model import Elements, Model, build_model, regional_tetrahedra, tetrahedra
 from vsfsim.physics.solve.frames import SolverOptions
 
@@ -71,6 +72,8 @@ along its length with this many, which its bending resolves."""
 # the cheapest tier that shows each need
 _SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "linear", "normal-force": "linear",
           "bulging": "fem-coarse", "large-deformation": "fem"}
+FOLLOWS = _SHOWS["large-deformation"]
+"""The tier of a scene whose elements turn further than small strain follows."""
 _LAW = "fem-coarse"  # the cheapest tier with a material's law at large strain
 _DEFAULT = "linear"  # of a scene that names no need: the cheapest tier with a trustworthy force
 
@@ -108,6 +111,13 @@ def choose(scene: Scene, asked: str | None = None) -> str:
                          f"tier 'vsf', whose layers cannot move sideways: its stiffness has no bound as nu goes to "
                          f"1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'linear' or above.")
     return tier
+
+
+def turned_too_far(scene: Scene, asked: str | None, tier: str, rotation: np.ndarray) -> bool:
+    """Whether elements turned (T,) [rad] further than a ``tier`` follows that neither the caller, who ``asked`` for
+    one, nor the scene names."""
+    free = asked in (None, "auto") and scene.object.tier == "auto"
+    return free and not TIERS[tier].nonlinear and bool((rotation > TURNED).any())
 
 
 def elements(scene: Scene, tier: str) -> list[tuple[str, str]]:
@@ -219,7 +229,8 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
         modulus = field.by_region(solid.region_names, solid.young_modulus, where)
     if not field.inclusions:
-        return solid, field.evaluate(gauss_points(solid), _spread(solid, 4), modulus)
+        region = np.repeat(np.asarray(solid.region)[:, None], 4, axis=1)
+        return solid, field.evaluate(gauss_points(solid), region, modulus)
     solid = snap_to_inclusions(solid, field)
     values = _mixed(solid, field, modulus)
     share = held_stiffness(solid, field, modulus, values)
@@ -241,10 +252,6 @@ def _with_edges(solid: Solid, edges: EdgePath, scene: Scene, tier: str) -> Solid
         f"{1e3 * part * float(edges.half.min()):.2g} mm.")))
 
 
-def _spread(solid: Solid, points: int) -> np.ndarray:
-    return np.broadcast_to(np.asarray(solid.region)[:, None], (len(solid.tets), points))
-
-
 def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np.ndarray:
     """One modulus for each tetrahedron (m,) [Pa]: the harmonic mean over its volume.
 
@@ -258,7 +265,8 @@ def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np
     # moved towards the centroid a little, so that a point on a face belongs to its own tetrahedron
     bary = 0.9 * steps / n + 0.1 / 4.0
     points = np.einsum("sk,mkc->msc", bary, solid.vertices[solid.tets])
-    return 1.0 / (1.0 / field.evaluate(points, _spread(solid, len(bary)), modulus)).mean(axis=1)
+    region = np.repeat(np.asarray(solid.region)[:, None], len(bary), axis=1)
+    return 1.0 / (1.0 / field.evaluate(points, region, modulus)).mean(axis=1)
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,

@@ -17,7 +17,7 @@ from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics.elements.tet10_shape import GAUSS, shape_values
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
-from vsfsim.physics.mesh.structured import GROWTH, grid_line
+from vsfsim.physics.mesh.structured import GROWTH
 
 SPEC = parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5\n', "test.toml").sample(0).object
 
@@ -77,25 +77,6 @@ def test_same_input_same_arrays(name: str) -> None:
     assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.tets, two.tets)
 
 
-@pytest.mark.parametrize("shape, volume", [(Sphere(0.04), 4 / 3 * math.pi * 0.04**3),
-                                           (Cylinder(0.03, 0.08), math.pi * 0.03**2 * 0.08)])
-def test_volume_converges_at_second_order(shape: object, volume: float) -> None:
-    size = shape.radius
-    errors = [1.0 - solid_of(shape, size / n).volume() / volume for n in (3, 6)]
-    # Chords of a smooth surface: O(h^2); a quarter of an order for the next term at three cells a radius.
-    assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.25)
-
-
-def test_boundary_lies_on_the_surface() -> None:
-    ball = solid_of(Sphere(0.04), 0.012)
-    on = np.unique(ball.surface()[0])
-    assert np.linalg.norm(ball.vertices[on] - [0, 0, 0.04], axis=1) == pytest.approx(np.full(len(on), 0.04), rel=1e-12)
-    rod = solid_of(Rod(0.1, 0.01), 0.004)
-    radius = np.hypot(rod.vertices[:, 1], rod.vertices[:, 2] - 0.01)
-    assert radius.max() == pytest.approx(0.01, rel=1e-12)
-    assert np.ptp(rod.vertices[:, 0]) == pytest.approx(0.1) and rod.vertices[:, 0].min() == 0.0
-
-
 @pytest.mark.parametrize("name", ["sphere", "cylinder", "rod"])
 def test_a_round_body_has_round_faces_and_the_volume_of_its_shape(name: str) -> None:
     shape, resolution, volume = SHAPES[name]
@@ -138,15 +119,6 @@ def test_focus_grades_the_box() -> None:
         assert (widths[1:] / widths[:-1]).max() < GROWTH + 0.02 and (widths[:-1] / widths[1:]).max() < GROWTH + 0.02
         nearest = np.abs(0.5 * (ticks[1:] + ticks[:-1]) - at).argmin()
         assert widths[nearest] <= fine * 1.001 and widths.max() <= 3.0 * fine * 1.001
-
-
-def test_grid_line_with_several_foci() -> None:
-    ticks = grid_line(0.0, 1.0, 0.01, focus=np.array([0.2, 0.8]))
-    widths = np.diff(ticks)
-    middle = 0.5 * (ticks[1:] + ticks[:-1])
-    for at in (0.2, 0.8):
-        assert widths[np.abs(middle - at).argmin()] <= 0.01
-    assert widths[np.abs(middle - 0.5).argmin()] > 0.025
 
 
 def test_dihedral_angles_of_known_tetrahedra() -> None:

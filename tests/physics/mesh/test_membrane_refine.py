@@ -11,6 +11,7 @@ from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.bubble import refine, result_of
 from vsfsim.generate.presses.bubble_solve import solve
 from vsfsim.generate.presses.dent import dent, share_above
+from vsfsim.physics.bubble import sensor
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.mesh import membrane_refine
@@ -45,7 +46,7 @@ def at(place, depth, frames=3):
 @pytest.mark.parametrize(("place", "mirrors"), [((0.0, 0.0, 0.0335), ([-1.0, 1.0], [1.0, -1.0])),
                                                 ((0.0, 0.0385, 0.004), ([-1.0, 1.0],))])
 def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mirrors):
-    (wish,) = membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(Sphere(0.003)),
+    (wish,) = sensor.wishes(even.mesh.points, even.element_size, RigidBodies(Sphere(0.003)),
                                      at(np.array(place), 0.005), None)
     assert wish[0] == pytest.approx(0.001) and 1 <= len(wish[1]) < 20
     a, b = even.spec.semi_axes
@@ -72,12 +73,12 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
 
 def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
     def asked(shape, place=(0.0, 0.0, 0.0335), edge=None):
-        return membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(shape),
+        return sensor.wishes(even.mesh.points, even.element_size, RigidBodies(shape),
                                       at(np.array(place), 0.005), edge)
 
     assert asked(Sphere(0.03)) == () and asked(Sphere(0.003), (0.0, 0.0, 0.06)) == ()
     assert asked(Plane()) == ()
-    assert asked(Box((0.01, 0.01, 0.01)))[0][0] == membrane_refine.SHARP * even.element_size
+    assert asked(Box((0.01, 0.01, 0.01)))[0][0] == sensor.SHARP * even.element_size
     assert asked(Box((0.01, 0.01, 0.01)), edge=0.002)[0][0] == 0.002 and asked(Sphere(0.003), edge=0.05) == ()
 
 

@@ -137,14 +137,15 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, device:
         width = len(part)
         frames = solver.run(poses, start=starts(spec, part, poses[0]), mount=mount,
                             progress=None if progress is None else lambda _, k=width: progress(k))  # type: ignore[misc]
-        out += [dataclasses.replace(_record(a, poses[:, k], frames, k, model.solid.parts), mount_stiffness=spring)
+        out += [dataclasses.replace(_record(a, poses[:, k], frames, k, solver), mount_stiffness=spring)
                 for k, a in enumerate(part)]
     return out
 
 
-def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int, parts: float) -> Touch:
+def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int, solver: Solver) -> Touch:
     mesh = MESH_COLUMNS if np.isfinite(frames.mesh_error[:, k]).all() else ()
-    held = resolved(frames.mesh_error[:, k], frames.corner_det_f[:, k], frames.converged[:, k], parts) if mesh else None
+    held = resolved(frames.mesh_error[:, k], frames.corner_det_f[:, k], solver.linear * frames.rotation[:, k],
+                    frames.converged[:, k], solver.model.solid.parts) if mesh else None
     found = frames.converged[:, k] & np.isfinite(frames.force[:, k]).all(axis=1)
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,

@@ -36,8 +36,8 @@ from vsfsim.generate.presses.verdict import (
     solver_columns,
     statement,
 )
+from vsfsim.physics.bubble.sensor import SHARE
 from vsfsim.physics.mesh.membrane import TriangleMesh
-from vsfsim.physics.mesh.membrane_refine import SHARE
 from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 from vsfsim.sensing.camera import fitting_camera

@@ -21,11 +21,10 @@ from vsfsim.generate.aim import clearance
 from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.verdict import direction
 from vsfsim.physics import tiers
-from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
+from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble, wishes
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.membrane import TriangleMesh
-from vsfsim.physics.mesh.membrane_refine import wishes
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.coupled import CoupledSolver, free_way

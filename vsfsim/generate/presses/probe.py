@@ -89,7 +89,21 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
     Raises:
         SceneError, MeshError: the scene cannot be built, or the probe begins inside the object.
     """
-    return solve(prepare(loaded.sample(request.seed), request), request)
+    return _pressed(loaded.sample(request.seed), request)[1]
+
+
+def _pressed(scene: Scene, request: PressRequest) -> tuple[Prepared, PressResult]:
+    """The press, again at a tier that follows rotations where nobody chose one and elements turn too far."""
+    prepared = prepare(scene, request)
+    result = solve(prepared, request)
+    if not tiers.turned_too_far(scene, request.tier, prepared.tier, result.more["rotation"]):
+        return prepared, result
+    body = dataclasses.replace(scene.required_object, tier=tiers.FOLLOWS)
+    prepared = prepare(dataclasses.replace(scene, object=body), request)
+    prepared = dataclasses.replace(prepared, notes=(*prepared.notes, (
+        f"Elements turn by up to {float(result.more['rotation'].max()):.2g} rad, which small strain does not follow: "
+        f"tier '{tiers.FOLLOWS}' was taken.")))
+    return prepared, solve(prepared, request)
 
 
 def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
@@ -98,15 +112,18 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
     Raises:
         SceneError, MeshError: as `press`.
     """
-    first = prepare(loaded.sample(request.seed), request)
     results, edge = [], []
     for k in range(meshes):
-        prepared, asked = first, dataclasses.replace(request, keep=request.keep and k == meshes - 1,
-                                                     progress=of_mesh(request.progress, k, meshes))
-        if k > 0:
+        asked = dataclasses.replace(request, keep=request.keep and k == meshes - 1,
+                                    progress=of_mesh(request.progress, k, meshes))
+        if k == 0:
+            first, result = _pressed(loaded.sample(request.seed), asked)
+            prepared = first
+        else:
             body = dataclasses.replace(first.scene.required_object, resolution=first.element_size / RATIO**k)
             prepared = _discretise(dataclasses.replace(first.scene, object=body), first.tier, asked, first.notes)
-        results.append(solve(prepared, asked))
+            result = solve(prepared, asked)
+        results.append(result)
         # the triangles of a scan are of all sizes
         volume = float(prepared.model.mesh.volume.sum())
         edge.append((volume / results[-1].more["tets"]) ** (1.0 / 3.0)
@@ -220,8 +237,9 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
              "precision": "float64", "element_size": prepared.element_size, "edge": edge,
              "edge_at_contact": edge_at(model, tip(scene, np.array(spec.stop), axis)),
              "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
-             "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0]}
-    mesh = (frames.mesh_error[:, 0], frames.corner_det_f[:, 0], frames.converged[:, 0])
+             "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0],
+             "rotation": frames.rotation[:, 0]}
+    mesh = (frames.mesh_error[:, 0], frames.corner_det_f[:, 0], linear * frames.rotation[:, 0], frames.converged[:, 0])
     words = [FORCES, said, *filter(None, [in_words(*mesh)]),
              f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
                    f"{1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
@@ -239,7 +257,8 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
         depth=depth, force=force, axis=axis, reaction=frames.reaction[:, 0], **fields, deepest=full, more=more,
         columns=(*force_columns(depth, force, axis), Column("balance", frames.force_balance[:, 0], ".1e"),
                  Column("min det F", frames.min_det_f[:, 0], ".3f"),
-                 *([Column("mesh err %", 100.0 * frames.mesh_error[:, 0], ".1f")]
+                 *([Column("turn rad", frames.rotation[:, 0], ".3f"),
+                    Column("mesh err %", 100.0 * frames.mesh_error[:, 0], ".1f")]
                    if np.isfinite(frames.mesh_error).any() else []), Column("energy J", frames.energy[:, 0], ".2e"),
                  *solver_columns(frames, edge)),
         words=tuple(words), notes=notes, resolved=resolved(*mesh, model.solid.parts),

@@ -9,8 +9,7 @@ it over about one spacing: error O(h), 0.1 h at an edge of 90 degrees.
 
 Spacing: the finer of LONGEST cells along the longest edge of the bounding box and SHORTEST along the shortest, but
 never more than MAX_NODES nodes (16 MB of doubles). Distance: to the exact triangles, in double. Sign: generalised
-winding number (Jacobson et al. 2013; Barill et al. 2018).
-A surface that does not bound one simple solid is first closed by fTetWild.
+winding number (Jacobson et al. 2013; Barill et al. 2018), so that parts that overlap are one solid.
 """
 
 import functools
@@ -18,7 +17,6 @@ import hashlib
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
@@ -27,20 +25,12 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
-from vsfsim.physics.mesh.winding import winding_number
-
-if TYPE_CHECKING:
-    from vsfsim.physics.mesh.repair import Surface
 
 LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
 MAX_NODES = 2_000_000
 PAD = 4  # cells of distance kept around the bounding box
 # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
 _RIM = 4
-# edge of the tetrahedra that close a broken surface, over its longest edge: fTetWild keeps to the surface whatever the
-# size, and 1 / 40 takes minutes
-_CLOSED_EDGE = 1 / 8
-_ENVELOPE = 1e-3  # how far fTetWild may move a broken surface, over the diagonal of its bounding box
 _SLOW = 1.0  # duration of a bake above which it is kept on disk [s]
 _RECIPE = 2  # part of the cache key: raise it when the bake changes
 
@@ -122,7 +112,7 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
 def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: float,
            stamp: int | None) -> DistanceGrid:
     # repair imports trimesh, which a sphere does not need. ``stamp`` is the file's time: an edited file is read again
-    from vsfsim.physics.mesh import repair, tetwild
+    from vsfsim.physics.mesh import repair
 
     path = Path(shape.path)
     content = repair.content(path)
@@ -133,21 +123,13 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: flo
     if grid is None:
         began = time.perf_counter()
         surface = repair.read_surface(shape)
-        vertices, faces, notes = surface.vertices, surface.faces, list(surface.notes)
-        broken = _fault(surface)
-        if broken:
-            vertices, faces = _boundary(*tetwild.run(surface, _CLOSED_EDGE * float(surface.extents.max()), _ENVELOPE,
-                                                     path))
-            if not len(faces) or _volume(vertices, faces) < 1e-4 * float(np.prod(surface.extents)):
-                raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. "
-                                f"Close it or give it thickness.")
-            notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to {100 * _ENVELOPE:g} % of its "
-                         f"diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
-        grid = bake(vertices + surface.centre, faces, spacing=spacing, centre=surface.centre, notes=tuple(notes))
-        if broken or time.perf_counter() - began > slow:
+        if repair.signed_volume(surface.vertices, surface.faces) < 1e-4 * float(np.prod(surface.extents)):
+            raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. "
+                            f"Close it or give it thickness.")
+        grid = bake(surface.vertices + surface.centre, surface.faces, spacing=spacing, centre=surface.centre,
+                    notes=surface.notes)
+        if time.perf_counter() - began > slow:
             _write(stored, grid)
-            # another worker may have been first; fTetWild never returns the same surface twice, so that one counts
-            grid = _read(stored) or grid
     return grid
 
 
@@ -194,37 +176,6 @@ def spline(distance: np.ndarray) -> np.ndarray:
 def exact_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Signed distance (k,) [m] of ``points`` (k, 3) to a closed triangle mesh; negative inside."""
     return SurfaceDistance(vertices, faces)(points)
-
-
-def _fault(surface: "Surface") -> str:
-    """Why a surface bounds no simple solid, or "" if it does."""
-    if not surface.watertight:
-        return "The surface is not watertight"
-    vertices, faces = surface.vertices, surface.faces
-    # faces inside the body (overlapping parts, self-intersections) give winding numbers beyond 0 and 1 somewhere
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    probes = low + (high - low) * np.random.default_rng(0).random((min(500, max(50, 20_000_000 // len(faces))), 3))
-    number = winding_number(vertices, faces, probes)
-    if np.abs(number - np.clip(np.rint(number), 0, 1)).max() > 0.05:
-        return "Parts of the surface overlap or are inside out"
-    return ""
-
-
-def _boundary(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boundary triangles of tetrahedra, wound outwards, and their corners only."""
-    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
-    turned = np.linalg.det(edges) < 0.0
-    tets = np.where(turned[:, None], tets[:, [1, 0, 2, 3]], tets)
-    faces = np.concatenate([tets[:, k] for k in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])])
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    faces = faces[first[count == 1]]
-    used, local = np.unique(faces, return_inverse=True)
-    return vertices[used], local.reshape(-1, 3)
-
-
-def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float(np.einsum("fc,fc->f", a, np.cross(b, c)).sum() / 6.0)
 
 
 # ---------------------------------------------------------------------------------------------- the cache

@@ -87,19 +87,23 @@ class LocalIndentation:
     def __init__(self, model: Model, patches: Sequence[Patch], area: np.ndarray, reach: Reach, points: torch.Tensor,
                  *, on: bool, missing: MissingCompliance | None = None):
         nu, radii = poisson_ratio(model), [smooth_radius(s) for s in reach.bodies.shapes]
-        self._round = [0.0 < r < np.inf for r in radii]
+        curvature = model.mesh.curvature() if model.mesh.faces.shape[1] == 6 else np.zeros(len(model.mesh.faces))
+        self._round = [0.0 < r < np.inf or bool(r and curvature.any()) for r in radii]
         self._on = on and nu is not None and any(self._round)
         self._reach, self._factor, self._missing = reach, FITTED * (1.0 - (nu or 0.0) ** 2), missing
         self._points = points.transpose(0, 1).contiguous()
-        cover, edge = np.zeros((len(patches), points.shape[1] // 6, 6)), np.zeros((len(patches), points.shape[1] // 6))
+        cover = np.zeros((len(patches), points.shape[1] // 6, 6))
+        edge, bent = (np.zeros(cover.shape[:2]) for _ in range(2))
         for b, p in enumerate(patches):
             own, parts = area[p.faces], p.cuts**2
             cover[b, :len(p.part)] = np.repeat(own / parts, parts)[:, None] * WEIGHTS
             edge[b, :len(p.part)] = np.repeat(np.sqrt(2.0 * own), parts)
+            bent[b, :len(p.part)] = np.repeat(curvature[p.faces], parts)
+        self._bent = torch.as_tensor(bent, device=points.device).repeat_interleave(6, dim=1)  # curvature at each point
         self._cover = torch.as_tensor(cover, device=points.device).flatten(1)  # area of each point
         self._edge = torch.as_tensor(edge, device=points.device)
         self._share = torch.ones(cover.shape, dtype=torch.float64, device=points.device)
-        self._deepest = _SMALL * min((r for r in radii if 0.0 < r < np.inf), default=0.0)
+        self._deepest = _SMALL * min((r for r in radii if r > 0.0), default=0.0)
         self._soft = (SATURATED * self._edge).clamp(max=self._deepest)
         self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
         self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor] | None = None
@@ -184,10 +188,11 @@ class LocalIndentation:
     def share(self, gap: torch.Tensor, gone: torch.Tensor, held: torch.Tensor, shapes: Sequence[ProbeShape],
               columns: torch.Tensor) -> torch.Tensor:
         """Share (k, K) [-], 1 at most, of each body's way into the object that is local indentation: twice Hertz's
-        a^2 / R of the contact's radius a over how far the surface went with the body.
+        a^2 / R of the contact's radius a over how far the surface went with the body, 1 / R being the sum of the
+        curvatures of body and object.
 
         A half-space gives way locally alone. A wall that bends goes with the body, and its local indentation, which a
-        coarse mesh has wrong, is a small part of the way. The share is 1 under a body of no one radius.
+        coarse mesh has wrong, is a small part of the way. The share is 1 where neither is round.
 
         Args:
             gap: of the points (k, 6 f) [m].
@@ -197,9 +202,16 @@ class LocalIndentation:
         """
         held = held * (gap < 0.0)[:, :, None]
         area, way = (self._cover[columns][:, :, None] * held).sum(dim=1), ((gone - gap)[:, :, None] * held).amax(dim=1)
-        radius = torch.tensor([smooth_radius(s) for s in shapes], dtype=torch.float64, device=gap.device)
-        local = 2.0 / np.pi * area / (radius * way).clamp(min=1e-15)
-        return torch.where((radius > 0.0) & radius.isfinite(), local.clamp(max=1.0), 1.0)
+        of_body = torch.tensor([1.0 / max(smooth_radius(s), 1e-15) for s in shapes], dtype=torch.float64,
+                               device=gap.device)
+        weight = self._cover[columns][:, :, None] * held
+        curvature = of_body + (weight * self._bent[columns][:, :, None]).sum(dim=1) / area.clamp(min=1e-300)
+        local = 2.0 / np.pi * area * curvature / way.clamp(min=1e-15)
+        return torch.where(curvature > 0.0, local.clamp(max=1.0), 1.0)
+
+    def acts(self) -> np.ndarray:
+        """Whether the contact with each body has this compliance (K,) bool."""
+        return np.array(self._round) & self._on
 
 
 class MissingCompliance:

@@ -317,6 +317,11 @@ class RigidContact(PointStiffness, Contact):
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         return self._local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
 
+    @property
+    def local_acts(self) -> np.ndarray:
+        """See `LocalIndentation.acts`."""
+        return self._local_indentation.acts()
+
     def local_share(self, columns: torch.Tensor) -> torch.Tensor:
         """See `LocalIndentation.share`."""
         gone = self.places(columns, (self._x - self.rest.view_as(self._x))[columns])

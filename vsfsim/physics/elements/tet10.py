@@ -21,7 +21,8 @@ lambda_m adds a pressure to c of the law (see `laws/neo_hooke.py`), and one term
 F is recomputed for every product. What the law stores at the Gauss points and the gradient of Jbar are stored.
 
 The element has ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`) and four Gauss points, each with moduli
-and, where sides are curved, a Jacobian of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows 3 i, 3 i + 1, 3 i + 2.
+and, where sides are curved, a Jacobian of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows
+3 i, 3 i + 1, 3 i + 2.
 """
 
 import functools

@@ -19,12 +19,14 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.core.solid import Solid
+from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics.mesh.quadratic import round_middles
 
 GROWTH = 0.8
 """Growth of the longest edge of a tetrahedron with the distance [-]."""
 _PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 _PASSES = 60  # rounds of division; three halve an edge
+_FOLDED = 0.2  # least volume of a tetrahedron whose new corners lie on a round surface, over that without
 _LONGEST = 1.3  # longest edge of a tetrahedron over the size asked for: a cube's five have its edge and its diagonal
 _MOST_TETS = (2, 12_000)  # tetrahedra that there may be: so many times those before, and so many more
 
@@ -81,17 +83,15 @@ def refine_near(solid: Solid, edges: EdgePath, part: float) -> tuple[Solid, floa
         return solid, part
     near, most = cKDTree(places), _MOST_TETS[0] * len(solid.tets) + _MOST_TETS[1]
     while True:
-        vertices, tets, parent = _divide(solid.vertices, solid.tets, near, _LONGEST * part * edges.half[which], most)
-        if len(tets) <= most:
-            break
+        divided = _divide(solid, near, _LONGEST * part * edges.half[which], most)
+        if len(divided.tets) <= most:
+            return divided, part
         part *= 1.25
-    return dataclasses.replace(solid, vertices=vertices, tets=tets, region=np.asarray(solid.region)[parent]), part
 
 
-def _divide(vertices: np.ndarray, tets: np.ndarray, near: cKDTree, size: np.ndarray,
-            most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, tetrahedra and the tetrahedron that each comes from; ``size`` (k,) [m] at the places of ``near``."""
-    parent = np.arange(len(tets))
+def _divide(solid: Solid, near: cKDTree, size: np.ndarray, most: int) -> Solid:
+    """The solid with elements of ``size`` (k,) [m] at the places of ``near``."""
+    vertices, tets, parent = solid.vertices, solid.tets, np.arange(len(solid.tets))
     for _ in range(_PASSES):
         ends, edge, rank = _edges(vertices, tets)
         longest = edge[np.arange(len(tets)), rank[edge].argmax(axis=1)]
@@ -116,9 +116,14 @@ def _divide(vertices: np.ndarray, tets: np.ndarray, near: cKDTree, size: np.ndar
             divided[more] = True
         middle = np.full(len(ends), -1)
         middle[divided] = len(vertices) + np.arange(divided.sum())
-        vertices = np.concatenate([vertices, vertices[ends[divided]].mean(axis=1)])
+        bent = round_middles(dataclasses.replace(solid, vertices=vertices, tets=tets), ends[divided])
+        straight = np.concatenate([vertices, vertices[ends[divided]].mean(axis=1)])
         tets, parent = _bisect(tets, parent, edge, rank, middle)
-    return vertices, tets, parent
+        vertices = straight.copy()
+        vertices[-len(bent):] += bent
+        while (folded := tet_volumes(vertices, tets) < _FOLDED * tet_volumes(straight, tets)).any():
+            vertices[tets[folded]] = straight[tets[folded]]
+    return dataclasses.replace(solid, vertices=vertices, tets=tets, region=np.asarray(solid.region)[parent])
 
 
 def _edges(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -194,16 +194,6 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
     return vertices
 
 
-def move_boundary(vertices: np.ndarray, tets: np.ndarray, targets: dict[int, np.ndarray]) -> np.ndarray:
-    """Vertices (n, 3) [m], those of the boundary moved to ``targets`` (3,) [m], by number, like `pull_to_features`."""
-    mover = _Mover(vertices, tets)
-    rim = set(mover.rim.tolist())
-    for v, target in sorted(targets.items()):
-        if v in rim:
-            mover.move(v, target)
-    return mover.vertices
-
-
 class _Mover:
     """Moves vertices of the boundary one by one, none of them to the harm of a tetrahedron."""
 

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 from vsfsim.core.system.exact import inverse3
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, determinants, jacobians
+from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, jacobians
 
 # The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
 _EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
@@ -21,7 +21,7 @@ FACE_NODES = np.array([
 
 _NODES = np.vstack([np.eye(4), 0.5 * (np.eye(4)[EDGES[:, 0]] + np.eye(4)[EDGES[:, 1]])])
 _FOLDED = 0.2  # least Jacobian at a node over that of straight edges
-_ON_SURFACE = 1e-3  # distance of a corner from the true surface over the shortest side of its face
+_ON_SURFACE = 1e-2  # distance of a corner from the true surface over the shortest side of its face
 _MOST_BENT = 0.15  # of an edge's middle over its length: an arc of 67 degrees; beyond it the edge crosses a sharp one
 
 
@@ -56,6 +56,17 @@ class QuadraticMesh:
         a, b, c = (self.points[self.faces[:, k]] for k in range(3))
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
+    def curvature(self) -> np.ndarray:
+        """Mean curvature of the boundary triangles at rest (f,) [1/m], by how far their edges bulge outwards."""
+        corners = self.points[self.faces[:, :3]]
+        chord = np.roll(corners, -1, axis=1) - corners
+        outward = np.cross(chord[:, 0], chord[:, 1])
+        bulge = self.points[self.faces[:, 3:]] - corners - 0.5 * chord
+        sagitta = np.einsum("fei,fi->fe", bulge, outward) / np.linalg.norm(outward, axis=1)[:, None]
+        square = (chord**2).sum(axis=2)
+        # a straight edge bulges by rounding error
+        return np.where(sagitta**2 > 1e-18 * square, 8.0 * sagitta / square, 0.0).mean(axis=1)
+
 
 def gauss_points(solid: Solid) -> np.ndarray:
     """Positions of the four Gauss points of every tetrahedron between its corners (m, 4, 3) [m]."""
@@ -73,24 +84,23 @@ def quadratic_mesh(solid: Solid) -> QuadraticMesh:
     pairs = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
     tets10 = np.hstack([tets, len(corners) + inverse.reshape(len(tets), 6)])
-    assert (tet_volumes(corners, tets) > 0).all(), "tetrahedra must be positively oriented"
+    volume = tet_volumes(corners, tets)
+    assert (volume > 0).all(), "tetrahedra must be positively oriented"
     middle = corners[edges].mean(axis=1)
     bent = round_middles(solid, edges)
     while True:
         points = np.vstack([corners, middle + bent])
-        folded = (determinants(jacobians(points[tets10], _NODES))
-                  < _FOLDED * 6.0 * tet_volumes(corners, tets)[:, None]).any(axis=1)
+        folded = (jacobians(points[tets10], _NODES)[1] < _FOLDED * 6.0 * volume[:, None]).any(axis=1)
         if not folded.any():
             break
         bent[inverse.reshape(len(tets), 6)[folded]] = 0.0  # straight edges never fold
-    jacobian = jacobians(points[tets10], GAUSS)
+    jacobian, determinant = jacobians(points[tets10], GAUSS)
     faces, owner = boundary_faces(tets)
-    # find which face of its owner each boundary triangle is: the corner of the owner that it does not have
-    local = np.array([[c in f for c in t] for f, t in zip(faces, tets[owner], strict=True)])
-    opposite = np.argmin(local, axis=1)
+    # which face of its owner each boundary triangle is: the corner of the owner that it does not have
+    opposite = np.argmin((tets[owner][:, :, None] == faces[:, None]).any(axis=2), axis=1)
     faces6 = np.take_along_axis(tets10[owner], FACE_NODES[opposite], axis=1)
     return QuadraticMesh(points, tets10.astype(np.int32), np.swapaxes(inverse3(jacobian), 2, 3),
-                         determinants(jacobian) / 24.0, faces6.astype(np.int32), owner)
+                         determinant / 24.0, faces6.astype(np.int32), owner)
 
 
 def round_middles(solid: Solid, edges: np.ndarray) -> np.ndarray:

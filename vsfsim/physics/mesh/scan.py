@@ -1,13 +1,12 @@
 """A user's own surface mesh, checked, repaired and filled with tetrahedra: the same body from the same surface.
 
 `repair` reads the surface, `lattice` fills it, `account` compares the two. Where a wall is thinner than the lattice
-resolves, a finer one is tried; where that does not do either, fTetWild (`tetwild`) fills the surface, and its result,
-which differs from run to run, is stored under a hash of the input. A lock lets one worker fill a mesh while the others
-wait.
+resolves, finer ones are tried. A lock lets one worker fill a mesh while the others wait.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from pathlib import Path
 
@@ -18,29 +17,23 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Appearance, Solid, tet_volumes
 from vsfsim.physics import disk_cache
-from vsfsim.physics.mesh import tetwild
 from vsfsim.physics.mesh.account import TOLD, Account, account, inside, refuse, scan_volume
 from vsfsim.physics.mesh.foot import BASE
-from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, move_boundary, pull_to_features
+from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
+from vsfsim.physics.mesh.surface_distance import nearest_on
 
 MAX_TETS = 2_000_000
 """Largest estimated number of tetrahedra in the bounding box."""
-_FINER = (1.0, 1 / 1.4, 1 / 2, 1 / 2.8)
+_FINER = tuple(0.5 ** (k / 2) for k in range(9))
 """Sizes of lattices that are tried, over the size asked for; the first is kept whose box and volume are within 2 %."""
-_ENOUGH = 0.05  # difference up to which a lattice is preferred to fTetWild, whose mesh differs from run to run [-]
 _MOST_TETS = 60_000  # tetrahedra of a lattice that is finer than asked for, at most
 _SHARP = np.radians(35.0)  # between the normals of two faces whose common edge the filling shall keep
 _DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL file has seven
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
-_RECIPE = 4
+_RECIPE = 6
 """Part of the cache key, to be raised when the repairs or the filling change."""
-_ENVELOPES = (1 / 20, 1 / 100)
-"""Distances that fTetWild may move the surface, in units of the element size; the second is tried if the first changes
-the volume by more than 2 %. fTetWild's default is 0.1 % of the diagonal, 1/67 of an element of 12 mm in a hand-sized
-scan. With it a bumpy surface is cut into three times the requested number of tetrahedra; 1/20 costs half a per cent of
-the volume."""
 
 
 def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = None) -> Solid:
@@ -59,29 +52,31 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
             holds several objects, cannot be filled, or the filling is off by more than 10 % of it.
     """
     path = Path(shape.path)
-    key = hashlib.sha256(content(path) + repr((path.suffix.lower(), shape.scale, shape.up, resolution, _RECIPE,
-                                               tetwild.version())).encode()).hexdigest()
+    key = hashlib.sha256(content(path) + repr((path.suffix.lower(), shape.scale, shape.up, resolution,
+                                               _RECIPE)).encode()).hexdigest()
     folder = disk_cache.folder() if cache is None else Path(cache)
     stored = folder / f"tets-{key[:32]}.npz"
     with disk_cache.locked(stored):
         found = _read(stored)
         if found is None:
             surface = read_surface(shape)
-            vertices, tets, more = fill(surface, resolution, path)
-            colour = np.zeros(0) if surface.colour is None else surface.colour
-            made = (vertices, tets, colour, [*surface.notes, *more])
-            _write(stored, *made)
+            vertices, tets, shift, more = fill(surface, resolution, path)
+            found = {"vertices": vertices, "tets": tets, "surface": surface.vertices - shift, "faces": surface.faces,
+                     "colour": np.zeros(0) if surface.colour is None else surface.colour,
+                     "notes": np.array([*surface.notes, *more], dtype=np.str_)}
+            disk_cache.write(stored, **found)
             # On a file system without locks another worker may have been first; every worker then uses its file.
-            found = _read(stored) or made
-    vertices, tets, colour, notes = found
-    # fTetWild makes another filling on another machine, which this shows
-    notes = [*notes, f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
+            found = _read(stored) or found
+    vertices, tets, colour, notes = (found[name] for name in ("vertices", "tets", "colour", "notes"))
+    notes = [*map(str, notes), f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes),
-                 appearance=_look(colour) if len(colour) else None)
+                 appearance=_look(colour) if len(colour) else None,
+                 nearest=functools.partial(nearest_on, found["surface"], found["faces"]))
 
 
-def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Vertices (n, 3) [m] and tetrahedra (m, 4) inside a surface, with the base centre at the origin, and notes.
+def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
+    """Vertices (n, 3) [m] and tetrahedra (m, 4) inside a surface, with the base centre at the origin, by how much they
+    are shifted against the surface (3,) [m], and notes.
 
     Raises:
         MeshError: the mesh would have too many tetrahedra, encloses no volume, holds more than one object, or the
@@ -104,7 +99,7 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
     moved = -(surface.centre + shift)
     notes += [found.sentence(), f"Moved by ({', '.join(f'{s:.4g}' for s in moved)}) m so that the base centre is the "
               "origin."]
-    return vertices - shift, tets, notes
+    return vertices - shift, tets, shift, notes
 
 
 def _best(surface: Surface, volume: float, resolution: float,
@@ -132,16 +127,10 @@ def _best(surface: Surface, volume: float, resolution: float,
                          "keeps the scan's volume and box.")
         tried.append((vertices, tets, account(surface, volume, vertices, tets), notes))
         if _misses(tried[-1][2]) <= TOLD:
-            return tried[-1]
-    if tried and min(_misses(one[2]) for one in tried) <= _ENOUGH:
-        return min(tried, key=lambda one: _misses(one[2]))
-    if problem is not None and not tried and "separate" in str(problem) and surface.parts > 1:
-        raise problem
-    try:
-        tried.append(_tetwild(surface, volume, resolution, path))
-    except MeshError as error:
-        if not tried:
-            raise problem or error from error
+            break
+    if not tried:
+        raise problem or MeshError(f"mesh file '{path}' is thinner everywhere than a lattice of {_MOST_TETS:,} "
+                                   f"tetrahedra holds; give its walls thickness.")
     return min(tried, key=lambda one: _misses(one[2]))
 
 
@@ -149,25 +138,6 @@ def _misses(found: Account) -> float:
     """What a finer lattice is tried for; corners that are cut by a part of an element are told, and no reason."""
     lost = 1.0 if found.cavities[1] < found.cavities[0] and found.off["volume"] > TOLD else 0.0
     return max(abs(found.off["volume"]), found.off["box"], lost)
-
-
-def _tetwild(surface: Surface, volume: float, resolution: float,
-             path: Path) -> tuple[np.ndarray, np.ndarray, Account, list[str]]:
-    for envelope in _ENVELOPES:
-        vertices, tets = tetwild.run(surface, resolution, envelope * resolution
-                                     / float(np.linalg.norm(surface.extents)), path)
-        if abs(np.abs(tet_volumes(vertices, tets)).sum() / volume - 1.0) <= TOLD:
-            break
-    volumes = tet_volumes(vertices, tets)
-    tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
-    base = float(surface.vertices[:, 2].min())
-    lowest = np.flatnonzero(vertices[:, 2] < base + BASE * surface.extents[2])
-    flat = vertices[lowest] * [1.0, 1.0, 0.0] + [0.0, 0.0, base]
-    vertices = move_boundary(vertices, tets, dict(zip(lowest.tolist(), flat, strict=True)))
-    vertices, tets, notes = _one_body(vertices, tets[np.abs(volumes) > 1e-9 * resolution**3], resolution, path)
-    notes.append("Filled by fTetWild, because parts are thinner than a lattice of this resolution holds; its mesh "
-                 "differs from run to run, and the first one is kept.")
-    return vertices, tets, account(surface, volume, vertices, tets), notes
 
 
 def _one_body(vertices: np.ndarray, tets: np.ndarray, resolution: float,
@@ -230,12 +200,6 @@ def _look(colour: np.ndarray) -> Appearance:
 # ---------------------------------------------------------------------------------------------- the cache
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]] | None:
+def _read(path: Path) -> dict[str, np.ndarray] | None:
     found = disk_cache.read(path)
-    if found is None or not {"vertices", "tets", "colour", "notes"} <= set(found):
-        return None
-    return found["vertices"], found["tets"], found["colour"], [str(note) for note in found["notes"]]
-
-
-def _write(path: Path, vertices: np.ndarray, tets: np.ndarray, colour: np.ndarray, notes: list[str]) -> None:
-    disk_cache.write(path, vertices=vertices, tets=tets, colour=colour, notes=np.array(notes, dtype=np.str_))
+    return found if found and {"vertices", "tets", "surface", "faces", "colour", "notes"} <= set(found) else None

@@ -92,33 +92,8 @@ def grid_line(low: float, high: float, resolution: float, *, even: bool = False,
     constant factor; the ticks are the equal parts of the integral of its inverse. The ends of ``parts`` (p, 2) [m] are
     ticks, too; two cells at least lie between them, and cells grow from there by ``slope`` times the distance.
     """
-    if parts is not None:
-        return _line_with_parts(low, high, resolution, focus, coarsest, parts, slope, even)
-    if focus is None or not len(focus):
-        count = max(1, math.ceil((high - low) / resolution - 1e-9))
-        return np.linspace(low, high, count + (count % 2 if even else 0) + 1)
-    x = np.linspace(low, high, 4001)
-    wished = _wished(x, resolution, focus, coarsest)
-    cells = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / wished[1:] + 1.0 / wished[:-1]) * np.diff(x))])
-    count = max(1, math.ceil(cells[-1] - 1e-9))
-    count += count % 2 if even else 0
-    ticks = np.interp(np.linspace(0.0, cells[-1], count + 1), cells, x)
-    ticks[0], ticks[-1] = low, high
-    return ticks
-
-
-def _wished(x: np.ndarray, resolution: float, focus: np.ndarray, coarsest: float) -> np.ndarray:
-    away = np.abs(x[:, None] - np.asarray(focus, float)[None, :]).min(axis=1)
-    # A cell of the local size h next to one of h (1 + slope): the slope stays a little under the growth allowed.
-    slope = 0.9 * math.log(GROWTH)
-    return resolution * np.minimum(1.0 + slope * np.maximum(away / resolution - 1.5, 0.0), coarsest)
-
-
-def _line_with_parts(low: float, high: float, resolution: float, focus: np.ndarray | None, coarsest: float,
-                     parts: np.ndarray, slope: float, even: bool) -> np.ndarray:
-    """See `grid_line`: every interval between planes is divided by itself."""
-    inside = np.clip(np.sort(np.asarray(parts, float), axis=1), low, high)
-    inside = inside[inside[:, 1] - inside[:, 0] > 1e-9 * (high - low)]
+    ends = np.zeros((0, 2)) if parts is None else np.clip(np.sort(np.asarray(parts, float), axis=1), low, high)
+    inside = ends[ends[:, 1] - ends[:, 0] > 1e-9 * (high - low)]
     thin = _SAME * (inside[:, 1] - inside[:, 0]).min(initial=high - low)
     planes = [low]
     for plane in sorted({*inside.ravel().tolist(), high}):
@@ -129,18 +104,26 @@ def _line_with_parts(low: float, high: float, resolution: float, focus: np.ndarr
     own += [(a, b, b - a) for a, b in itertools.pairwise(planes)]
     ticks = [np.array([low])]
     for a, b in itertools.pairwise(planes):
-        x = np.linspace(a, b, 2001)
-        wished = (np.full(len(x), resolution) if focus is None or not len(focus)
-                  else _wished(x, resolution, focus, coarsest))
+        x = np.linspace(a, b, 4001)
+        wished = _wished(x, resolution, focus, coarsest)
         for start, stop, cell in own:
             if cell < resolution:
                 wished = np.minimum(wished, cell + slope * np.maximum(np.maximum(start - x, x - stop), 0.0))
         sums = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / wished[1:] + 1.0 / wished[:-1]) * np.diff(x))])
-        count = max(1, math.ceil(sums[-1] - 1e-6))
+        count = max(1, math.ceil(sums[-1] - (1e-6 if len(inside) else 1e-9)))
         count += count % 2 if even and a < 0.5 * (low + high) - 1e-9 < b else 0
         ticks.append(np.interp(np.linspace(0.0, sums[-1], count + 1), sums, x)[1:])
         ticks[-1][-1] = b
     return np.concatenate(ticks)
+
+
+def _wished(x: np.ndarray, resolution: float, focus: np.ndarray | None, coarsest: float) -> np.ndarray:
+    if focus is None or not len(focus):
+        return np.full(len(x), resolution)
+    away = np.abs(x[:, None] - np.asarray(focus, float)[None, :]).min(axis=1)
+    # A cell of the local size h next to one of h (1 + slope): the slope stays a little under the growth allowed.
+    slope = 0.9 * math.log(GROWTH)
+    return resolution * np.minimum(1.0 + slope * np.maximum(away / resolution - 1.5, 0.0), coarsest)
 
 
 def disc(radius: float, rings: int) -> tuple[np.ndarray, np.ndarray]:

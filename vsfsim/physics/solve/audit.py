@@ -8,7 +8,7 @@ import torch
 from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.laws.neo_hooke import CRUSHED
-from vsfsim.physics.mesh.resolved import corner_det_f, mesh_error
+from vsfsim.physics.mesh.resolved import BARE, ROUND, SHARE, corner_det_f, mesh_error, rotation
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
 
@@ -51,7 +51,7 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
     }
     values["contact_points"], values["contact_radius"], each = contact.resolution(every)
     out = {key: value.cpu().numpy() for key, value in values.items()}
-    out["mesh_error"], out["corner_det_f"] = resolution(balance, each.cpu().numpy(), out["body_force"])
+    out["mesh_error"], out["corner_det_f"], out["rotation"] = resolution(balance, each.cpu().numpy(), out["body_force"])
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
     reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
@@ -84,9 +84,9 @@ def mark(out: Rows, where: np.ndarray, why: Reason) -> None:
         out[name][where] = np.nan
 
 
-def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Estimated error of the force by the mesh, and least det F at corners of elements in contact, (B,) [-] each; NaN
-    of what is no solid under rigid bodies.
+def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Estimated error of the force by the mesh [-], least det F at corners of elements in contact [-], and largest
+    rotation of an element [rad], (B,) each; NaN of what is no solid under rigid bodies.
 
     Args:
         balance: the batch.
@@ -96,9 +96,11 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
     model, batch = balance.model, len(radius)
     solid = all(block.kind == "tet10" for block in model.blocks)
     if not (solid and isinstance(balance.contact, RigidContact)):
-        return np.full(batch, np.nan), np.full(batch, np.nan)
+        return tuple(np.full((3, batch), np.nan))
     u = balance.u.cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
+    turned = [rotation(model.mesh, u[:, :, b]) for b in range(batch)]
     share = balance.contact.local_share(balance.every).cpu().numpy()
+    small = np.where(balance.contact.local_acts, ROUND if model.mesh.curvature().any() else SHARE, BARE)
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
-    return mesh_error(radius, force, share, edges), np.array(corner)
+    return mesh_error(radius, force, share, edges, small), np.array(corner), np.array(turned)

@@ -132,5 +132,7 @@ class Frames:
     tetrahedra."""
     corner_det_f: np.ndarray
     """Least det F at the corners of the tetrahedra in contact (T, B) [-]; NaN likewise."""
+    rotation: np.ndarray
+    """Largest rotation of a tetrahedron (T, B) [rad]; NaN likewise."""
     seconds: np.ndarray
     """Duration of the frame, shared by the batch (T,) [s]."""

@@ -24,7 +24,7 @@ from trimesh.registration import procrustes
 
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors, rotation_matrix
-from vsfsim.physics.contact.distance_grid import winding_number
+from vsfsim.physics.mesh.winding import winding_number
 
 TRIES = 40
 """Registrations of the papers' procedure, of which the best is kept. With 10 of them three of eleven buried objects are
