@@ -54,11 +54,7 @@ BY_NAME = {"physics": {"scenes"}}
 HEAVY = {
     "core": {"numpy", "scipy"},
     "data": {"numpy", "h5py"},
-<<<<<<< HEAD
-    "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild"},
-=======
-    "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "cholespy"},
->>>>>>> 41a78dd8 (Rotation of elements and errors of foams are told: small strain is marked where elements turn further than it follows, and a press whose tier nobody chose takes one that does; filled scans have round faces by the lattice alone; a plate on a round body has its local indentation)
+    "physics": {"numpy", "scipy", "warp", "torch", "trimesh"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},

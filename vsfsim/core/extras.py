@@ -11,11 +11,7 @@ from pathlib import Path
 from vsfsim.core.errors import VsfsimError
 
 EXTRA_OF = {
-<<<<<<< HEAD
-    "warp": "sim", "mujoco": "sim", "trimesh": "sim", "pytetwild": "sim", "pyvista": "sim",
-=======
-    "warp": "sim", "mujoco": "sim", "trimesh": "sim", "cholespy": "sim", "pyvista": "sim",
->>>>>>> 41a78dd8 (Rotation of elements and errors of foams are told: small strain is marked where elements turn further than it follows, and a press whose tier nobody chose takes one that does; filled scans have round faces by the lattice alone; a plate on a round body has its local indentation)
+    "warp": "sim", "mujoco": "sim", "trimesh": "sim", "pyvista": "sim",
     "torch": "methods", "sklearn": "methods", "safetensors": "methods",
     "fsspec": "cloud", "s3fs": "cloud", "ray": "ray", "submitit": "slurm", "pyarrow": "export", "yaml": "export",
     "gymnasium": "active", "rerun": "rerun",
