@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.inclusions import Inclusions, Mask, mesh_of
+from vsfsim.bench.inclusions import Columns, Inclusions, Mask, mesh_of
 from vsfsim.bench.leaderboard import collect, score_table, text
 from vsfsim.bench.method import Estimate
 from vsfsim.bench.metrics import Answer, record_scores
 from vsfsim.bench.mock import BLOCK, mock_view
+from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.material import Inclusion
@@ -163,3 +164,25 @@ def test_a_scene_without_inclusions_is_refused(dataset):
     plain = dataclasses.replace(RECIPE, scene_text=text)
     with pytest.raises(TaskError, match="no inclusions"):
         Inclusions.of(plain, dataset.load(dataset.names("test")[0]))
+
+
+def sprung(view, stiffness):
+    """The same touches, led by a spring of this stiffness [N/m] to where a rigid mount brought them."""
+    def led(touch):
+        give = (touch.normal_force() / stiffness)[:, None, None] * np.outer(np.r_[touch.axis, 0.0], np.eye(4)[3])
+        return dataclasses.replace(touch, mount_stiffness=stiffness, mount_pose=touch.mount_pose + give)
+    return dataclasses.replace(view, touches=tuple(map(led, view.touches)))
+
+
+def test_what_was_touched_is_where_the_probe_was_and_not_its_mount():
+    """A soft spring's mount goes past the body; points, columns of a mask, and frames without a force."""
+    view = mock_view(0, split="test", touches=12)
+    soft = sprung(view, 50.0)
+    places = view.truth.probe_points
+    mounts = [dataclasses.replace(t, mount_stiffness=None) for t in soft.touches]
+    assert reached_in(dataclasses.replace(soft, touches=mounts), places).sum() > reached_in(view, places).sum()
+    assert np.array_equal(reached_in(soft, places), reached_in(view, places))
+    assert np.array_equal(Columns.of(places, soft).swept, Columns.of(places, view).swept)
+    unknown = dataclasses.replace(soft, touches=tuple(
+        dataclasses.replace(t, force=np.full_like(t.force, np.nan)) for t in soft.touches))
+    assert not reached_in(unknown, places).any() and reached_in(view, places).any()

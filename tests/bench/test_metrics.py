@@ -16,7 +16,7 @@ from vsfsim.bench.metric_functions import (
 )
 from vsfsim.bench.metrics import METRICS, Answer, Metric, record_scores
 from vsfsim.bench.noise import Noise, noisy_force
-from vsfsim.bench.reached_points import distance, reached
+from vsfsim.bench.reached_points import distance
 from vsfsim.bench.task import parse_task
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 
@@ -117,21 +117,10 @@ def test_a_new_metric_is_one_row_and_one_function(task_text, toy_dataset, tmp_pa
     assert text(board).startswith("rmse_worst of normal-force [N], mean ± std over seeds, lower is better")
 
 
-def test_noise_is_reproducible_tared_and_per_touch():
-    force = np.zeros((10, 3))
-    force[5:] = 2.0
-    noise = Noise(0.0, 0.5, 0.0, 3, 0)
-    np.testing.assert_allclose(noisy_force(force, noise, object_index=0, view_index=0, touch_index=0), force,
-                               atol=1e-12)
-    noise = Noise(0.15, 0.0, 0.0, 0, 0)
-    a, b, c = (noisy_force(force, noise, object_index=0, view_index=0, touch_index=k) for k in (0, 0, 1))
+def test_noise_is_reproducible_and_per_touch():
+    a, b, c = (noisy_force(np.ones((10, 3)), Noise(0.15, 0.0, 0.0, 0, 0), object_index=0, view_index=0, touch_index=k)
+               for k in (0, 0, 1))
     assert np.array_equal(a, b) and not np.array_equal(a, c)
-    # A touch that is in contact from the first frame cannot be tared: the offset stays.
-    pressed = np.ones((10, 3))
-    out = noisy_force(pressed, Noise(0.0, 0.5, 0.0, 3, 0), object_index=0, view_index=0, touch_index=0)
-    assert np.ptp(out, axis=0) == pytest.approx(0.0) and abs(out[0] - 1.0).max() > 0.01
-    drift = noisy_force(force, Noise(0.0, 0.0, 1.0, 0, 0), object_index=0, view_index=0, touch_index=0) - force
-    assert drift[0] == pytest.approx(0.0) and np.diff(drift, axis=0) == pytest.approx(np.tile(drift[-1] / 9, (9, 1)))
 
 
 @pytest.mark.parametrize(("probe", "point", "want"), [
@@ -145,10 +134,3 @@ def test_noise_is_reproducible_tared_and_per_touch():
 ])
 def test_distance_to_probes(probe, point, want):
     assert distance(np.array([point], float), probe)[0] == pytest.approx(want)
-
-
-def test_reached_follows_the_pose():
-    pose = np.tile(np.eye(4), (2, 1, 1))
-    pose[1, :3, 3] = [0.1, 0.0, 0.0]
-    points = np.array([[0.1, 0.012, 0.0], [0.1, 0.02, 0.0], [0.05, 0.0, 0.0]])
-    assert reached(points, Sphere(0.01), pose).tolist() == [True, False, False]

@@ -146,15 +146,6 @@ def test_equal_results_are_one_row(results, task, tmp_path):
     assert len(leaderboard.collect(task, [tmp_path]).rows) == 1
 
 
-def test_a_result_from_before_a_parameter_existed_is_the_same_row(results, task, tmp_path):
-    dataclasses.replace(results[0], parameters={"a": 1}).save(tmp_path / "a.json")
-    dataclasses.replace(results[0], parameters={"a": 1, "way": "old"}).save(tmp_path / "b.json")
-    assert [dict(row.result.parameters) for row in leaderboard.collect(task, [tmp_path]).rows] == [{"a": 1}]
-    dataclasses.replace(results[0], parameters={"a": 2, "way": "old"}).save(tmp_path / "b.json")
-    rows = leaderboard.collect(task, [tmp_path]).rows
-    assert len(rows) == 2, "another value of a parameter that both have is another row"
-
-
 def test_a_task_that_names_its_dataset_ranks_only_that(results, task, tmp_path):
     results[0].save(tmp_path / "a.json")
     pinned = dataclasses.replace(task, dataset=dataclasses.replace(task.dataset, sha256="0" * 64))

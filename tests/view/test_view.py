@@ -60,7 +60,7 @@ def test_the_page_holds_what_the_dataset_holds(folder, vsfsim, tmp_path):
         for told, touch in zip(shown["touches"], view.touches, strict=True):
             assert np.allclose(told["force"], touch.force, rtol=0, atol=5.1e-5)
             assert np.allclose(told["normal_force"], touch.normal_force(), rtol=0, atol=5.1e-5)
-            assert np.allclose(told["place"], touch.mount_pose[:, :3, 3], rtol=0, atol=5.1e-6)
+            assert np.allclose(told["place"], touch.probe_pose()[:, :3, 3], rtol=0, atol=5.1e-6)
             assert np.allclose(told["target"], touch.target, rtol=0, atol=5.1e-6)
             assert told["touched"] == touch.touched and told["converged"] == touch.converged.tolist()
         picture = {name: np.asarray(Image.open(io.BytesIO(base64.b64decode(shown["picture"][name].split(",")[1]))))

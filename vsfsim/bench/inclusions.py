@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.reached_points import reached
+from vsfsim.bench.reached_points import reached_in
 from vsfsim.core.errors import TaskError
 from vsfsim.core.material import Inclusion
 from vsfsim.core.scene import parse_scene
@@ -109,9 +109,7 @@ class Columns:
         top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
         columns = top[:, None] - np.arange(0.5 * STEP, DEPTH, STEP)[:, None] * np.array([0.0, 0.0, 1.0])
         every = columns.reshape(-1, 3)
-        reach = np.zeros(len(every), bool)
-        for touch in view.touches:
-            reach |= reached(every, view.probe_of(touch), touch.mount_pose, reach=0.0)
+        reach = reached_in(view, every, reach=0.0)
         pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[reach], return_inverse=True)
         if not len(pixel):
             raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "

@@ -175,12 +175,9 @@ def _most(results: list[Result], task: Task) -> str:
 
 
 def _is_same(result: Result, before: Result) -> bool:
-    """Whether two results are the same one. One of them may be older than a parameter, or from a machine with other
-    rounding; the scores decide."""
-    known = result.parameters.keys() & before.parameters.keys()
-    if (result.method, result.preset, result.task_sha256) != (before.method, before.preset, before.task_sha256):
-        return False
-    if any(result.parameters[key] != before.parameters[key] for key in known):
+    """Whether two results are the same one. One of them may be from a machine with other rounding; the scores
+    decide."""
+    if any(getattr(result, key) != getattr(before, key) for key in ("method", "preset", "task_sha256", "parameters")):
         return False
     if result.dataset_sha256 == before.dataset_sha256:
         return _same_scores(result, before, list(result.scores), _ROUNDING)

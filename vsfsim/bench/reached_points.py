@@ -8,10 +8,10 @@ from vsfsim.core import signed_distance
 from vsfsim.core.chain import Chain
 from vsfsim.core.dome import Dome
 from vsfsim.core.shape import Capsule, MeshFile, ProbeShape
+from vsfsim.data.records import ObjectView
 
 REACH = 0.005
 """A point counts as reached within this distance of the probe [m]: the spacing of the papers' particles on shoes."""
-SIMPLE = "touches of a dataset have a simple probe"
 
 
 def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None,
@@ -34,15 +34,28 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
     return out
 
 
+def reached_in(view: ObjectView, points: np.ndarray, *, reach: float = REACH) -> np.ndarray:
+    """True where the probe itself comes within ``reach`` [m] of a point (k, 3) [m], world, in some touch: (k,) bool.
+
+    A spring lets the probe give way, so its mount goes deeper than it does. Where the spring's force is unknown, so is
+    the place of the probe: such a frame reaches nothing.
+    """
+    near = np.zeros(len(points), bool)
+    for touch in view.touches:
+        left = np.flatnonzero(~near)
+        known = np.isfinite(touch.force).all(axis=1) if touch.mount_stiffness is not None else slice(None)
+        near[left] = reached(points[left], view.probe_of(touch), touch.probe_pose()[known],
+                             q=None if touch.q is None else touch.q[known], reach=reach)
+    return near
+
+
 def _mark(out: np.ndarray, points: np.ndarray, probe: ProbeShape, poses: np.ndarray, reach: float) -> None:
     """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
     capsules, most of them far from the object in every frame, and most points are far from any path."""
-    assert not isinstance(probe, MeshFile | Chain), SIMPLE
     ball = 1.001 * (signed_distance.reach(probe) + 2.0 * reach)
-    if not len(points) or not len(poses):
-        return
     at = poses[:, :3, 3]
-    inside = np.flatnonzero(~out & ((points >= at.min(axis=0) - ball) & (points <= at.max(axis=0) + ball)).all(axis=1))
+    low, high = at.min(axis=0, initial=np.inf) - ball, at.max(axis=0, initial=-np.inf) + ball
+    inside = np.flatnonzero(~out & ((points >= low) & (points <= high)).all(axis=1))
     if not len(inside):
         return
     middle = points[inside].mean(axis=0)
@@ -59,7 +72,7 @@ def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
     """Distance (k,) [m] from points (k, 3) [m] in the probe's frame to its solid; 0 or negative inside."""
     if isinstance(probe, Dome):
         return _from_dome(local, probe)
-    assert not isinstance(probe, MeshFile | Chain), SIMPLE
+    assert not isinstance(probe, MeshFile | Chain), "touches of a dataset have a simple probe"
     return signed_distance.distance(probe, local)
 
 

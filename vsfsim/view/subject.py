@@ -92,7 +92,7 @@ def _touch(touch: Touch, probe: ProbeShape) -> dict[str, Any]:
     """One touch, frame by frame. Of a bubble also the nodes of its skin and the force on each."""
     table = {"probe_radius": probe.radius if isinstance(probe, Sphere) else None,
              "target": rounded(touch.target, 5), "axis": rounded(touch.axis, 4),
-             "place": rounded(touch.mount_pose[:, :3, 3], 5), "force": rounded(touch.force, 4),
+             "place": rounded(touch.probe_pose()[:, :3, 3], 5), "force": rounded(touch.force, 4),
              "normal_force": rounded(touch.normal_force(), 4), "touched": bool(touch.touched),
              "travel": rounded((touch.mount_pose[:, :3, 3] - touch.mount_pose[0, :3, 3]) @ touch.axis, 6),
              "converged": [bool(good) for good in touch.converged],

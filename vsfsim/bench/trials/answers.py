@@ -26,7 +26,7 @@ from vsfsim.bench.method import LARGEST_READING, Action, Reading, Specimen, chec
 from vsfsim.bench.metric_functions import FEWEST_POINTS
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.protocol import Draw, Recording, Trial, divide, record, specimen_of, support
-from vsfsim.bench.reached_points import reached
+from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.plain_text import from_json
@@ -83,7 +83,7 @@ class Subject:
         return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw,
                    {i: recording.readings[i] for i in draw.pool}, {i: recording.queries[i].action for i in draw.pool},
                    tuple(recording.queries[i].action for i in draw.query),
-                   places[touched(places, view)], columns, hidden)
+                   places[reached_in(view, places)], columns, hidden)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -103,15 +103,6 @@ def asked_of(subject: Subject, label: str, run: int, protocol: Protocol) -> Tria
     choice = protocol.chosen and 0 < len(given) < len(pool)
     return Trial(subject.name, label, run, given,
                  support(subject, subject.draw, str(len(pool)), draw, protocol) if choice else ())
-
-
-def touched(points: np.ndarray, view: ObjectView) -> np.ndarray:
-    """Which of the probed points (P, 3) [m] some touch of ``view`` reached (P,) bool."""
-    near = np.zeros(len(points), bool)
-    for touch in view.touches:
-        left = np.flatnonzero(~near)
-        near[left] = reached(points[left], view.probe_of(touch), touch.mount_pose, q=touch.q)
-    return near
 
 
 class Reader:

@@ -12,6 +12,7 @@ from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.metric_functions import can_be_scored, touch_errors, touch_uncertainty
 from vsfsim.bench.metrics import Answer, record_scores, scores_of
 from vsfsim.bench.protocol import Recording, divide, record
+from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.result_file import (
     MAP_COLUMNS,
@@ -24,7 +25,7 @@ from vsfsim.bench.result_file import (
     stored,
 )
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers, touched
+from vsfsim.bench.trials.answers import Answers
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
 
@@ -79,7 +80,7 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
     view = dataset.load(name)
     assert view.truth is not None
     draw, recording, ranked = divide(view, task.protocol), record(view, task), task.metric.answer
-    known = view.truth.probe_stiffness[touched(view.truth.probe_points, view)]
+    known = view.truth.probe_stiffness[reached_in(view, view.truth.probe_points)]
     usable = known > 0.0  # ratios are scored; a cone that met nothing has none
     inclusions = Inclusions.of(dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None
     mask = Mask.of(inclusions, view) if inclusions is not None and ranked is Answer.MASK else None
@@ -115,7 +116,7 @@ def map_of(given: Answers, dataset: Dataset) -> dict[str, list]:
     assert view.truth is not None
     if given.mean is None:
         return {name: [] for name in MAP_COLUMNS}
-    near = touched(view.truth.probe_points, view)
+    near = reached_in(view, view.truth.probe_points)
     std = np.zeros(len(given.mean)) if given.std is None else given.std
     steps = np.clip(np.rint(view.truth.probe_points[near] / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
     numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (view.truth.probe_stiffness[near],
