@@ -64,7 +64,7 @@ HEAVY = {
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
                    "newton", "embreex", "open3d", "OpenGL", "pyrender"},
     "references": {"numpy", "scipy", "torch", "timm"},
-    "bench": {"numpy", "h5py"},
+    "bench": {"numpy", "h5py", "msgspec"},
     "active": {"numpy", "gymnasium"},
     "papers": {"numpy", "scipy"},
     "baselines": {"numpy", "scipy", "torch"},

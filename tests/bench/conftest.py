@@ -66,13 +66,12 @@ def toy_dataset(write_dataset, toy_views):
 
 @pytest.fixture(scope="session")
 def plain_table():
-    """Reads the JSON of a result file, its rows as lists of numbers, as results of schema version 2 hold them."""
+    """Reads the JSON of a result file, its rows as lists of numbers, which a reader takes as well."""
     def read(path):
         table = json.loads(path.read_text())
         for key in ("queries", "readings"):
             table[key] = unpack(table[key]) if table[key] else {}
         table["answers"] = {name: unpack(columns) for name, columns in table["answers"].items()}
-        del table["objects"], table["maps"]
-        return {**table, "schema_version": 2}
+        return table
 
     return read

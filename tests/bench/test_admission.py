@@ -233,17 +233,6 @@ def test_fewer_seeds_are_not_ranked(task, toy_dataset, record, tmp_path):
     assert row.rank is None and row.mark == "1 of the task's 3 seeds"
 
 
-def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, written, tmp_path):
-    table = json.loads(written[2])
-    for name in ("package", "isolation", "data", "answers"):
-        del table[name]
-    (tmp_path / "r.json").write_text(json.dumps({**table, "schema_version": 1}))
-    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
-    assert row.rank == 1 and row.result.schema_version == 1 and row.result.answers == {}
-    wanted = dataclasses.replace(task, primary="mask_f1")
-    assert leaderboard.collect(wanted, [tmp_path / "r.json"]).rows[0].mark == "no mask_f1 at 5-shot"
-
-
 @pytest.mark.parametrize("poison", [
     lambda t: t["queries"]["sse"].__setitem__(0, -1.0), lambda t: t["queries"]["n"].__setitem__(0, 0),
     lambda t: t["queries"]["n"].__setitem__(0, None), lambda t: t["queries"]["sse"].__setitem__(0, [1.0]),

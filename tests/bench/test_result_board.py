@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
+from vsfsim.bench.board.named import CLAIMED
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import Answer, metrics_of, scores_of
 from vsfsim.bench.predictions import questions, score_predictions
@@ -36,9 +37,9 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
 @pytest.mark.parametrize(("change", "message"), [
     (lambda t: t.pop("format"), "not a result"),
     (lambda t: t.update(schema_version=99), "schema version 99"),
-    (lambda t: t.pop("timing"), "missing or unknown timing"),
+    (lambda t: t.pop("timing"), "missing required field `timing`"),
     (lambda t: t["queries"]["n"].pop(), "different lengths"),
-    (lambda t: t["readings"]["ss"].pop(), "columns of readings have different lengths"),
+    (lambda t: t["readings"]["ss"].pop(), "columns object, touch, n, ss have different lengths"),
     (lambda t: t["scores"]["rmse"]["0"].update(mean=0.0), "does not fit its 3 seeds"),
     (lambda t: t["scores"]["rmse"]["0"].pop("std"), "malformed"),
 ])
@@ -123,21 +124,21 @@ def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
     assert sorted(names) == ["alone", "twin (a=1)", "twin (a=2)"]
 
 
-def test_a_row_of_an_earlier_version_of_its_method_says_so(task, toy_dataset, tmp_path):
+def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task, toy_dataset, tmp_path):
     made = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
     for k, (name, change) in enumerate({
             "same": {}, "source": {"contents": {**made.contents, "the method": "0" * 64}}, "silent": {"contents": {}},
-            "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where", "contents": {}}}.items()):
+            "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where"}, "package": {"package": {"name": "p"}},
+            "ceiling": {"method": "resim"}}.items()):
         scaled = {key: [(1.0 + 0.1 * k) ** (2 if key == "sse" else 1) * v for v in made.queries[key]]
                   for key in ("sae", "sse")}
         one = dataclasses.replace(made, queries={**made.queries, **scaled}, **change)
         dataclasses.replace(one, scores=one.computed()).save(tmp_path / f"{name}.json")
     board = leaderboard.collect(task, [tmp_path])
-    assert {row.path.stem: row.earlier for row in board.rows} == {
-        "same": False, "source": True, "silent": True, "settings": True, "stranger": False}
-    text = leaderboard.text(board)
-    assert text.count("(tuned) \u2020") == 2 and "\u2020 by an earlier version of the method" in text
-    assert "\u2020" not in leaderboard.text(leaderboard.collect(task, [tmp_path / "same.json"]))
+    assert {row.path.stem for row in board.rows if row.mark == CLAIMED} == {
+        "source", "silent", "settings", "stranger", "package", "ceiling"}
+    assert [row.path.stem for row in board.rows if row.rank] == ["same"]
+    assert leaderboard.text(board).count("(claimed, tuned)") == 5
 
 
 def test_equal_results_are_one_row(results, task, tmp_path):

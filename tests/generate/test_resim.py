@@ -8,7 +8,7 @@ import pytest
 from small_scenes import CAMERA, SPRUNG
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.board.named import is_ceiling
+from vsfsim.bench.board.named import CLAIMED, is_ceiling
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.board.site import write_site
 from vsfsim.bench.commands.ceiling import ceiling_rows
@@ -142,7 +142,7 @@ def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, t
     table = json.loads((folder / "resim.json").read_text())
     (tmp_path / "claimed.json").write_text(json.dumps({**table, "entry": "predictions file"}))
     (row,) = leaderboard.collect(task, [tmp_path / "claimed.json"]).rows
-    assert row.rank == 1 and not is_ceiling(row.result)
+    assert row.mark == CLAIMED and not is_ceiling(row.result)
 
 
 def test_a_tier_below_the_scenes_needs_can_be_asked(made):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -13,29 +11,33 @@ from typing import Any
 
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
-from vsfsim.bench.board.absent import absent
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
-from vsfsim.bench.board.named import is_ceiling, is_earlier, labels_of
+from vsfsim.bench.board.named import (
+    CEILING,
+    CLAIMED,
+    EARLIER,
+    LIST,
+    Entry,
+    absent,
+    claimed,
+    command_of,
+    is_ceiling,
+    labels_of,
+    listed,
+    row_sha256,
+    write_list,
+)
+from vsfsim.bench.board.same import contradicts, far_apart, is_same, over_objects
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
-from vsfsim.bench.method import method_sha256
-from vsfsim.bench.metrics import METRICS, Answer, Score, metrics_of
-from vsfsim.bench.result import Result, readings_apart
+from vsfsim.bench.metrics import METRICS, Answer, Score
+from vsfsim.bench.result import Result, machine
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown as escaped
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
-
-SAME_READINGS = 1e-3
-"""Datasets whose readings differ by less, by `result.readings_apart`, count as the same dataset made on a machine with
-other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
-has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
-_ROUNDING = 1e-8  # of the nine digits of a score that ships
-CEILING = "a ceiling, which knows the true object"
-"""Why the row of a ceiling is not ranked."""
-_SAME_SCORE = 1e-4
-"""Relative difference below which two scores on such datasets count as one result."""
+from vsfsim.data.provenance import made_by
 
 
 @dataclass(frozen=True)
@@ -58,13 +60,13 @@ class Row:
     """Of a task with cross-validation, the value of its metric of each object, by shot."""
     origin: str = "shipped"
     """"shipped", "made here", or "shipped, made again here"."""
-    earlier: bool = False
-    """Its method has another source, or its preset other settings, than those that are installed."""
+    evidence: str = "open"
+    """What the repository's list says that it rests on (`vsfsim.bench.board.named.Entry`)."""
 
     @property
     def signs(self) -> str:
-        """Behind the name: * not ranked, ~ other bits, † an earlier version of the method."""
-        return (" *" if self.mark else " ~" if self.other_bits else "") + " †" * self.earlier
+        """Behind the name: † an earlier row, * not ranked for another reason, ~ other bits."""
+        return " †" if self.mark == EARLIER else " *" if self.mark else " ~" if self.other_bits else ""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         if not path.exists():
             raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
         files += sorted(path.glob("*.json")) if path.is_dir() else [path]
-    results = [(path, _loaded(path, shipped)) for path in dict.fromkeys(files)]
+    results = [(path, Result.load(path)) for path in dict.fromkeys(files)]
     told = [(path, one.result) for path, one in packed] + results
     for path, result in told:
         if result.task != task.name:
@@ -115,29 +117,38 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     known = next((r.readings for _, r in told if r.dataset_sha256 == reference and r.readings), {})
     good: list[Row] = []
     odd: list[Row] = []
-    kept = {path: one for path, one in packed}
-    source = functools.cache(method_sha256)
-    origin = {path: "shipped" if path in shipped or path in kept else "made here" for path, _ in told}
+    kept, entries, shot = dict(packed), listed(), task.ranking_shot
     for path, result in told:
+        entry, here = None, path not in kept and path not in shipped
         if path in kept:  # looked at when it was packed
-            scores, mark = result.scores, kept[path].mark
-            other = kept[path].other_bits
+            scores, mark, other = result.scores, kept[path].mark, kept[path].other_bits
+            entry = entries.get(row_sha256(result))
             if result.task_sha256 != task.sha256:
                 mark = "other text of the task"
+            elif entry is None:
+                mark = EARLIER
         else:
             admission = admit(result, task, record)
             scores, other = admission.scores, result.dataset_sha256 != reference
-            mark = admission.reason or (_far_apart(result, known) if other and record is None else "") or (
-                CEILING if is_ceiling(result) else "")
+            entry = None if here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
+            mark = admission.reason or (far_apart(result, known) if other and record is None else "") or (
+                CLAIMED if entry is None and claimed(result, task) else CEILING if is_ceiling(result) else "")
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if mark else good
-        same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
+        if not mark:  # an earlier row that comes out again needs no row of its own
+            odd = [row for row in odd if row.mark != EARLIER or not is_same(result, row.result)]
+        same = next((k for k, before in enumerate(rows) if is_same(result, before.result)), None)
         if same is None:
             objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
-                       } if over_objects(task) and mark in ("", CEILING) else {}
-            rows.append(Row(None, mark, result, scores, path, other and not mark, objects, origin[path],
-                            is_earlier(result, task, source)))
-        elif rows[same].origin != origin[path]:
+                       } if over_objects(task) and mark in ("", CEILING, EARLIER) else {}
+            row = Row(None, mark, result, scores, path, other and not mark, objects, "made here" if here else "shipped",
+                      "open" if entry is None else entry.evidence)
+            if entry is None and not mark and any(
+                    one.origin != "made here" and contradicts(result, one.result, task, (
+                        row.objects.get(shot, {}), one.objects.get(shot, {}))) for one in good):
+                row, rows = dataclasses.replace(row, mark=CLAIMED, other_bits=False), odd
+            rows.append(row)
+        elif here and rows[same].origin == "shipped":
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda row: (sign * row.scores[task.primary][task.ranking_shot].mean, row.result.method))
@@ -148,66 +159,30 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     return Board(task, reference, record is not None, again, (*ranked, *odd))
 
 
-def _loaded(path: Path, shipped: list[Path]) -> Result:
-    """A result; only one that ships can be verified."""
-    one = Result.load(path)
-    return one if path in shipped or one.evidence != "verified" else dataclasses.replace(one, evidence="open")
-
-
-def over_objects(task: Task) -> bool:
-    """Whether methods are compared object by object."""
-    return bool(task.protocol.folds)
-
-
-def _far_apart(result: Result, known: Mapping[str, list]) -> str:
-    """Why a result on other bits is not ranked where the task has no record, or ""."""
-    apart = readings_apart(result.readings, known)
-    if apart is not None and apart < SAME_READINGS:
-        return ""
-    difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
-    return f"other dataset ({result.dataset_sha256[:12]}{difference})"
-
-
 def _most(results: list[Result], task: Task) -> str:
     """The dataset of most results of this very task, "" if there is none."""
     counts = Counter(result.dataset_sha256 for result in results if result.task_sha256 == task.sha256)
     return max(sorted(counts), key=counts.__getitem__, default="")
 
 
-def _is_same(result: Result, before: Result) -> bool:
-    """Whether two results are the same one. One of them may be from a machine with other rounding; the scores
-    decide."""
-    if any(getattr(result, key) != getattr(before, key) for key in ("method", "preset", "task_sha256", "parameters")):
-        return False
-    if result.dataset_sha256 == before.dataset_sha256:
-        return _same_scores(result, before, list(result.scores), _ROUNDING)
-    apart = readings_apart(result.readings, before.readings)
-    if apart is None or not apart < SAME_READINGS or result.scores.keys() != before.scores.keys():
-        return False
-    names = [metric.name for metric in metrics_of(Answer.READINGS) if metric.name in result.scores]
-    return _same_scores(result, before, names, _SAME_SCORE)
-
-
-def _same_scores(one: Result, other: Result, names: list[str], tolerance: float) -> bool:
-    """Whether the means and deviations of some metrics are the same at all shots. A row that ships has no others."""
-    if any(one.scores[name].keys() != other.scores.get(name, {}).keys() for name in names):
-        return False
-    pairs = [pair for name in names for shot, score in one.scores[name].items()
-             for pair in zip((score.mean, *score.per_seed), (
-                 other.scores[name][shot].mean, *other.scores[name][shot].per_seed), strict=False)]
-    return all(math.isclose(a, b, rel_tol=tolerance) for a, b in pairs)
-
-
 def ship(board: Board, path: Path) -> None:
-    """Write a board as the file that ships, `leaderboard/TASK.json`. A row that was made again here, to the same
-    numbers, becomes "verified".
+    """Write a board as the file that ships, `leaderboard/TASK.json`, and its rows into the list beside it. A row that
+    was made again here, to the same numbers, becomes "verified".
 
     Raises:
-        TaskError: the file cannot be written.
+        TaskError: a file cannot be written.
     """
-    evidence = ["verified" if row.origin == "shipped, made again here" else row.result.evidence for row in board.rows]
-    write_rows([Shipped(row.path.name, dataclasses.replace(row.result, scores=row.scores, evidence=said), row.mark,
-                        row.other_bits) for row, said in zip(board.rows, evidence, strict=True)], path)
+    rows = [dataclasses.replace(row.result, scores=row.scores) for row in board.rows]
+    write_rows([Shipped(row.path.name, result, "" if row.mark == EARLIER else row.mark, row.other_bits)
+                for row, result in zip(board.rows, rows, strict=True)], path)
+    entries = listed()
+    for row, result in zip(board.rows, rows, strict=True):
+        again, sha256 = row.origin == "shipped, made again here", row_sha256(result)
+        if again or (row.origin == "made here" and row.mark in ("", CEILING)):
+            entries[sha256] = Entry(sha256, board.task.name, result.method, "verified" if again else "open",
+                                    command_of(result), str((made_by() if again else result.made_by).get("commit")),
+                                    str((machine() if again else result.machine).get("cpu")))
+    write_list(entries.values(), path.parent / LIST)
 
 
 def table(board: Board) -> dict[str, Any]:
@@ -216,7 +191,7 @@ def table(board: Board) -> dict[str, Any]:
     ceiling = possible(board)
     rows = [{"rank": row.rank, "share_of_possible": {shot: share_of_possible(row, ceiling, shot) for shot in ceiling},
              "method": row.result.method, "parameters": dict(row.result.parameters),
-             "origin": row.origin, "evidence": row.result.evidence, "file": str(row.path),
+             "origin": row.origin, "evidence": row.evidence, "file": str(row.path),
              "not_ranked_because": row.mark, "objects": {shot: dict(values) for shot, values in row.objects.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
@@ -292,7 +267,7 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
     ceiling = possible(board)
     head = ["#", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []), "rank corr.",
             "evidence", "adapt", "sandbox", "vsfsim"]
-    rows, names = [], labels_of([row.result for row in board.rows])
+    rows, names = [], labels_of(board.rows)
     for row, label in zip(board.rows, names):
         by_shot = row.scores.get(task.primary, {})
         stiffness = row.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
@@ -303,7 +278,7 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
                   for shot in labels]
         rows.append([str(row.rank or "-"), shown(label) + row.signs, *values,
                      *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
-                     _number(stiffness), row.result.evidence, f"{adapt:.2f} s",
+                     _number(stiffness), row.evidence, f"{adapt:.2f} s",
                      shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
 
@@ -324,7 +299,7 @@ def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> floa
 
 def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     lines = list(dict.fromkeys(f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows
-                               if row.mark))
+                               if row.mark not in ("", EARLIER)))
     if board.task.superseded_by:
         lines.append(superseded(board.task))
     if over_objects(board.task) and board.rows:
@@ -350,14 +325,14 @@ def column_notes(board: Board) -> list[str]:
         lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
                      f"predicts zero, 1 is the true object asked again")
     if board.rows:
-        lines.append("evidence: open, the file of whoever made it; sealed, scored on readings that only the "
-                     "maintainers have; verified, made again by them to the same numbers")
+        lines.append("evidence, by the list of the repository (leaderboard/evidence.json): open, made once; sealed, "
+                     "scored on readings that only the maintainers have; verified, made again by them to the same "
+                     "numbers")
     if any(row.other_bits for row in board.rows):
         lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
             f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
-    if any(row.earlier for row in board.rows):
-        lines.append("† by an earlier version of the method: its source or the settings of its preset are not those "
-                     "of this vsfsim, or the row does not say its source")
+    if any(row.mark == EARLIER for row in board.rows):
+        lines.append(f"† {EARLIER}; not ranked, and no claim rests on it")
     return lines + [f"no row of {names}: {reason}" for names, reason in absent(board.task.name).items()]
 
 

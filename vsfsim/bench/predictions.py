@@ -67,9 +67,8 @@ def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
                                    tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query), fold.train)
 
 
-def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str, evidence: str = "open") -> Result:
-    """Score the predictions in ``path``; ``name`` is what the method is called in the result, and ``evidence`` what it
-    rests on (`Result.evidence`).
+def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:
+    """Score the predictions in ``path``; ``name`` is what the method is called in the result.
 
     Raises:
         MethodError: the file is not an .npz, a key is missing or unknown, or a prediction has the wrong shape, is not
@@ -96,8 +95,7 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
                                   f"Keys are <object>/<shot>/<seed>/<touch>.")
     every = [one for mine in answers.values() for one in mine]
     return result_of(every, task, dataset, task.protocol.runs(seeded=False), method=plain(name),
-                     entry="predictions file", notes=("scored from a file of predictions",), data=data,
-                     evidence=evidence)
+                     entry="predictions file", notes=("scored from a file of predictions",), data=data)
 
 
 class PredictionFile:

@@ -12,6 +12,7 @@ from vsfsim.data.records import ObjectView
 
 REACH = 0.005
 """A point counts as reached within this distance of the probe [m]: the spacing of the papers' particles on shoes."""
+SIMPLE = "touches of a dataset have a simple probe"
 
 
 def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None,
@@ -52,6 +53,7 @@ def reached_in(view: ObjectView, points: np.ndarray, *, reach: float = REACH) ->
 def _mark(out: np.ndarray, points: np.ndarray, probe: ProbeShape, poses: np.ndarray, reach: float) -> None:
     """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
     capsules, most of them far from the object in every frame, and most points are far from any path."""
+    assert not isinstance(probe, MeshFile | Chain), SIMPLE
     ball = 1.001 * (signed_distance.reach(probe) + 2.0 * reach)
     at = poses[:, :3, 3]
     low, high = at.min(axis=0, initial=np.inf) - ball, at.max(axis=0, initial=-np.inf) + ball
@@ -72,7 +74,7 @@ def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
     """Distance (k,) [m] from points (k, 3) [m] in the probe's frame to its solid; 0 or negative inside."""
     if isinstance(probe, Dome):
         return _from_dome(local, probe)
-    assert not isinstance(probe, MeshFile | Chain), "touches of a dataset have a simple probe"
+    assert not isinstance(probe, MeshFile | Chain), SIMPLE
     return signed_distance.distance(probe, local)
 
 

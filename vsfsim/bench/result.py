@@ -17,16 +17,7 @@ from typing import Any
 from vsfsim.bench.board import compare
 from vsfsim.bench.metrics import Answer, Score, scores_of
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.result_file import (
-    OLD_VERSION,
-    PLAIN_VERSION,
-    SCHEMA_VERSION,
-    as_rows,
-    beside_zero,
-    checked_fields,
-    pack,
-    read_json,
-)
+from vsfsim.bench.result_file import SCHEMA_VERSION, Count, Size, as_rows, beside_zero, checked, pack, read_json
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.interactive.figure import new_figure
 from vsfsim.core.interactive.html_table import html_table
@@ -60,16 +51,16 @@ class Result:
     """Of a reading."""
     shots: tuple[str, ...]
     """Labels."""
-    seeds: tuple[int, ...]
+    seeds: tuple[Count, ...]
     """Of the support draws."""
     scores: Mapping[str, Mapping[str, Score]]
     """By metric and shot."""
     queries: Mapping[str, list]
     """Columns with one row a query touch, shot and seed: object, shot, seed, touch, number of readings n, sum of
     squared errors sse [unit^2] and of absolute errors sae [unit]."""
-    timing: Mapping[str, float]
+    timing: Mapping[str, Size]
     """Seconds meta_fit_s, adapt_s and predict_s, and the numbers of calls fits, adapts and predicts."""
-    peak_memory_mib: float
+    peak_memory_mib: Size
     """Of the process [MiB]."""
     machine: Mapping[str, Any]
     """CPU, cores, system."""
@@ -110,16 +101,13 @@ class Result:
     values: Mapping[str, Mapping[str, Mapping[str, float]]] = dataclasses.field(default_factory=dict)
     """Of a row that ships (`vsfsim.bench.board.shipped`), in place of `queries` and `answers`: the value of each
     object, mean over runs, by metric, shot and object. Else {}."""
-    schema_version: int = SCHEMA_VERSION
-    """Of the file that it was read from."""
-    evidence: str = "open"
-    """What the row rests on: "open", the file of whoever made it; "sealed", scored against a private part
-    (`vsfsim.bench.sealed`); "verified", made again to the same numbers by those who keep the leaderboard."""
 
     def summary(self) -> dict[str, Any]:
         """For JSON: everything but the raw numbers of every query."""
-        raw = ("queries", "readings", "answers", "data", "maps", "values")
-        return {key: value for key, value in dataclasses.asdict(self).items() if key not in raw}
+        raw = ("queries", "readings", "answers", "data", "maps", "values", "scores")
+        told = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in raw}
+        return {**told, "scores": {metric: {shot: dataclasses.asdict(score) for shot, score in by_shot.items()}
+                                   for metric, by_shot in self.scores.items()}}
 
     def __repr__(self) -> str:
         metric = next(iter(self.scores), "")
@@ -171,7 +159,6 @@ class Result:
                  "queries": pack(self.queries), "readings": pack(self.readings) if self.readings else {},
                  "answers": {name: pack(columns) for name, columns in self.answers.items()},
                  "maps": pack(self.maps) if self.maps else {}, "data": self.data}
-        table["schema_version"] = SCHEMA_VERSION
         lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
                  for key, value in table.items()]
         try:
@@ -191,24 +178,14 @@ class Result:
         table = read_json(path)
         if not isinstance(table, dict) or table.get("format") != FORMAT:
             raise TaskError(f"{path} is not a result of `vsfsim evaluate`.")
-        if table.get("schema_version") not in (OLD_VERSION, PLAIN_VERSION, SCHEMA_VERSION):
+        if table.get("schema_version") != SCHEMA_VERSION:
             raise TaskError(f"result {path} has schema version {plain(table.get('schema_version'), longest=40)}; this "
                             f"vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
-        fields = {f.name: f for f in dataclasses.fields(cls)}
-        optional = {"isolation", "preset", "evidence",
-                    *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
-        given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        since = {"readings", "study", "contents", "values", "evidence"}
-        absent = {OLD_VERSION: optional, PLAIN_VERSION: {*since, "preset", "maps"}, SCHEMA_VERSION: since}
-        odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
-        if odd:
-            raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "
-                            f"the method again.")
         try:
-            return cls(**checked_fields(given))
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise TaskError(f"result {path} is malformed: {plain(error, longest=300)}. Evaluate the method "
-                            f"again.") from error
+            return checked(table, cls)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+            what = f"it has no {error}" if isinstance(error, KeyError) else plain(error, longest=300)
+            raise TaskError(f"result {path} is malformed: {what}. Evaluate the method again.") from error
 
     def _objects(self) -> dict[str, list]:
         """For the reader of the file: the error of each object at each shot [unit], and over that of predicting zero,

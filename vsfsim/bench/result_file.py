@@ -1,4 +1,4 @@
-"""What a result file holds: rows, packed into columns, and fields, checked one by one, because strangers write files.
+"""What a result file holds: rows, packed into columns, and fields. Types are checked, because strangers write files.
 
 Packed columns are compressed without loss: text as indices, integers and floats in the smallest type that holds them
 exactly, all columns in one LZMA stream as base64.
@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import base64
 import binascii
+import dataclasses
 import json
 import lzma
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from vsfsim.bench.metrics import Answer, Record, Score, columns_of
@@ -70,9 +72,20 @@ def as_rows(columns: Mapping[str, Sequence]) -> list[dict[str, Any]]:
 FORMAT = "lzma"
 MOST_ROWS = 20_000_000
 """A table with more rows is refused."""
+SCHEMA_VERSION = 3
+LARGEST_FILE = 64 << 20
+"""A result file with more bytes is not read."""
+LARGEST_NUMBER = 1e100
+"""A larger number in a result is refused: its square is not finite."""
 
-_TYPES = {"u1": 1, "u2": 2, "u4": 4, "u8": 8, "f4": 4, "f8": 8}
-_INTEGERS = ("u1", "u2", "u4", "u8")
+Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 53)]
+Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Size = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
+_COLUMNS: dict[str, Any] = {
+    **dict.fromkeys(("object", "shot"), list[str]), **dict.fromkeys(("sse", "sae", "ss", "truth", "std"), list[Size]),
+    **dict.fromkeys(("seed", "touch", "in50", "in90", "x", "y", "z"), list[Count]), "nll": list[Number],
+    "n": list[Annotated[int, msgspec.Meta(ge=1, lt=1 << 53)]], "mean": list[Size]}
+"""Types of columns; a metric's column is of numbers and None."""
 
 
 def pack(columns: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
@@ -94,35 +107,39 @@ def pack(columns: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
     return {"packed": FORMAT, "rows": rows, "columns": kinds, "data": base64.b64encode(data).decode()}
 
 
-def is_packed(value: Any) -> bool:
-    """Whether a JSON value is what `pack` returns."""
-    return isinstance(value, dict) and "packed" in value
+class _Kind(msgspec.Struct):
+    type: Annotated[str, msgspec.Meta(pattern="^(u[1248]|f[48])$")]
+    words: list[str] | None = None
+
+
+class _Packed(msgspec.Struct):
+    packed: Annotated[str, msgspec.Meta(pattern=f"^{FORMAT}$")]
+    rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)]
+    columns: dict[str, _Kind]
+    data: str
 
 
 def unpack(value: Mapping[str, Any]) -> dict[str, list]:
-    """The columns in a JSON value of `pack`.
+    """The columns in a JSON value of `pack`; a table of lists as it is.
 
     Raises:
         ValueError: it is malformed, or announces more than it holds.
     """
-    if value["packed"] != FORMAT or not isinstance(value.get("columns"), dict):
-        raise ValueError("a packed table has an unknown format")
-    rows = value["rows"]
-    if isinstance(rows, bool) or not isinstance(rows, int) or not 0 <= rows <= MOST_ROWS:
-        raise ValueError("a packed table has no valid number of rows")
-    sizes = [rows * _TYPES[kind["type"]] for kind in value["columns"].values()]
+    if "packed" not in value:
+        return dict(value)
+    table = msgspec.convert(value, _Packed)
+    sizes = [table.rows * np.dtype(kind.type).itemsize for kind in table.columns.values()]
     try:
         stream = lzma.LZMADecompressor(format=lzma.FORMAT_XZ, memlimit=1 << 28)
-        content = stream.decompress(base64.b64decode(value["data"], validate=True), max_length=sum(sizes) + 1)
-    except (lzma.LZMAError, binascii.Error, TypeError, ValueError) as error:
+        content = stream.decompress(base64.b64decode(table.data, validate=True), max_length=sum(sizes) + 1)
+    except (lzma.LZMAError, binascii.Error, ValueError) as error:
         raise ValueError(f"a packed table cannot be decompressed: {error}") from error
     if len(content) != sum(sizes):
         raise ValueError(f"a packed table holds {len(content)} bytes, not {sum(sizes)}")
     out, at = {}, 0
-    for (name, kind), size in zip(value["columns"].items(), sizes, strict=True):
-        array = np.frombuffer(content[at:at + size], f"<{kind['type']}")
+    for (name, kind), size in zip(table.columns.items(), sizes, strict=True):
+        out[name] = _values(np.frombuffer(content[at:at + size], f"<{kind.type}"), kind.words)
         at += size
-        out[name] = _values(array, kind.get("words"))
     return out
 
 
@@ -130,45 +147,26 @@ def _column(values: list[Any]) -> tuple[dict[str, Any], np.ndarray]:
     if values and all(isinstance(v, str) for v in values):
         words = list(dict.fromkeys(values))
         number = {word: k for k, word in enumerate(words)}
-        array = _smallest(np.array([number[v] for v in values], np.uint64))
-        return {"type": array.dtype.str[1:], "words": words}, array
+        kind, array = _column([number[v] for v in values])
+        return {**kind, "words": words}, array
     if all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in values):
-        array = _smallest(np.array(values, np.uint64))
-        return {"type": array.dtype.str[1:]}, array
-    array = np.array([np.nan if v is None else v for v in values], np.float64)
-    with np.errstate(over="ignore"):
-        single = array.astype(np.float32)
-    if np.array_equal(single.astype(np.float64), array, equal_nan=True):
-        array = single
+        array = np.array(values, np.uint64)
+        array = array.astype(np.min_scalar_type(int(array.max(initial=0))))
+    else:
+        array = np.array([np.nan if v is None else v for v in values], np.float64)
+        with np.errstate(over="ignore"):
+            single = array.astype(np.float32)
+        array = single if np.array_equal(single.astype(np.float64), array, equal_nan=True) else array
     return {"type": array.dtype.str[1:]}, array.astype(array.dtype.newbyteorder("<"))
 
 
-def _smallest(array: np.ndarray) -> np.ndarray:
-    most = int(array.max(initial=0))
-    kind = next(k for k in _INTEGERS if most < 1 << (8 * _TYPES[k]))
-    return array.astype(f"<{kind}")
-
-
-def _values(array: np.ndarray, words: Any) -> list:
+def _values(array: np.ndarray, words: list[str] | None) -> list:
     if words is not None:
-        if array.dtype.kind != "u" or not isinstance(words, list) or (len(array) and int(array.max()) >= len(words)):
+        if array.dtype.kind != "u" or int(array.max(initial=0)) >= max(len(words), 1):
             raise ValueError("a packed column of words has an index without a word")
-        return [words[k] for k in array.tolist()]
-    if array.dtype.kind == "u":
-        return array.tolist()
-    return [None if v != v else v for v in array.astype(np.float64).tolist()]
-
-
-SCHEMA_VERSION = 3
-PLAIN_VERSION = 2
-"""Results of this version hold their rows as lists of numbers; they are read as those of today."""
-OLD_VERSION = 1
-"""Results of this version hold nothing from which metrics other than those of the readings could be computed again."""
-
-LARGEST_FILE = 64 << 20
-"""A result file with more bytes is not read."""
-LARGEST_NUMBER = 1e100
-"""A larger number in a result is refused: its square is not finite."""
+        shown = [plain(word) for word in words]
+        return [shown[k] for k in array.tolist()]
+    return array.tolist() if array.dtype.kind == "u" else [None if v != v else v for v in array.tolist()]
 
 
 def read_json(path: Path) -> Any:
@@ -191,194 +189,47 @@ def _refuse(word: str) -> float:
     raise ValueError(f"it holds {word}, which is no finite number")
 
 
-def checked_fields(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a `Result` from JSON values.
+def checked(given: Mapping[str, Any], kind: type) -> Any:
+    """A `vsfsim.bench.result.Result`, ``kind``, from JSON values.
 
     Raises:
-        ValueError, KeyError, TypeError: one of them is malformed; the message says which.
+        ValueError, KeyError, TypeError, AttributeError, RecursionError: one is malformed; the message says which.
     """
-    out = {}
-    for name, value in given.items():
-        out[name] = _CHECKS[name](name, value)
-    counts = {len(column) for column in out["queries"].values()}
-    if len(counts) != 1:
-        raise ValueError("the columns of queries have different lengths")
-    for name in ("readings", "maps"):
-        if len({len(column) for column in out.get(name, {}).values()}) > 1:
-            raise ValueError(f"the columns of {name} have different lengths")
-    for metric, by_shot in out["scores"].items():
+    raw = {"readings": READING_COLUMNS, "maps": MAP_COLUMNS}
+    told = {key: value for key, value in given.items() if key not in (*raw, "queries", "answers", "data")}
+    tables = {key: columns(given[key], names) if given.get(key) else {} for key, names in raw.items()}
+    answers = {}
+    for name, value in (given.get("answers") or {}).items():
+        there = unpack(value)  # a result of a version that has other metrics keeps those that both have
+        answers[name] = columns(there, tuple(c for c in columns_of(Answer(name)) if c in there))
+    out: Any = msgspec.convert({**_cleaned(told), "queries": {}}, kind)
+    queries = columns(given["queries"], columns_of(Answer.READINGS))
+    for metric, by_shot in out.scores.items():
         for shot, score in by_shot.items():
-            if shot not in out["shots"] or len(score.per_seed) != len(out["seeds"]) or not math.isclose(
+            if shot not in out.shots or len(score.per_seed) != len(out.seeds) or not math.isclose(
                     score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12):
-                raise ValueError(f"{metric} at shot {shot} does not fit its {len(out['seeds'])} seeds")
+                raise ValueError(f"{metric} at shot {shot} does not fit its {len(out.seeds)} seeds")
+    if not out.seeds or len(set(out.seeds)) != len(out.seeds):
+        raise ValueError("seeds must be different whole numbers, at least one")
+    return dataclasses.replace(out, **tables, queries=queries, answers=answers, data=dict(given.get("data") or {}))
+
+
+def columns(value: Any, names: tuple[str, ...]) -> dict[str, list]:
+    """Some columns of a table, packed or of lists.
+
+    Raises:
+        ValueError, KeyError, TypeError: one is missing, of another length than the others, or of another kind.
+    """
+    table = unpack(value)
+    out = {name: msgspec.convert(table[name], _COLUMNS.get(name, list[Number | None])) for name in names}
+    if len({len(column) for column in out.values()}) > 1:
+        raise ValueError(f"the columns {', '.join(names)} have different lengths")
     return out
 
 
-def _word(where: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{where} is {plain(value, longest=60)}; it must be text")
-    return plain(value)
-
-
-def _number(where: str, value: Any, *, low: float = -LARGEST_NUMBER) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= LARGEST_NUMBER:
-        raise ValueError(f"{where} is {plain(value, longest=60)}; it must be a finite number"
-                         + (f" of at least {low:g}" if low > -LARGEST_NUMBER else ""))
-    return float(value)
-
-
-def _count(where: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 53:
-        raise ValueError(f"{where} is {plain(value, longest=60)}; it must be a whole number >= 0")
-    return value
-
-
-def _table(where: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{where} is {plain(value, longest=60)}; it must be a table")
-    return value
-
-
-def _list(where: str, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise ValueError(f"{where} is {plain(value, longest=60)}; it must be a list")
-    return value
-
-
-def _plain_table(where: str, value: Any) -> dict[str, Any]:
-    """A table of what is only shown: numbers, text, and lists of them."""
-    return {plain(key): _shown(f"{where}.{plain(key)}", item, 3) for key, item in _table(where, value).items()}
-
-
-def _shown(where: str, value: Any, depth: int) -> Any:
-    if value is None or isinstance(value, bool):
-        return value
-    if isinstance(value, (int, float)):
-        return value if isinstance(value, int) and abs(value) < 1 << 63 else _number(where, value)
+def _cleaned(value: Any) -> Any:
     if isinstance(value, str):
         return plain(value)
-    if depth and isinstance(value, list):
-        return [_shown(where, item, depth - 1) for item in value]
-    if depth and isinstance(value, dict):
-        return {plain(key): _shown(where, item, depth - 1) for key, item in value.items()}
-    raise ValueError(f"{where} is nested too deep")
-
-
-def _words(where: str, value: Any) -> tuple[str, ...]:
-    return tuple(_word(where, item) for item in _list(where, value))
-
-
-def _seeds(where: str, value: Any) -> tuple[int, ...]:
-    out = tuple(_count(where, item) for item in _list(where, value))
-    if not out or len(set(out)) != len(out):
-        raise ValueError(f"{where} is {plain(value, longest=60)}; it must be different whole numbers, at least one")
-    return out
-
-
-def _timing(where: str, value: Any) -> dict[str, float]:
-    return {plain(key): _number(f"{where}.{plain(key)}", item, low=0.0) for key, item in _table(where, value).items()}
-
-
-def _scores(where: str, value: Any) -> dict[str, dict[str, Score]]:
-    out: dict[str, dict[str, Score]] = {}
-    for metric, by_shot in _table(where, value).items():
-        for shot, score in _table(f"{where}.{plain(metric)}", by_shot).items():
-            spot = f"{where}.{plain(metric)}.{plain(shot)}"
-            table = _table(spot, score)
-            if set(table) != {"mean", "std", "per_seed"}:
-                raise ValueError(f"{spot} has {plain(', '.join(sorted(table)))}; it must have mean, std and per_seed")
-            per_seed = tuple(_number(f"{spot}.per_seed", v) for v in _list(spot, table["per_seed"]))
-            if not per_seed:
-                raise ValueError(f"{spot} has no seed")
-            out.setdefault(plain(metric), {})[plain(shot)] = Score(
-                _number(f"{spot}.mean", table["mean"]), _number(f"{spot}.std", table["std"], low=0.0), per_seed)
-    return out
-
-
-_COLUMNS: dict[str, Callable[[str, Any], Any]] = {
-    "object": _word, "shot": _word, "seed": _count, "touch": _count, "n": _count, "in50": _count, "in90": _count,
-    "sse": lambda where, value: _number(where, value, low=0.0),
-    "sae": lambda where, value: _number(where, value, low=0.0),
-    "ss": lambda where, value: _number(where, value, low=0.0), "nll": _number,
-    "x": _count, "y": _count, "z": _count, "truth": lambda where, value: _number(where, value, low=0.0),
-    "mean": lambda where, value: _number(where, value, low=0.0),
-    "std": lambda where, value: _number(where, value, low=0.0),
-}
-
-
-def _columns(where: str, value: Any, names: tuple[str, ...]) -> dict[str, list]:
-    table = _table(where, value)
-    if is_packed(table):
-        try:
-            table = unpack(table)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"{where} is no packed table: {plain(error, longest=60)}") from error
-    if set(table) != set(names):
-        odd = plain(", ".join(sorted(set(table) ^ set(names))))
-        raise ValueError(f"{where}: missing or unknown column {odd}")
-    out: dict[str, list] = {}
-    for name in names:
-        check = _COLUMNS.get(name)
-        spot = f"{where}.{name}"
-        if check is _word:  # few words, each in many rows
-            given = _list(spot, table[name])
-            words = {item: _word(spot, item) for item in {item for item in given if isinstance(item, str)}}
-            out[name] = [words[item] if isinstance(item, str) else _word(spot, item) for item in given]
-            continue
-        out[name] = _plain_numbers(_list(spot, table[name]), check) or [
-            (None if item is None else _number(spot, item)) if check is None else check(spot, item)
-            for item in table[name]]
-    return out
-
-
-def _plain_numbers(column: list[Any], check: Callable[[str, Any], Any] | None) -> list[Any]:
-    """The column itself where none of its numbers needs a look of its own, since all are whole, or all finite and not
-    negative; else []."""
-    kinds = set(map(type, column))
-    if check is _count:
-        return column if kinds == {int} and min(column) >= 0 and max(column) < 1 << 53 else []
-    if kinds == {float} and all(map(math.isfinite, column)) and min(column) >= 0.0 and max(column) <= LARGEST_NUMBER:
-        return column
-    return []
-
-
-def _queries(where: str, value: Any) -> dict[str, list]:
-    out = _columns(where, value, columns_of(Answer.READINGS))
-    if any(n < 1 for n in out["n"]):
-        raise ValueError(f"{where}.n holds a 0; a query touch has at least one reading")
-    return out
-
-
-def _readings(where: str, value: Any) -> dict[str, list]:
-    return _columns(where, value, READING_COLUMNS) if _table(where, value) else {}
-
-
-def _answers(where: str, value: Any) -> dict[str, dict[str, list]]:
-    out = {}
-    for name, columns in _table(where, value).items():
-        if name not in {answer.value for answer in Answer} - {Answer.READINGS.value}:
-            raise ValueError(f"{where} has '{plain(name, longest=60)}', which no method is asked")
-        # a result of a version that has other metrics keeps those that both have
-        if is_packed(columns):
-            columns = unpack(columns)
-        known = [c for c in columns_of(Answer(name)) if c in _table(f"{where}.{name}", columns)]
-        out[name] = _columns(f"{where}.{name}", {c: columns[c] for c in known}, tuple(known))
-        if len({len(column) for column in out[name].values()}) != 1:
-            raise ValueError(f"the columns of {where}.{name} have different lengths")
-    return out
-
-
-def _maps(where: str, value: Any) -> dict[str, list]:
-    return _columns(where, value, MAP_COLUMNS) if _table(where, value) else {}
-
-
-_CHECKS: dict[str, Callable[[str, Any], Any]] = {
-    **dict.fromkeys(("task", "task_sha256", "dataset_sha256", "method", "entry", "observation", "unit", "isolation",
-                     "preset", "evidence"),
-                    _word),
-    **dict.fromkeys(("dataset_made_by", "parameters", "machine", "made_by", "versions", "package", "study", "contents"),
-                    _plain_table),
-    "shots": _words, "seeds": _seeds, "scores": _scores, "queries": _queries, "timing": _timing,
-    "peak_memory_mib": lambda where, value: _number(where, value, low=0.0), "notes": _words, "readings": _readings,
-    "data": _table, "answers": _answers, "maps": _maps, "schema_version": _count,
-}
+    if isinstance(value, dict):
+        return {plain(key): _cleaned(item) for key, item in value.items()}
+    return [_cleaned(item) for item in value] if isinstance(value, list) else value

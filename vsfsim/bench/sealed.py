@@ -114,6 +114,18 @@ def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
         raise TaskError(f"{private} is not of this task and dataset: {' and '.join(odd)} differ.")
 
 
+def receipt(private: Path, row_sha256: str) -> dict[str, str]:
+    """That whoever holds a private part has scored a row against it: its commitment, and the sha256 of its text with
+    that of the row, which nobody else can make and everybody can check once the text is published.
+
+    Raises:
+        TaskError: the file is no private part.
+    """
+    table = _table(private, PRIVATE_FORMAT)
+    return {"commitment": str(table["commitment"]),
+            "receipt": hashlib.sha256(f"{table['text']}{row_sha256}".encode()).hexdigest()}
+
+
 def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
     view = dataset.blind().load(name)
     recording, draw = record(view, task), divide(view, task.protocol)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -57,9 +58,10 @@ class DatasetWanted:
         return datasets() / self.folder
 
     def command(self, out: Path | None = None) -> str:
-        """The command that makes it."""
-        return (f"vsfsim generate {self.scene} --objects {self.objects} --views {self.views} --touches {self.touches} "
-                f"--seed {self.seed} --tier {self.tier} --out {out or self.path()}")
+        """The command that makes it, quoted for a shell."""
+        counts = f"--objects {self.objects} --views {self.views} --touches {self.touches} --seed {self.seed}"
+        return shlex.join(["vsfsim", "generate", self.scene, *counts.split(), "--tier", self.tier,
+                           "--out", str(out or self.path())])
 
 
 @dataclass(frozen=True)
@@ -167,16 +169,14 @@ class Task:
         """The same questions on other objects, as a task of its own: its results are no rows of this one.
 
         Args:
-            objects: "test" for the task's own; "development"; or "seed-N", as many objects of the recipe's seed N.
+            objects: "development"; or "seed-N", as many objects of the recipe's seed N.
 
         Raises:
-            TaskError: it is neither, the seed is one of the task's own, or the task names no development objects.
+            TaskError: it is neither; the seed is one of the task's own, or the task names no development objects.
         """
-        if objects == "test":
-            return self
         seed = re.fullmatch(r"seed-(\d{1,18})", objects)
         if objects != DEVELOPMENT and seed is None:
-            raise TaskError(f"on is '{objects}'. {did_you_mean(objects, ('test', DEVELOPMENT))} Or give seed-N, for "
+            raise TaskError(f"on is '{objects}'. {did_you_mean(objects, (DEVELOPMENT,))} Or give seed-N, for "
                             f"other objects of seed N.")
         wanted = self.development
         if seed is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vsfsim.cli.cluster import ENGINES, Address, GpusPerTask, Printed, ShardOf, Shards, by_shards, fan_of
+from vsfsim.cli.cluster import ENGINES, Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, fan_of
 from vsfsim.cli.console import Progress, report, write_json
 from vsfsim.cli.options import (
     DatasetFolder,
@@ -136,10 +136,7 @@ def evaluate(task: TaskName,
                                                                 "default: no limit.")] = None,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
                                                                "[GiB]; default: no limit.")] = None,
-             on: Annotated[list[str] | None, typer.Option(
-                 help="test; development: the objects of the task for settings, whose results go to "
-                      "results/TASK-development; seed-N: other objects; and ray, slurm or k8s: where the trainings are "
-                      "made. May be given again.")] = None,
+             on: On = None,
              shard: ShardOf = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
              printed: Printed = False,
              keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
@@ -172,10 +169,12 @@ def evaluate(task: TaskName,
     for name in names:
         if name not in shelf.ceilings():
             check_name(name)
-    engine, objects = _split_on(on or [])
-    wanted = load_task(task).on(objects)
-    fan = fan_of(engine, shard, printed, address, gpus_per_task)
-    if engine in ("slurm", "k8s") and not by_shards(engine, shards or 10, Path("slurm-logs"), printed,
+    if on and (on == "development" or on.startswith("seed-")):
+        raise VsfsimError(f"--on is '{on}'; it names an engine of {', '.join(ENGINES)}. For other objects give --task "
+                          f"{task}-{on}.")
+    wanted = load_task(task)
+    fan = fan_of(on, shard, printed, address, gpus_per_task)
+    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, Path("slurm-logs"), printed,
                                                     int(gpus_per_task)):
         return
     shared: dict[str, Any] = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout,
@@ -213,20 +212,6 @@ def evaluate(task: TaskName,
                   f"without --shard scores them.")
         return
     _evaluate_each(names, wanted, out, preset, given, shared, json)
-
-
-def _split_on(given: list[str]) -> tuple[str | None, str]:
-    """The engine, None for none, and the objects that --on names."""
-    for word in given:
-        if not word.startswith("seed-"):
-            check_choice("--on", word, ("test", "development", "seed-N", *ENGINES))
-    engines = [word for word in given if word in ENGINES]
-    objects = [word for word in given if word not in ENGINES]
-    for words in (engines, objects):
-        if len(words) > 1:
-            raise VsfsimError(f"--on is {' and '.join(words)}; give one engine of {', '.join(ENGINES)}, and one of "
-                              f"test, development and seed-N.")
-    return (engines or [None])[0], (objects or ["test"])[0]  # type: ignore[list-item]
 
 
 def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str, given: dict[str, Any],
@@ -287,9 +272,10 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
     \b
       vsfsim score predictions.npz --task fewshot-shoes-v3-mini-v1 --name mine
     """
+    from vsfsim.bench.board.named import row_sha256
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import score_predictions
-    from vsfsim.bench.sealed import check_commitment
+    from vsfsim.bench.sealed import check_commitment, receipt
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)
@@ -297,10 +283,11 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
     data = open_dataset(wanted, dataset)
     if sealed is not None:
         check_commitment(sealed, wanted, data)
-    result = score_predictions(predictions, wanted, data, name=name, evidence="open" if sealed is None else "sealed")
+    result = score_predictions(predictions, wanted, data, name=name)
     result.save(path)
-    report(f"{score_table(result, wanted.primary)}\nwritten to {path}", {**result.summary(), "written": str(path)},
-           json)
+    given = receipt(sealed, row_sha256(result)) if sealed is not None else {}
+    report(f"{score_table(result, wanted.primary)}\nwritten to {path}" + "".join(
+        f"\n{key}: {value}" for key, value in given.items()), {**result.summary(), "written": str(path), **given}, json)
 
 
 @app.command()

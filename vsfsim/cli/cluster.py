@@ -15,8 +15,8 @@ from vsfsim.core.engines.shard import shard_of
 from vsfsim.core.errors import VsfsimError
 
 ENGINES = ("ray", "slurm", "k8s")
-_ENGINE_WORDS = ("--address", "--gpus-per-task", "--shards", "--json")
-"""Options with a value that the command of one shard does not repeat; nor does it --print, or --on with an engine."""
+_ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
+"""Options with a value that the command of one shard does not repeat; nor does it --print."""
 
 On = Annotated[str | None, typer.Option("--on", help="Engine of a cluster: ray, slurm or k8s.")]
 Address = Annotated[str, typer.Option("--address", help="Of the Ray cluster, HOST:PORT.")]
@@ -89,11 +89,8 @@ def shard_words(given: Sequence[str]) -> list[str]:
     out, words = ["vsfsim"], list(given)
     while words:
         word = words.pop(0)
-        name, equals, value = word.partition("=")
-        if name == "--on":
-            value = value if equals else words.pop(0)
-            out += [] if value in ENGINES else ["--on", value]
-        elif name in _ENGINE_WORDS:
+        name, equals, _ = word.partition("=")
+        if name in _ENGINE_WORDS:
             if not equals:
                 words.pop(0)
         elif word != "--print":

@@ -52,9 +52,6 @@ TRAININGS = 3
 ANGLE = 15.0
 """An object whose pose is found within this angle counts as found [degrees]."""
 
-NEIGHBOURS = "in the row of sbml neighbouring springs share what touches tell; the papers' are independent"
-"""Note on claims about `sbml` after touches on 100 shoes, whose row was made with ``spatial``."""
-
 NOT_ASKED = Answers(UNTOLD, "", (1.0, 1.0))
 """Before all claims are answered together."""
 
@@ -164,9 +161,8 @@ def _sbml(kind: str, task: str, main: str, other: str) -> list[Claim]:
     def claim(key: str, text: str, better: str, worse: str, *, source: str = "", equal: bool = False) -> Claim:
         first, second = (Side(*side.split("/")) for side in (better, worse))
         figures = tuple(f"{columns[side.method]}/{side.shot}" for side in (first, second))
-        with_spatial = task == SIZES["standard"][1] and first.method == "sbml" and first.shot != "0"
         return Claim(text, source or source_of(figures), figures, task, first, second, equal=equal,
-                     note=NEIGHBOURS if with_spatial else "", key=f"{kind}/{key}")
+                     key=f"{kind}/{key}")
 
     own = [claim("order", "on shoes, the average Gaussian prior errs less than predicting zero", "gaussian/0",
                  "gaussian-zero/0")] if kind == "shoes" else [

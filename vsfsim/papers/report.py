@@ -101,14 +101,14 @@ def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, 
 
 
 def on_other_data(found: Mapping[str, Found], boards: dict[str, Board]) -> list[str]:
-    """A line for the variants that were made on other data than the first one, and one for those that were made on the
-    same data, made again; ``boards`` as of `vsfsim.papers.results.stored`."""
-    if len(found) < 2:
-        return []
-    odd, first = differences(found, boards), next(iter(found))
+    """A line for earlier rows, one for the variants that were made on other data than the first one, and one for those
+    that were made on the same data, made again; ``boards`` as of `vsfsim.papers.results.stored`."""
+    earlier = ", ".join(f"'{name}'" for name, one in found.items() if not one.stands)
+    lines = {f"earlier rows, of a method or a scorer that is gone: {earlier}; no claim rests on them": earlier}
+    odd, first = differences(found, boards) if len(found) > 1 else {}, next(iter(found), "")
     other, again = (", ".join(f"'{name}'" for name in odd if odd[name] is kind) for kind in (True, False))
-    lines = {f"made on other data than '{first}': {other}; make them again": other,
-             f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}
+    lines |= {f"made on other data than '{first}': {other}; make them again": other,
+              f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}
     return [line for line, names in lines.items() if names]
 
 

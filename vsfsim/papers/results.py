@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
+from vsfsim.bench.board.named import EARLIER, listed, row_sha256
+from vsfsim.bench.board.same import SAME_READINGS
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.commands.presets import on_device
 from vsfsim.bench.commands.side_by_side import Evaluation, make
@@ -38,6 +40,8 @@ class Found:
     """Its file."""
     objects: frozenset[str] | None
     """Names of the objects that count, None for all."""
+    stands: bool = True
+    """It is no earlier row (`vsfsim.bench.board.named.EARLIER`), on which no claim rests."""
 
     def values(self, metric: str, shot: str) -> ByObject:
         """A metric of each object that counts, mean over runs; {} where the result does not hold it."""
@@ -62,37 +66,30 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
     """
     out = {}
     boards = {} if boards is None else boards
-    roots = ([MADE] if made else []) + [folder("leaderboard")]
+    roots, read = ([MADE] if made else []) + [folder("leaderboard")], dict[Path, list[Shipped]]()
     for variant in variants if variants is not None else study.variants:
         if not study.has(variant, size):
             continue
         task = study.task_of(variant, size)
-        found = _row(variant, task, boards, made) if study.is_row(variant) else _file(study, variant, task, roots)
+        found = _row(variant, task, boards, made) if study.is_row(variant) else _file(study, variant, task, roots, read)
         if found is not None:
-            out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task))
+            out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task), found[2])
     return out
 
 
-def _file(study: Study, variant: Variant, task: Task, roots: Sequence[Path]) -> tuple[Path, Result] | None:
+def _file(study: Study, variant: Variant, task: Task, roots: Sequence[Path],
+          read: dict[Path, list[Shipped]]) -> tuple[Path, Result, bool] | None:
     name = f"{study.stem(variant)}.json"
     for root in roots:
         board = root / "studies" / f"{task.name}.json"
         path = root / "studies" / task.name / name
-        found = [Result.load(path)] if path.is_file() else [row.result for row in _rows(board) if row.name == name]
+        if board not in read:
+            read[board] = read_rows(board)
+        found = [Result.load(path)] if path.is_file() else [row.result for row in read[board] if row.name == name]
         for result in found:
             if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels:
-                return path, result
+                return path, result, root == MADE or row_sha256(result) in listed()
     return None
-
-
-def _rows(board: Path) -> list[Shipped]:
-    return _rows_at(board, board.stat().st_mtime_ns) if board.is_file() else []
-
-
-@lru_cache(maxsize=32)
-def _rows_at(board: Path, _: int) -> list[Shipped]:
-    """The rows of a file that has changed at this time; a study asks for each of its variants."""
-    return read_rows(board)
 
 
 def ship(task: str, out: Path) -> None:
@@ -127,9 +124,10 @@ def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True)
 
 
 def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board],
-         made: bool) -> tuple[Path, Result] | None:
-    return next(((row.path, row.result) for row in board_of(task.name, boards, made).rows if row.rank is not None and (
-        row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
+         made: bool) -> tuple[Path, Result, bool] | None:
+    return next(((row.path, row.result, row.rank is not None) for row in board_of(task.name, boards, made).rows
+                 if (row.rank is not None or row.mark == EARLIER) and (
+                     row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
 
 
 def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | None:
@@ -194,7 +192,8 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
     jobs: dict[Path, tuple[str, Evaluation]] = {}
     boards = {} if boards is None else boards
     for study, variant in wanted:
-        if variant.name in stored(study, size, [variant], boards):
+        known = stored(study, size, [variant], boards).get(variant.name)
+        if known is not None and known.stands:
             continue
         name = f"{study.name}, {variant.name}"
         try:
@@ -221,7 +220,7 @@ def differences(found: Mapping[str, Found], boards: dict[str, leaderboard.Board]
     first, *others = found.items()
     for name, one in others:
         apart = readings_apart(one.result.readings, first[1].result.readings)
-        if apart is not None and apart > leaderboard.SAME_READINGS:
+        if apart is not None and apart > SAME_READINGS:
             out[name] = not _ranked_data(one.result.task, boards).issuperset(
                 (one.result.dataset_sha256, first[1].result.dataset_sha256))
     return out
@@ -233,4 +232,4 @@ def _ranked_data(task: str, boards: dict[str, leaderboard.Board]) -> set[str]:
         board = board_of(task, boards)
     except TaskError:
         return set()
-    return {row.result.dataset_sha256 for row in board.rows if row.rank is not None}
+    return {row.result.dataset_sha256 for row in board.rows if row.rank is not None or row.mark == EARLIER}

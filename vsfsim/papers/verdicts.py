@@ -6,19 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from vsfsim.bench.leaderboard import Board
-from vsfsim.papers.claims import (
-    SIZES,
-    Claim,
-    Experiment,
-    Side,
-    Verdict,
-    beside,
-    claims_of,
-    decided,
-    judge,
-    values_of,
-    with_results,
-)
+from vsfsim.papers import claims
+from vsfsim.papers.claims import SIZES, Claim, Experiment, Side, Verdict, beside, claims_of, decided, judge, values_of
 from vsfsim.papers.decide import answers
 from vsfsim.papers.results import Found, board_of, stored
 from vsfsim.papers.study import Asked, Study, load_study, studies
@@ -43,7 +32,7 @@ def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Boa
             board_of(name, boards, made)
         asked, experiments = verdicts(one, boards=boards, made=made)
         found.append(with_experiments([*judge(wanted, boards, preset=preset), *asked], experiments))
-    return decided(with_results(found))
+    return decided(claims.with_results(found))
 
 
 def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dict[str, Board] | None = None,
@@ -64,7 +53,8 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dic
         used = {side[0] for a in (*study.claims, *study.experiments) for side in (a.better, a.worse)}
         wanted = [v for v in study.variants if v.name in used]
         sizes = sorted(study.tasks or [size], key=lambda one: one != size)  # the one that is asked first
-        found = {one: stored(study, one, wanted, boards, made) for one in (sizes if study.experiments else sizes[:1])}
+        found = {one: {name: f for name, f in stored(study, one, wanted, boards, made).items() if f.stands}
+                 for one in (sizes if study.experiments else sizes[:1])}
         if study.claims and size in study.tasks:
             out += [_verdict(study, size, asked, found[size]) for asked in study.claims]
         for asked in study.experiments:

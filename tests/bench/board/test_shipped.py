@@ -1,15 +1,24 @@
-"""Rows that ship: a board read from its compact file is the board of the result files."""
+"""Rows that ship: a board read from its compact file is the board of the result files, and rows that are forged from
+it get no rank of a shipped method, and no evidence."""
 
 import dataclasses
 import json
+import math
+import shutil
 
+import msgspec
+import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.board.absent import absent
+from vsfsim.bench.admission.fingerprint import shipped_record
+from vsfsim.bench.board import named
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.method import contents_of
+from vsfsim.bench.metrics import Answer, scores_of
+from vsfsim.bench.result_file import as_rows, beside_zero
 from vsfsim.bench.task import load_task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
@@ -29,6 +38,7 @@ def test_a_board_that_ships_is_the_board_of_its_results(task, results, tmp_path,
     board = leaderboard.collect(task, [results])
     leaderboard.ship(board, tmp_path / "toy-v1.json")
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
+    monkeypatch.setattr(named, "folder", lambda _: tmp_path)
     shipped = leaderboard.collect(task)
     assert leaderboard.markdown(shipped) == leaderboard.markdown(board)
     for row, was in zip(shipped.rows, board.rows, strict=True):
@@ -66,16 +76,106 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
     known = methods().keys() | ceilings().keys()
     for task in map(load_task, shelf.tasks()):
         there = {one.result.method for one in read_rows(shelf.folder("leaderboard") / f"{task.name}.json")}
-        said = [name for names in absent(task.name) for name in names.split(", ")]
+        said = [name for names in named.absent(task.name) for name in names.split(", ")]
         assert len(said) == len(set(said)) and set(said) <= known and not there & set(said), task.name
         assert task.superseded_by or wanted <= there | set(said), task.name
         title = leaderboard.text(leaderboard.collect(task))
-        assert all(f"no row of {names}: {reason}" in title for names, reason in absent(task.name).items())
+        assert all(f"no row of {names}: {reason}" in title for names, reason in named.absent(task.name).items())
 
 
 def test_a_damaged_list_of_absent_rows_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("vsfsim.bench.board.absent.folder", lambda _: tmp_path)
+    monkeypatch.setattr("vsfsim.bench.board.named.folder", lambda _: tmp_path)
     for text in ("[broken", 'fewshot-shoes-v3-v1 = "text"'):
         (tmp_path / "absent.toml").write_text(text)
         with pytest.raises(TaskError, match=r"absent\.toml"):
-            absent("fewshot-shoes-v3-v1")
+            named.absent("fewshot-shoes-v3-v1")
+
+
+# ------------------------------------------------------------------ rows made by hand, from what ships alone
+
+TASK = "fewshot-shoes-v3-mini-v1"
+
+
+def forged(board, share, **more):
+    """A result whose errors are ``share`` of zero's: query readings' sums of squares ship with every board."""
+    one = next(row.result for row in board.rows if (row.result.method, row.result.preset) == ("sbml", "tuned"))
+    rng, record = np.random.default_rng(0), shipped_record(board.task)
+    rows = []
+    for name, touch, n, ss in zip(*(one.readings[k] for k in ("object", "touch", "n", "ss")), strict=True):
+        for shot in one.shots:
+            for seed in one.seeds:
+                sse = float(np.float32(ss * share**2 * rng.uniform(0.8, 1.2) / (1 if shot == "0" else 2)))
+                rows.append((name, shot, seed, touch, n, sse, float(np.float32(math.sqrt(sse * n) * 0.8))))
+    queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse", "sae"), map(list, zip(*rows)), strict=True))
+    scores = scores_of(Answer.READINGS, beside_zero(as_rows(queries), one.readings, 1), one.shots, one.seeds)
+    return dataclasses.replace(one, queries=queries, answers={}, maps={}, values={}, data={}, scores=scores,
+                               dataset_sha256=record.dataset_sha256, **more)
+
+
+@pytest.fixture(scope="module")
+def board():
+    return leaderboard.collect(load_task(TASK))
+
+
+def saved(result, path, **said):
+    """The file of a result, with what it says of itself besides."""
+    result.save(path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **said}))
+    return path
+
+
+def test_a_forged_row_has_no_evidence_and_no_rank_of_a_method_that_ships(board, tmp_path):
+    """The same name, settings and digests as the row that ships; another source; a file of predictions; a ceiling."""
+    own = {"entry": "great:Great", "package": {"name": "great", "version": "1.0"}, "preset": "", "contents": {}}
+    resim = {"method": "resim", "preset": "", "entry": shelf.ceilings()["resim"].value}
+    files = [saved(forged(board, share, **more), tmp_path / f"{k}.json", evidence=said)
+             for k, (share, said, more) in enumerate((
+                 (0.2, "sealed", {"contents": contents_of("sbml", {})}), (0.21, "verified", {"contents": {}}),
+                 (0.22, "verified", {"entry": named.PREDICTIONS}), (0.5, "verified", resim),
+                 (0.1, "verified", {"method": "great", **own}), (0.1, "sealed", {"method": "a;reboot", **own})))]
+    found = leaderboard.collect(board.task, files)
+    mine = {row.path.stem: row for row in found.rows if row.path in files}
+    assert [mine[k].mark == named.CLAIMED for k in "012345"] == [True, True, True, True, False, False]
+    assert [mine[k].rank for k in "012345"] == [None, None, None, None, 1, None]
+    assert "means something to a shell" in mine["5"].mark
+    assert {row.evidence for row in mine.values()} == {"open"}
+    assert leaderboard.possible(found) == leaderboard.possible(board)
+
+
+def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board, tmp_path, monkeypatch):
+    """A row added, a score changed, evidence written into a row; then a list with a receipt that is missing."""
+    root = shelf.folder("leaderboard")
+    for name in (f"{TASK}.json", named.LIST):
+        shutil.copy(root / name, tmp_path / name)
+    monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
+    monkeypatch.setattr(named, "folder", lambda _: tmp_path)
+    path, table = tmp_path / f"{TASK}.json", json.loads((root / f"{TASK}.json").read_text())
+    ranks = [(row.result.method, row.result.preset, row.rank) for row in leaderboard.collect(board.task).rows]
+    assert ranks == [(row.result.method, row.result.preset, row.rank) for row in board.rows]
+    great = {**table["rows"][0], "method": "great", "entry": "great:Great", "evidence": "verified"}
+    better = {**table["rows"][1], "scores": {**table["rows"][1]["scores"], "rmse_ratio": {"5": [0.1, 0.0]}}}
+    path.write_text(json.dumps({**table, "rows": [great, better, *table["rows"][2:]]}))
+    found = leaderboard.collect(board.task).rows
+    odd = {row.result.method: row for row in found if row.mark == named.EARLIER}
+    assert odd.keys() == {"great", table["rows"][1]["method"]} and all(row.rank is None for row in odd.values())
+    assert {row.evidence for row in found} == {"open"} and "†" in leaderboard.text(leaderboard.collect(board.task))
+    entry = next(iter(named.listed().values()))
+    named.write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / named.LIST)
+    assert {one.evidence for one in named.listed().values()} == {"verified"}
+    (tmp_path / named.LIST).write_text((tmp_path / named.LIST).read_text().replace('"verified"', '"sealed"'))
+    with pytest.raises(TaskError, match="needs the commitment of its set and the receipt"):
+        named.listed()
+
+
+def test_every_listed_row_ships_and_is_as_it_was_listed():
+    """No entry without its row; no row of today's tasks by the trainings whose records were rewritten."""
+    there = {}
+    for path in sorted(shelf.folder("leaderboard").rglob("*.json")):
+        if path.name != named.LIST and path.parent.name != "audits":
+            there |= {named.row_sha256(one.result): one.result for one in read_rows(path)}
+    entries = named.listed()
+    assert entries and entries.keys() <= there.keys()
+    for sha256, entry in entries.items():
+        assert (entry.task, entry.method) == (there[sha256].task, there[sha256].method)
+        assert entry.commit == there[sha256].made_by["commit"] or entry.evidence == "verified"
+    assert not any("was set to the second" in note for one in there.values() for note in one.notes)

@@ -4,14 +4,13 @@ import dataclasses
 import hashlib
 import json
 
+import msgspec
 import numpy as np
 import pytest
 
-from vsfsim.bench import predictions, sealed
-from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench import leaderboard, predictions, sealed
+from vsfsim.bench.board import named
 from vsfsim.bench.board.site import write_site
-from vsfsim.bench.leaderboard import collect, ship
-from vsfsim.bench.leaderboard import text as printed
 from vsfsim.bench.predictions import score_predictions
 from vsfsim.core.errors import TaskError
 
@@ -60,28 +59,29 @@ def test_nothing_of_a_query_and_nothing_of_the_seed_is_public(parts, toy_dataset
     assert toy_dataset.sha256 not in (public / "sealed.json").read_text()
 
 
-def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, tmp_path):
-    public, private, _ = parts
+def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, tmp_path, monkeypatch):
+    public, private, commitment = parts
     answers = {key: np.full((len(action.time), 1), 2.0) for q in sealed.questions(public, task)
                for key, action in zip(q.keys, q.actions)}
     np.savez(tmp_path / "p.npz", **answers)
     sealed.check_commitment(private, task, toy_dataset)
-    result = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="mine", evidence="sealed")
-    assert result.scores["rmse"] == score_predictions(tmp_path / "p.npz", task, toy_dataset, name="m").scores["rmse"]
+    result = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="mine")
     result.save(tmp_path / "r.json")
-    board = collect(task, [tmp_path / "r.json"])
-    assert "  sealed  " in printed(board).splitlines()[4] and "that only the maintainers have" in printed(board)
+    # a row is sealed by an entry of the list with the receipt that the holder of the private part alone can make
+    leaderboard.ship(leaderboard.collect(task, [tmp_path / "r.json"]), tmp_path / "toy-v1.json")
+    monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
+    monkeypatch.setattr(named, "folder", lambda _: tmp_path)
+    entry = next(one for one in named.listed().values() if one.task == "toy-v1")
+    given = sealed.receipt(private, entry.sha256)
+    assert given["commitment"] == commitment and given != sealed.receipt(private, "0" * 64)
+    named.write_list([msgspec.structs.replace(entry, evidence="sealed", **given)], tmp_path / named.LIST)
+    board = leaderboard.collect(task)
+    assert board.rows[0].evidence == "sealed" and "  sealed  " in leaderboard.text(board).splitlines()[4]
     write_site([board], tmp_path / "site")
     assert ">sealed<" in (tmp_path / "site" / "task-toy-v1.html").read_text()
-    ship(board, tmp_path / "toy-v1.json")
-    assert [row.result.evidence for row in read_rows(tmp_path / "toy-v1.json")] == ["sealed"]
-    # who says of himself that he is verified is not; who comes out again is
-    dataclasses.replace(result, evidence="verified").save(tmp_path / "r.json")
-    board = collect(task, [tmp_path / "r.json"])
-    assert board.rows[0].result.evidence == "open"
-    again = dataclasses.replace(board, rows=(dataclasses.replace(board.rows[0], origin="shipped, made again here"),))
-    ship(again, tmp_path / "toy-v1.json")
-    assert [row.result.evidence for row in read_rows(tmp_path / "toy-v1.json")] == ["verified"]
+    # who comes out again is verified
+    leaderboard.ship(leaderboard.collect(task, [tmp_path / "r.json"]), tmp_path / "toy-v1.json")
+    assert leaderboard.collect(task).rows[0].evidence == "verified"
 
 
 def test_what_was_changed_is_refused(parts, task, toy_dataset, tmp_path):

@@ -1,6 +1,5 @@
 """What a method cannot reach or leave behind, in every sandbox that works here."""
 
-import dataclasses
 import os
 import subprocess
 import sys
@@ -9,7 +8,6 @@ import time
 import hostile_methods  # noqa: F401
 import pytest
 
-from vsfsim.bench.board.named import labels_of
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation import container, namespaces
 from vsfsim.bench.isolation.limits import Isolation
@@ -104,15 +102,6 @@ def test_a_gigabyte_of_prints_is_named(task, toy_dataset, tmp_path, box):
         evaluate("hostile_methods:PrintsMuch", task, toy_dataset, seeds=1, check=False, isolation=Isolation(box),
                  log=tmp_path / "log")
     assert (tmp_path / "log").stat().st_size <= 64 << 20
-
-
-def test_a_row_with_the_name_of_a_shipped_method_that_is_another_one_is_claimed(task, toy_dataset):
-    found = evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False, isolation=Isolation("process"))
-    rows = [dataclasses.replace(found, method="sbml", entry=entry, package=package) for entry, package in (
-        ("toy_methods:Constant", {"name": "", "version": ""}), ("predictions file", {}),
-        ("vsfsim.baselines.sbml:Sbml", {"name": "other", "version": "1"}),
-        ("vsfsim.baselines.sbml:Sbml", {"name": "vsfsim", "version": "0.1.0"}), ("vsfsim.baselines.sbml:Sbml", {}))]
-    assert labels_of(rows) == [*["sbml (claimed)"] * 3, *["sbml"] * 2]
 
 
 @pytest.mark.parametrize(("name", "entry"), [("gaussian", "vsfsim.baselines.gaussian:GaussianAverage"),

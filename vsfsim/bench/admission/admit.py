@@ -13,6 +13,7 @@ record (`Again`); a dataset is the task's if it differs no more than that.
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Entry, Record
-from vsfsim.bench.metrics import METRICS, PER_OBJECT, Answer, Score
+from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result
-from vsfsim.bench.result_file import OLD_VERSION, as_rows
+from vsfsim.bench.result_file import as_rows
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
@@ -39,8 +40,7 @@ class Admission:
     reason: str
     """Why it is not ranked, or ""."""
     scores: Mapping[str, Mapping[str, Score]]
-    """By metric and shot, computed from its rows. Of an old result, metrics of which it kept no rows are those that it
-    says; they are shown and never rank."""
+    """By metric and shot, computed from its rows."""
     same_bits: bool
     """Its dataset has the very bits of the task's record."""
 
@@ -58,15 +58,15 @@ def admit(result: Result, task: Task, record: Record | None) -> Admission:
         return Admission("its rows cannot be scored", {}, False)
     same_bits = record is not None and result.dataset_sha256 == record.dataset_sha256
     reason = (_other_task(result, task) or _wrong_rows(result, task, record) or _wrong_scores(result, scores)
-              or _wrong_primary(result, task, scores) or ("" if same_bits else _other_data(result, record)))
-    said = {} if result.schema_version > OLD_VERSION else {
-        name: by_shot for name, by_shot in result.scores.items() if name not in scores}
-    return Admission(reason, {**said, **scores}, same_bits)
+              or _wrong_primary(task, scores) or ("" if same_bits else _other_data(result, record)))
+    return Admission(reason, scores, same_bits)
 
 
 def _other_task(result: Result, task: Task) -> str:
     if result.task_sha256 != task.sha256:
         return "other text of the task"
+    if any(name and shlex.quote(name) != name for name in (result.method, result.preset, *result.parameters)):
+        return "a name of it means something to a shell: give letters, digits and . _ - : +"
     if result.study:
         return "a study's, which learned from other objects than the task's"
     if (result.shots, result.observation) != (task.protocol.labels, task.observation.name):
@@ -104,12 +104,9 @@ def _wrong_rows(result: Result, task: Task, record: Record | None) -> str:
 
 
 def _wrong_scores(result: Result, scores: Mapping[str, Mapping[str, Score]]) -> str:
-    """Whether the stored scores are those of the rows; those of an old result, as far as its rows tell."""
+    """Whether the stored scores are those of the rows."""
     for name, by_shot in result.scores.items():
-        metric = METRICS.get(name)
-        if metric is None or (result.schema_version == OLD_VERSION and metric.answer is not Answer.READINGS):
-            continue
-        for shot, score in by_shot.items():
+        for shot, score in by_shot.items() if name in METRICS else ():
             found = scores.get(name, {}).get(shot)
             if found is None or not all(math.isclose(a, b, rel_tol=ROUNDING, abs_tol=1e-12) for a, b in zip(
                     (score.mean, *score.per_seed), (found.mean, *found.per_seed), strict=True)) or not math.isclose(
@@ -118,12 +115,8 @@ def _wrong_scores(result: Result, scores: Mapping[str, Mapping[str, Score]]) -> 
     return ""
 
 
-def _wrong_primary(result: Result, task: Task, scores: Mapping[str, Mapping[str, Score]]) -> str:
-    if task.ranking_shot in scores.get(task.primary, {}):  # of an old result, computed ones only
-        return ""
-    if result.schema_version == OLD_VERSION and task.metric.answer in PER_OBJECT and task.primary in result.scores:
-        return "made by an older vsfsim, which kept nothing to compute it from again; evaluate it again"
-    return f"no {task.primary} at {task.ranking_shot}-shot"
+def _wrong_primary(task: Task, scores: Mapping[str, Mapping[str, Score]]) -> str:
+    return "" if task.ranking_shot in scores.get(task.primary, {}) else f"no {task.primary} at {task.ranking_shot}-shot"
 
 
 def _other_data(result: Result, record: Record | None) -> str:

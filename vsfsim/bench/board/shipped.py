@@ -20,14 +20,14 @@ import numpy as np
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.metrics import METRICS, Answer, Score, columns_of
 from vsfsim.bench.result import Result
-from vsfsim.bench.result_file import MAP_COLUMNS, SCHEMA_VERSION, checked_fields, pack, read_json, unpack
+from vsfsim.bench.result_file import MAP_COLUMNS, checked, pack, read_json, unpack
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import write_atomic
 
 FORMAT = "vsfsim-leaderboard"
 VERSION = 1
-_RAW = ("queries", "answers", "data", "readings", "maps", "scores", "values", "schema_version")
+_RAW = ("queries", "answers", "data", "readings", "maps", "scores", "values")
 _PLACES = tuple(name for name in MAP_COLUMNS if name not in ("mean", "std"))
 _DECADE, _LEAST = 1000.0, 12.0
 """A stiffness is stored as its decades over 1e-12, a thousand steps each; 0 where it is not positive."""
@@ -83,6 +83,20 @@ def read_rows(path: Path) -> list[Shipped]:
                         f"file.") from error
 
 
+def shipped_form(result: Result) -> dict[str, Any]:
+    """What a row says, as it ships: its fields as JSON values, the value of each object in single precision, scores of
+    nine digits."""
+    told = {key: value for key, value in result.summary().items() if key not in _RAW}
+    values = {metric: {shot: {name: _single(value) for name, value in of.items() if math.isfinite(value)}
+                       for shot, of in by_shot.items()} for metric, by_shot in _values(result).items()}
+    return {**told, "values": values, "scores": _scores(result)}
+
+
+def _scores(result: Result) -> dict[str, dict[str, list[float]]]:
+    return {metric: {shot: [_short(score.mean), _short(score.std)] for shot, score in by_shot.items()}
+            for metric, by_shot in result.scores.items()}
+
+
 def _values(result: Result) -> Mapping[str, Mapping[str, Mapping[str, float]]]:
     """Every metric of each object, by metric and shot."""
     if result.values:
@@ -105,8 +119,7 @@ def _packed(row: Shipped, objects: Sequence[str], shared: list[dict[str, Any]]) 
     told = {key: value for key, value in result.summary().items()
             if key not in _RAW and (key not in may_lack or value not in ({}, (), ""))}
     out = {"name": row.name, "mark": row.mark, "other_bits": row.other_bits, **told, "values": pack(values),
-           "scores": {metric: {shot: [_short(score.mean), _short(score.std)] for shot, score in by_shot.items()}
-                      for metric, by_shot in result.scores.items()}}
+           "scores": _scores(result)}
     if result.readings:
         out["readings"] = _place(pack(result.readings), shared)
     if maps:
@@ -127,17 +140,14 @@ def _place(part: dict[str, Any], shared: list[dict[str, Any]]) -> int:
 
 def _unpacked(row: dict[str, Any], objects: Sequence[str], shared: Sequence[Mapping[str, list]]) -> Shipped:
     own = ("name", "mark", "other_bits", "values", "scores", "readings", "points", "stiffness")
-    given: dict[str, Any] = {name: {} for name, field in Result.__dataclass_fields__.items() if name not in (
-        "values", "preset", "isolation", "notes", "schema_version") and field.default_factory is not
-        dataclasses.MISSING}
-    given |= {key: value for key, value in row.items() if key not in own}
-    given |= {"queries": {name: [] for name in columns_of(Answer.READINGS)}, "scores": {}, "answers": {},
-              "schema_version": SCHEMA_VERSION, "readings": shared[row["readings"]] if "readings" in row else {}}
+    given = {key: value for key, value in row.items() if key not in own}
+    given |= {"queries": {name: [] for name in columns_of(Answer.READINGS)}, "scores": {},
+              "readings": shared[row["readings"]] if "readings" in row else {}}
     if "points" in row:
         code = np.array(unpack(row["stiffness"])["code"], float)
         mean = np.where(code > 0.0, 10.0 ** (code / _DECADE - _LEAST), 0.0)
         given["maps"] = {**shared[row["points"]], "mean": mean.tolist(), "std": [0.0] * len(mean)}
-    result = Result(**checked_fields(given))
+    result = checked(given, Result)
     values: dict[str, dict[str, dict[str, float]]] = {}
     for key, column in unpack(row["values"]).items():
         metric, _, shot = key.partition(" ")

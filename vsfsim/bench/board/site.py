@@ -17,7 +17,7 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, escape, figure, file_name, link, page, paragraph, table
-from vsfsim.bench.board.named import command_of, labels_of
+from vsfsim.bench.board.named import EARLIER, command_of, labels_of
 from vsfsim.bench.leaderboard import Board, Row, column_notes, over_objects, possible, share_text, superseded, unit_of
 from vsfsim.bench.metric_functions import object_of, scale_of
 from vsfsim.bench.metrics import Answer, Score
@@ -54,7 +54,7 @@ def write_site(boards: Sequence[Board], out: Path, progress: Progress = lambda *
     pages: dict[str, str] = {"index.html": _index(boards)}
     for done, board in enumerate(boards):
         progress(done, len(boards), board.task.name)
-        names = labels_of([row.result for row in board.rows])
+        names = labels_of(board.rows)
         pages[_of_task(board.task)] = _task_page(board, names)
         for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
             pages[_of_method(board.task, number)] = _method_page(board, row, name)
@@ -119,7 +119,7 @@ def _foot() -> str:
 
 def _index_row(board: Board) -> list[Cell]:
     first = [row for row in board.rows if row.rank == 1]
-    names = dict(zip(map(id, board.rows), labels_of([row.result for row in board.rows]), strict=True))
+    names = dict(zip(map(id, board.rows), labels_of(board.rows), strict=True))
     more = f" and {len(first) - 3} more" if len(first) > 3 else ""
     best = ", ".join(names[id(row)] for row in first[:3]) + more
     return [link(_of_task(board.task), board.task.name), board.task.description, board.task.observation.name,
@@ -137,14 +137,14 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
         rows.append([str(row.rank or "-"), link(_of_method(task, number), name + row.signs.replace(" *", "")),
                      *(_cell(row, task, label) for label in labels),
                      *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
-                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task), row.result.evidence])
+                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task), row.evidence])
     body = [paragraph(task.description),
             *([paragraph(f"This task is {superseded(task)}.")] if task.superseded_by else [])]
     body += [paragraph(_how(board), note=True),
              table(head, rows, text=(1, len(head) - 1), caption=_COLUMNS)]
     body += [paragraph(f"{line}.", note=True) for line in column_notes(board)]
     body += [paragraph(f"{name} is not ranked: {row.mark}.", note=True)
-             for row, name in zip(board.rows, names, strict=True) if row.mark]
+             for row, name in zip(board.rows, names, strict=True) if row.mark not in ("", EARLIER)]
     if over:
         body += _comparison(board, names)
     costs: list[list[Cell]] = [[name, *_costs(row)] for row, name in zip(board.rows, names, strict=True)]

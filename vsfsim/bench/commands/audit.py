@@ -122,7 +122,7 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
                         f"error of its own ([protocol] folds).")
     board = collect(task, results)
     ranked = [row for row in board.rows if row.rank is not None]
-    names = labels_of([row.result for row in ranked])
+    names = labels_of(ranked)
     values = [row.objects[task.ranking_shot] for row in ranked]
     pairs = [paired(worse, better) for better, worse in itertools.pairwise(values)]
     least = 2.0 * statistics.median(pair.error for pair in pairs) if pairs else float("nan")

@@ -33,13 +33,14 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "",
              out: str | Path | None = None, preset: str = "", processes: int = 1, keep: str = "",
-             on: str = "test", progress: Callable[[int, int, str], None] | None = None) -> Result:
+             progress: Callable[[int, int, str], None] | None = None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
     Args:
         method: name of an installed method, module:attribute, or a class of an importable module. It runs in a process
             of its own. "resim" and "fem-map" are ceilings (`vsfsim.bench.commands.ceiling`).
-        task: name of a shipped task, path of a .toml file, or a loaded task.
+        task: name of a shipped task, path of a .toml file, or a loaded task; TASK-development or TASK-seed-N is TASK on
+        other objects (`vsfsim.bench.task.load_task`).
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
         parameters: of the method's constructor, over its defaults.
         seeds: draws of the support set, None for the task's own number.
@@ -54,8 +55,6 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         processes: trainings that run at the same time, each in a process of its own.
         keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim inspect`
         draws; "" writes none.
-        on: "test"; "development" for the objects on which settings are made; or "seed-N" for others of seed N. Such a
-        result is of TASK-development or TASK-seed-N (`Task.on`).
         progress: called with (trials done, of how many, what is going on).
 
     Raises:
@@ -67,7 +66,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     if keep not in ("", "predictions") or (keep and out is None):
         raise MethodError(f"keep is '{keep}' and out is {out}; keep is '' or 'predictions', which are written beside "
                           f"the result file of out.")
-    wanted = (task if isinstance(task, Task) else load_task(task)).on(on)
+    wanted = task if isinstance(task, Task) else load_task(task)
     data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
     if name in ceilings():
         return evaluate_ceiling(name, wanted, data, parameters=parameters, processes=processes, progress=progress,

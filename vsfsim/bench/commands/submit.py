@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,8 +97,8 @@ def _findings(result: Result, task: Task, row: Row | None) -> Iterator[Finding]:
     yield ok("complete, scored by its own rows, on the task's data", admit(result, task, shipped_record(task)).reason)
     yield ok("not on the board yet", "a row with the same scores ships already" if row is not None and
              row.origin != "made here" else "")
-    yield ok("its name is its own", f"'{result.method}' is a method that ships, and this is another one; give it a "
-             f"name of its own" if claimed(result) else "")
+    yield ok("its name is its own", f"'{result.method}' is a method that ships, and this is another one, or another "
+             f"version of it; give it a name of its own, or evaluate again" if claimed(result, task) else "")
     if result.entry == PREDICTIONS:
         yield told("others can run it again", "it is a file of predictions, so that nobody can: it stays unverified")
         return
@@ -147,7 +148,8 @@ def _pull_request(result: Result, board: Board, row: Row, findings: Sequence[Fin
     lines = [f"# {markdown(result.method)} on {task.name}", "", f"{_place(board, row)}. The row is `{file}`.", "",
              "```", score_table(result, task.primary), "```", "", "## How to run it again", "", "```bash"]
     if package.get("name") and package["name"] != "vsfsim":
-        lines.append(f"pip install {package['name']}=={package['version']}   # or where its source is: ...")
+        lines.append(shlex.join(["pip", "install", f"{package['name']}=={package['version']}"])
+                     + "   # or where its source is: ...")
     lines += [task.dataset.command(), command_of(result, whole=True), "```", "", "## What it rests on", "",
               "| | |", "|---|---|"]
     facts = {"entry": result.entry, "package": " ".join(package.values()), "preset": result.preset or "none",
