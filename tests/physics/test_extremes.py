@@ -10,7 +10,6 @@ from scipy.optimize import brentq
 from vsfsim.core.quality import worst_angle
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics import clock
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.quadratic import gauss_points
@@ -18,7 +17,6 @@ from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
 from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
-from vsfsim.physics.solve.linear_tier import LinearTier
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 from vsfsim.robot.path import turn_to
 
@@ -262,27 +260,6 @@ def test_a_hard_frame_ends_at_its_limit(device):
     assert frames.reason[1, 0] in (Reason.ITERATIONS, Reason.WRONG_SIDE)
 
 
-def test_a_linear_frame_without_time_to_look_where_the_bodies_are_is_marked(line, monkeypatch):
-    """Its contact may be solved: what lies between the contact points is not known."""
-    solve = LinearTier._solve
-
-    def slow(self, start, deadline):
-        found = solve(self, start, float("inf"))
-        while clock.now() <= deadline:
-            pass
-        return found
-
-    def run(seconds):
-        poses = line([[0.0, 0.0, SIZE[2] + 0.015 - depth] for depth in (0.0, 0.001)], PROBE)
-        return Solver(body(), PROBE, linear=True, options=SolverOptions(seconds=seconds)).run(poses)
-
-    assert run(120.0).converged.all()
-    monkeypatch.setattr(LinearTier, "_solve", slow)
-    frames = run(0.1)
-    assert (frames.reason[-1] == Reason.TIME).all() and np.isnan(frames.force[-1]).all()
-
-
-
 # ------------------------------------------------------------------------------------------ meshes
 
 
@@ -338,9 +315,8 @@ def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
     assert (np.diff(frames.force[:, 0, 2]) > 3.0).all()
 
 
-def test_a_linear_frame_whose_patch_grows_too_often_is_marked(block, line, device, monkeypatch):
-    """The forces of the patch before it grew were handed to the one after, and the press crashed."""
-    monkeypatch.setattr("vsfsim.physics.solve.linear_tier._GROWTHS", 1)
+def test_a_frame_whose_patch_grows_too_often_is_marked(block, line, device, monkeypatch):
+    monkeypatch.setattr(touches, "_GROWTHS", 1)
     monkeypatch.setattr(RigidContact, "extend_patch", grows(RigidContact.extend_patch))
     model = block((0.06, 0.06, 0.03), 0.0101, poisson_ratio=0.3)
     ball = Sphere(0.008)

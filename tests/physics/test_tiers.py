@@ -15,9 +15,8 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
-from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.foot import scan_foot
-from vsfsim.physics.solve.frames import Reason, SolverOptions
+from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
 SCENE = """
@@ -123,16 +122,6 @@ def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line, thi
     for step in (0.003, 0.006):
         # displacements are known to 1e-3, and the forces agree to 3e-3
         assert press(step) == pytest.approx(known, rel=0.01)
-
-
-def test_the_way_to_a_frame_ends_at_the_time_limit(block, line, monkeypatch):
-    """A hundred steps lead to this frame of a wall of 1 mm; without any time the last alone is tried, once."""
-    model, probe, count = block((0.001, 0.1, 0.1), 0.01), Sphere(0.02), []
-    evaluate = RigidContact.evaluate
-    monkeypatch.setattr(RigidContact, "evaluate", lambda *given: (count.append(1), evaluate(*given))[1])
-    solver = Solver(model, probe, linear=True, options=SolverOptions(seconds=0.0))
-    frames = solver.run(line([[0.5, 0.0, 0.06], [0.008, 0.0, 0.06]], probe, (-1.0, 0.0, 0.0)))
-    assert (frames.reason == Reason.TIME).all() and len(count) <= 4
 
 
 @pytest.mark.parametrize(("tier", "kind"), [("vsf", {"anchor"}), ("linear", {"tet10"})])

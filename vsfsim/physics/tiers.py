@@ -48,9 +48,6 @@ class Tier:
     """Element size of a procedural family [m]."""
     tolerance: float
     """Of the equilibrium, see `SolverOptions` [-]."""
-    plain: bool = False
-    """Stop conjugate gradients by the length of the residual (see `SolverOptions.cg_plain`) at a looser tolerance: a
-    third fewer back-solves for the same force. Off where datasets have been released: their bits would change."""
     local_indentation: bool = False
     """See `SolverOptions`."""
     indentation_by_place: bool = False
@@ -61,9 +58,9 @@ TIERS: dict[str, Tier] = {
     "vsf": Tier(foundation, False, 1 / 8, 1 / 2, 0.017, 1e-6),
     "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
     "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
-    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True, local_indentation=True,
+    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, local_indentation=True,
                 indentation_by_place=True),
-    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True, local_indentation=True,
+    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, local_indentation=True,
                      indentation_by_place=True),
 }
 THIN_CELLS = 1500
@@ -182,9 +179,8 @@ def thin_limit(size: np.ndarray) -> float:
 def options(tier: str) -> SolverOptions:
     """Solver limits of a tier."""
     own = TIERS[tier]
-    return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain, local_indentation=own.local_indentation,
-                         indentation_by_place=own.indentation_by_place,
-                         cg_tolerance=0.03 if own.plain else SolverOptions.cg_tolerance)
+    return SolverOptions(tolerance=own.tolerance, local_indentation=own.local_indentation,
+                         indentation_by_place=own.indentation_by_place)
 
 
 def _lawful(law: SolidLaw, rows: Settings, where: str, *given: Any) -> tuple[Block, ...]:

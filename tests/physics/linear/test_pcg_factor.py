@@ -12,7 +12,7 @@ from vsfsim.core.shape import Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
-from vsfsim.physics.solve import pcg
+from vsfsim.physics.solve import krylov
 from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver, SolverOptions
@@ -25,8 +25,8 @@ def by_numpy(matrix, device):
 
 def solve(multiply, precondition, right, device, tolerance, iterations):
     limits = torch.as_tensor(np.broadcast_to(tolerance, right.shape[1]).copy(), device=device)
-    x, done, negative = pcg.solve(multiply, precondition, torch.as_tensor(right, device=device), tolerance=limits,
-                                  iterations=iterations)
+    x, done, negative = krylov.conjugate_gradients(
+        multiply, precondition, torch.as_tensor(right, device=device), tolerance=limits, iterations=iterations)
     return x.cpu().numpy(), done.cpu().numpy(), negative.cpu().numpy()
 
 
@@ -56,26 +56,6 @@ def test_every_column_of_a_batch_is_solved(systems, device):
     assert (np.diff(done) > 0).all(), "the worse the condition the more iterations, counted for each column"
     # the column of condition 1 was done after one step and then frozen: it must not have been spoilt
     assert error[0] < 1e-14
-
-
-def test_the_plain_residual_stops_at_its_length_and_spares_one_use_of_the_preconditioner(systems, device):
-    matrix, right = systems
-    inverse = by_numpy(np.array([np.diag(1.0 / np.diag(m)) for m in matrix]), device)
-    tolerance = torch.full((5,), 1e-6, dtype=torch.float64, device=device)
-    for plain in (False, True):
-        uses = []
-
-        def precondition(x, which, uses=uses):
-            uses.append(x.shape[1])
-            return inverse(x, which)
-
-        x, done, _ = pcg.solve(by_numpy(matrix, device), precondition, torch.as_tensor(right, device=device),
-                               tolerance=tolerance, iterations=400,
-                               plain=plain)
-        assert len(uses) == int(done.amax()) + (0 if plain else 1)
-        residual = np.linalg.norm(right - np.einsum("kij,jk->ik", matrix, x.cpu().numpy()),
-                                  axis=0) / np.linalg.norm(right, axis=0)
-        assert not plain or (residual <= 1.01e-6).all()
 
 
 def test_a_column_keeps_its_own_tolerance(systems, device):
@@ -120,10 +100,10 @@ def test_dots_are_the_same_on_every_run_and_right(device):
     rng = np.random.default_rng(1)
     a, b = rng.standard_normal((2, 10_007, 3))
     arrays = [torch.as_tensor(v, device=device) for v in (a, b)]
-    first = pcg.column_dots(*arrays).cpu().numpy()
+    first = krylov.column_dots(*arrays).cpu().numpy()
     # 1e4 terms of size 1, rounding of each 1e-16
     assert np.abs(first - (a * b).sum(axis=0)).max() < 1e-11
-    assert np.array_equal(first, pcg.column_dots(*arrays).cpu().numpy())
+    assert np.array_equal(first, krylov.column_dots(*arrays).cpu().numpy())
 
 
 # ------------------------------------------------------------------------------------------ the factor
@@ -174,8 +154,8 @@ def test_columns_that_no_longer_fit_are_made_again(model):
 
 
 def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device):
-    """Woodbury: at rest the tangent is K0 + G^T D G, and one iteration must do, though the contact is 1e3 times
-    stiffer."""
+    """Woodbury: at rest the tangent is K0 + G^T D G, and two iterations must do, of which the second takes away what
+    single precision left, though the contact is 1e3 times stiffer."""
     probe = Sphere(0.02)
     poses = np.tile(np.eye(4), (1, 2, 1, 1))
     poses[0, 0, :3, 3], poses[0, 1, :3, 3] = [0.0, 0.0, 0.0585], [0.01, -0.01, 0.0575]
@@ -194,7 +174,7 @@ def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device)
     direction, steps, negative = newton_direction(
         solver.elasticity, contact, every, state["residual"], near=near,
         tolerance=torch.full((2,), 1e-6, dtype=torch.float64, device=device), iterations=150)
-    assert (steps == 1).all() and not negative.any()
+    assert (steps <= 2).all() and not negative.any()
     # and it is the solution of that system
     for b in range(2):
         dof = contact.dof[b].cpu().numpy()
@@ -227,36 +207,15 @@ def test_forces_on_patches_are_answered_like_forces_on_the_body(model, device, f
     dof[1, -6:] = -1
     table = torch.as_tensor(dof, device=device)
     answer = response(model.factor, table, device=device)
+    answer.prepare(table[:, ::3] >= 0)
     force = torch.as_tensor(rng.standard_normal(dof.shape) * (dof >= 0), device=device)
     which = torch.tensor([1, 0], device=device)
     whole = spread(table[which], force[which], len(model.free)) * torch.as_tensor(model.free, device=device)[:, None]
     expected = answer.solve(whole)
-    # K^-1 f by columns or at once: rounding at contrast 1e4
-    assert (answer.patch(which, force[which]) - expected).abs().max() < 1e-9 * expected.abs().max()
+    # K^-1 f by columns or at once: single precision
+    assert (answer.patch(which, force[which]) - expected).abs().max() < 1e-6 * expected.abs().max()
     compliance = answer.compliance()[0]
-    assert (compliance @ force[0] - expected[table[0], 1]).abs().max() < 1e-9 * expected.abs().max()
-
-
-def test_what_is_prepared_late_is_what_would_have_been_there(model):
-    """A lazy answer knows the nodes that it was told of, as the eager one knows all; the others are left out."""
-    surface = model.mesh.surface_nodes()[:12]
-    dof = torch.as_tensor((3 * surface[:, None] + np.arange(3)).reshape(1, -1))
-    eager, lazy = response(model.factor, dof, device="cpu"), response(model.factor, dof, device="cpu", lazy=True)
-    assert not lazy.compliance().any()
-    asked = torch.zeros((1, 12), dtype=torch.bool)
-    for some in ([2, 5], [5, 7, 8]):
-        asked[0, some] = True
-        lazy.prepare(asked)
-    known = (3 * asked[0].nonzero() + torch.arange(3)).flatten()
-    unknown = torch.as_tensor(np.setdiff1d(np.arange(36), known.numpy()))
-    found, expected = lazy.compliance()[0], eager.compliance()[0]
-    assert (found[known][:, known] - expected[known][:, known]).abs().max() < 1e-9 * expected.abs().max()
-    assert not found[unknown][:, unknown].any()
-    force = torch.zeros((1, 36), dtype=torch.float64)
-    force[0, known] = torch.linspace(-1.0, 2.0, len(known), dtype=torch.float64)
-    touch = torch.tensor([0])
-    answered = eager.patch(touch, force)
-    assert (lazy.patch(touch, force) - answered).abs().max() < 1e-9 * answered.abs().max()
+    assert (compliance @ force[0] - expected[table[0], 1]).abs().max() < 1e-6 * expected.abs().max()
 
 
 def test_conjugate_gradients_end_at_the_deadline():
@@ -264,7 +223,7 @@ def test_conjugate_gradients_end_at_the_deadline():
     rng = np.random.default_rng(7)
     root = rng.standard_normal((40, 40))
     matrix, right = torch.as_tensor(root @ root.T + np.eye(40)), torch.as_tensor(rng.standard_normal((40, 3)))
-    x, steps, negative = pcg.solve(lambda p, _: matrix @ p, lambda r, _: r.clone(), right,
+    x, steps, negative = krylov.conjugate_gradients(lambda p, _: matrix @ p, lambda r, _: r.clone(), right,
                                    tolerance=torch.full((3,), 1e-12, dtype=torch.float64), iterations=100, deadline=0.0)
     assert steps.tolist() == [1, 1, 1] and not negative.any()
     assert ((0.5 * x * (matrix @ x) - right * x).sum(dim=0) < 0.0).all()

@@ -1,10 +1,10 @@
 """Conjugate gradients for several columns, as they run on a CPU and in the manner of a GPU."""
 
 import numpy as np
-import pytest
 import torch
 
-from vsfsim.physics.solve import graphs, pcg
+from vsfsim.physics.solve import graphs
+from vsfsim.physics.solve.krylov import conjugate_gradients
 
 
 def repeat(step, running, *, most, few, deadline):
@@ -28,8 +28,7 @@ def system(columns=9, size=60):
         random.normal(size=(size, columns)))
 
 
-@pytest.mark.parametrize("plain", [True, False])
-def test_repeated_blocks_find_what_single_iterations_find(plain, monkeypatch):
+def test_repeated_blocks_find_what_single_iterations_find(monkeypatch):
     matrices, inverse, right = system()
     monkeypatch.setattr(graphs, "repeat", repeat)
     found = []
@@ -41,8 +40,8 @@ def test_repeated_blocks_find_what_single_iterations_find(plain, monkeypatch):
             own = matrices if which is None else matrices[which]
             return torch.einsum("kij,jk->ik", own, x)
 
-        x, steps, curved = pcg.solve(multiply, lambda r, _: inverse @ r, right, tolerance=torch.full((9,), 1e-6),
-                                     iterations=200, plain=plain, resident=resident)
+        x, steps, curved = conjugate_gradients(multiply, lambda r, _: inverse @ r, right,
+                                               tolerance=torch.full((9,), 1e-6), iterations=200, resident=resident)
         assert not curved.any() and steps[-1] > 2 * steps[0] and seen[-1] < 9, "columns that are done are dropped"
         exact = torch.linalg.solve(matrices, right.T[:, :, None])[:, :, 0].T
         assert torch.allclose(x, exact, rtol=0.0, atol=1e-4 * float(exact.abs().max()))
@@ -54,7 +53,7 @@ def test_repeated_blocks_find_what_single_iterations_find(plain, monkeypatch):
 def test_a_column_of_negative_curvature_keeps_its_first_direction():
     matrices, inverse, right = system(columns=3)
     matrices[1] = -matrices[1]
-    x, steps, curved = pcg.solve(lambda x, which: torch.einsum("kij,jk->ik", matrices if which is None else
+    x, steps, curved = conjugate_gradients(lambda x, which: torch.einsum("kij,jk->ik", matrices if which is None else
                                                                matrices[which], x), lambda r, _: inverse @ r, right,
                                  tolerance=torch.full((3,), 1e-6), iterations=50)
     assert curved.tolist() == [False, True, False] and steps[1] == 1

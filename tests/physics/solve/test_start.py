@@ -121,6 +121,25 @@ def test_a_way_that_cannot_be_cut_finely_enough_is_marked(block, monkeypatch):
     assert frames.reason[0, 0] != Reason.NONE
 
 
+@pytest.mark.parametrize("linear", [True, False], ids=["linear", "fem-coarse"])
+@pytest.mark.parametrize(("probe", "start", "stop"), [
+    (Sphere(0.004), (-0.012, 0.001, 0.045), (0.003, 0.001, 0.045)),
+    (Capsule(0.004, 0.02), (-0.012, 0.0, 0.05), (0.002, 0.003, 0.047)),
+    (Sphere(0.006), (-0.014, 0.0, 0.058), (0.0, 0.004, 0.058))], ids=["ball", "capsule", "ball near the end"])
+def test_friction_does_not_depend_on_the_number_of_frames(block, probe, start, stop, linear):
+    """A ball that pushed a post aside with friction 0.5 at the tier `linear` had 0.174 N upwards in one frame and 0.617
+    N in eight."""
+    model = block(POST, 0.01, young_modulus=1e6, poisson_ratio=0.45)
+    last = []
+    for count in (1, 8):
+        poses, first = way(start, stop, count)
+        frames = Solver(model, probe, friction=0.5, linear=linear, options=tiers.options(
+            "linear" if linear else "fem-coarse")).run(poses, start=first)
+        assert frames.converged[-1].all()
+        last.append(frames.force[-1, 0])
+    assert np.abs(last[0] - last[1]).max() < 0.03 * np.linalg.norm(last[1])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_the_force_at_the_end_does_not_depend_on_the_number_of_frames(block, seed):

@@ -84,31 +84,6 @@ def hessian_roots(u: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: w
 
 
 @wp.func
-def trial(u: wp.vec3d, held: wp.vec3d, stiffness: wp.float64, relief: wp.float64):
-    """Way [m] by which `linearised` tells stick from slip; u itself at a ``relief`` of 1."""
-    return relief * u + ((_ONE - relief) / stiffness) * held
-
-
-@wp.func
-def linearised(u: wp.vec3d, held: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64,
-               relief: wp.float64):
-    """The force at u and the rows of its Hessian, see `hessian_roots`, from the law in its mixed form: the force
-    f = P(f + r (u - f / k)), P the projection to forces up to ``limit`` and r = ``relief`` k, is linearised at the
-    force ``held`` that was expected [N], not at that of u."""
-    way = trial(u, held, stiffness, relief)
-    size = wp.length(way)
-    if sticks(size, stiffness, limit):
-        _along, _across = hessian_roots(way, normal, stiffness, limit)
-        return stiffness * u, _along, _across
-    along = way / size
-    part = limit / (stiffness * size)  # derivative of P across the slip
-    across = wp.cross(normal, along)
-    less = _ONE - part * (_ONE - relief)
-    force = limit * along - ((part * (_ONE - relief) / less) * wp.dot(held, across)) * across
-    return force, wp.vec3d(), wp.sqrt(part * relief * stiffness / less) * across
-
-
-@wp.func
 def relaxed(asked: wp.float64, present: wp.float64, damping: wp.float64, last_change: wp.float64, renewals: int):
     """Aitken's relaxation of one limit [N].
 

@@ -30,9 +30,8 @@ def neighbours(mesh: QuadraticMesh, faces: np.ndarray) -> np.ndarray:
 
 
 def grow(patches: list[Patch], cuts: np.ndarray, touches: Sequence[int], met: np.ndarray, cut: np.ndarray,
-         mesh: QuadraticMesh, make: Callable[[int, np.ndarray], Patch],
-         ready: Callable[[list[np.ndarray]], bool]) -> None:
-    """Grow the patches (B) of some ``touches``, in place, unless time is over before all is ``ready`` for them.
+         mesh: QuadraticMesh, make: Callable[[int, np.ndarray], Patch]) -> None:
+    """Grow the patches (B) of some ``touches``, in place.
 
     Args:
         patches, touches: see above.
@@ -41,16 +40,12 @@ def grow(patches: list[Patch], cuts: np.ndarray, touches: Sequence[int], met: np
         cut: triangles that get more points (B, F) bool.
         mesh: the mesh.
         make: the patch of a touch over some triangles (f,).
-        ready: makes what patches of these nodes (B of (s,)) need, and says whether there was time for it.
     """
-    old, before = list(patches), cuts.copy()
     for b in touches:
         extra = np.flatnonzero(met[b])
         if len(extra) or cut[b].any():
             cuts[b] = finer(cuts[b], cut[b])
             patches[b] = make(b, np.union1d(patches[b].faces, neighbours(mesh, extra)))
-    if not ready([patch.nodes for patch in patches]):
-        patches[:], cuts[:] = old, before
 
 
 def remember(tensors: tuple[torch.Tensor, ...], kept: tuple[torch.Tensor, ...], points: tuple[Padded, Padded],

@@ -29,8 +29,6 @@ class Contact(Protocol):
     """1 where `dof` is no padding (B, 3 s) [-]."""
     free: torch.Tensor
     """1 where a degree of freedom may move (B, 3 s) [-]."""
-    deadline: float = float("inf")
-    """`clock.now` after which `condensed` begins no further iteration [s]."""
     response: Any
     """Displacements of the whole body at rest under forces: ``solve(right)`` and ``patch(touches, force)``."""
     compliance: Any
@@ -159,7 +157,7 @@ class Contact(Protocol):
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
         """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
-        bodies were found between those; whether they had to. After the `deadline` they stay as they are.
+        bodies were found between those; whether they had to.
 
         ``touched``: which touches were in contact when the step began (B,) bool. If one of them has lost a body, no
         points are added, because it jumped: a shorter step has to follow it."""

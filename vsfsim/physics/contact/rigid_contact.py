@@ -45,7 +45,7 @@ class RigidContact(PointStiffness, Contact):
         device: Warp device.
         local: whether round bodies sink in locally, see `local_indentation`; ``by_place``: where they touch.
         mount: springs that carry the bodies; poses are then those of the mounts.
-        exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
+        linear: whether the object's stiffness stays that at rest.
     """
 
     potential_trusted_above, decrease = 0.05, 0.5
@@ -68,14 +68,10 @@ class RigidContact(PointStiffness, Contact):
     """1 where a Gauss point slips (B, 6 f)."""
     limit: torch.Tensor
     """Limit of the friction force of each Gauss point (B, 6 f) [N]."""
-    held: torch.Tensor
-    """Friction force at each Gauss point (B, 6 f, 3) [N]; before an evaluation the one to linearise at (`relief`)."""
-    relief: torch.Tensor
-    """Share of the stick stiffness at which friction is linearised at the force `held` (B,) [-]; 1: at its own."""
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
-                 exact: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
-        self.model, self.bodies, self.device, self._exact, self._sinks = model, bodies, device, exact, local
+                 linear: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
+        self.model, self.bodies, self.device, self._linear, self._sinks = model, bodies, device, linear, local
         self._by_place = local and by_place and MissingCompliance.serves(model, bodies.shapes)
         self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
         self.has_friction = bool((friction > 0.0).any())
@@ -97,8 +93,8 @@ class RigidContact(PointStiffness, Contact):
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
         self.follows_below = (0.2 if device == "cpu" else 0.0) if self.solid else np.inf
         self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
-        self.softening, self.coulomb, self.relief = (
-            torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0, 1.0))
+        self.softening, self.coulomb = (
+            torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0))
         # origins and rotations of the bodies, now and when the step began
         self._now, self._before = ([torch.zeros(size, dtype=torch.float64, device=device) for size in (
             (*poses.shape[1:3], 3), (*poses.shape[1:3], 3, 3))] for _ in range(2))
@@ -132,7 +128,7 @@ class RigidContact(PointStiffness, Contact):
         self.gap, self._energy = zeros(size) + 1e30, zeros(batch, faces)
         self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
         self._wrong_side = zeros((batch, faces), dtype=torch.int32)
-        self.normal, self.force, self.held = (zeros(*size, 3) for _ in range(3))
+        self.normal, self.force = (zeros(*size, 3) for _ in range(2))
         self._rows, self._geometric, self._coupling = (zeros(*size, 3, 3) for _ in range(3))
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
@@ -149,14 +145,14 @@ class RigidContact(PointStiffness, Contact):
             "origin": self._now[0], "turn": self._now[1], "origin_before": self._before[0],
             "turn_before": self._before[1],
             "x_before": self._x_before, "anchor": self._anchor, "owner": self._owner, "limit": self.limit,
-            "across": self._across, "relief": self.relief, **vars(relaxation),
+            "across": self._across, **vars(relaxation),
             "press": self._pressed[0], "settling": self._pressed[1], "pressed": zeros(batch, faces, 3),
             "gap": self.gap, "body": self.body, "normal": self.normal,
             "force": self.force, "rows": self._rows, "geometric": self._geometric, "coupling": self._coupling,
-            "slips": self.slips, "held": self.held, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
+            "slips": self.slips, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
         if not same:  # the same nodes may have more points
-            self.response: Response = response(self.model.factor if self._exact else self.model.preconditioner,
-                                               self.dof, device=self.device, exact=self._exact, lazy=not self._exact)
+            self.response: Response = response(self.model.factor if self._linear else self.model.preconditioner,
+                                               self.dof, device=self.device)
         missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
         self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, at_rest,
@@ -240,18 +236,17 @@ class RigidContact(PointStiffness, Contact):
                          inputs=[self._points, self._reach.set, len(self.bodies),
                                  wp.from_torch(columns.to(torch.int32)), rigid_kernels.STICK])
 
-    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor, pushed: torch.Tensor | None = None) -> None:
-        """See `Contact`; springs give way to the forces ``pushed`` (k, 3 s) [N], or until they are in balance."""
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
+        """See `Contact`; springs give way until they are in balance."""
         if not len(columns):
             return
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
         index = columns.to(torch.int32)
         look = self._launch(self.kernels.evaluate, index, later=True)
-        if self.springs is not None:
-            self.springs.place(index, pushed, self._mounts, self._points)
-        if self.springs is None or pushed is not None:
+        if self.springs is None:
             look.launch()
         else:
+            self.springs.place(index, self._mounts, self._points)
             self.springs.settle(look.launch, index, self._mounts, self._points)
 
     def update_friction(self, columns: torch.Tensor) -> None:
@@ -348,6 +343,6 @@ class RigidContact(PointStiffness, Contact):
         if not (moved or bool((met | cut)[columns].any())):
             return False
         grow(self.patches, self._cuts, columns.tolist(), met.cpu().numpy(), cut.cpu().numpy(), self.model.mesh,
-             self._patch, functools.partial(self.response.ready, deadline=self.deadline))
+             self._patch)
         self._renew(mounts, kept)
         return True

@@ -88,7 +88,6 @@ def kernels() -> Any:
         owner: wp.array3d(dtype=wp.int32)
         limit: wp.array3d(dtype=real)
         across: wp.array3d(dtype=vec3)
-        relief: wp.array(dtype=real)
         # springs that carry the bodies, see `mount`
         press: wp.array(dtype=vec3)  # direction in which a spring gives way (B,) [-]; 0 without
         settling: wp.array(dtype=wp.int32)  # 1 where the contact is evaluated, 0 where its spring is in balance (B,)
@@ -106,7 +105,6 @@ def kernels() -> Any:
         geometric: wp.array3d(dtype=mat33)
         coupling: wp.array3d(dtype=mat33)
         slips: wp.array3d(dtype=wp.int32)
-        held: wp.array3d(dtype=vec3)
         wrong_side: wp.array2d(dtype=wp.int32)
         energy: wp.array2d(dtype=real)
         pressed: wp.array2d(dtype=vec3)  # force [N] and stiffness [N/m] along the press, and least gap [m] of a part
@@ -156,7 +154,6 @@ def kernels() -> Any:
             geometric = mat33()
             coupling = mat33()
             gap = real(1e30)
-            held = vec3()
             slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
             w = c.softening[b] * c.stiffness[b, f, q]
             if w > real(0.0):
@@ -208,29 +205,21 @@ def kernels() -> Any:
                     d = friction.tangential(p - (c.origin[b, owner] + c.turn[b, owner] * c.anchor[b, f, q]), m)
                     v = stick * w
                     energy += friction.energy(wp.length(d), v, limit)
-                    held = friction.force(d, v, limit)
                     along, sideways = friction.hessian_roots(d, m, v, limit)
-                    way = d
-                    slides = not friction.sticks(wp.length(d), v, limit)
-                    if c.relief[b] < real(1.0):
-                        way = friction.trial(d, c.held[b, f, q], v, c.relief[b])
-                        slides = not friction.sticks(wp.length(way), v, limit)
-                        held, along, sideways = friction.linearised(d, c.held[b, f, q], m, v, limit, c.relief[b])
-                    force -= held
+                    force -= friction.force(d, v, limit)
                     for i in range(3):
                         rows[1, i] = along[i]
                         rows[2, i] = sideways[i]
-                    if slides:
+                    if not friction.sticks(wp.length(d), v, limit):
                         slips = 1
                         # of a limit that follows the normal force
-                        coupling = (-c.coulomb[b] * c.coefficient[near] * slope) * wp.outer(way / wp.length(way), n)
+                        coupling = (-c.coulomb[b] * c.coefficient[near] * slope) * wp.outer(d / wp.length(d), n)
             c.gap[b, f, q] = gap
             c.force[b, f, q] = force
             c.rows[b, f, q] = rows
             c.geometric[b, f, q] = geometric
             c.coupling[b, f, q] = coupling
             c.slips[b, f, q] = slips
-            c.held[b, f, q] = held
             pressed = rows * c.press[b]
             pull += wp.dot(force, c.press[b])
             slopes += wp.dot(pressed, pressed) + wp.dot(c.press[b], coupling * c.press[b])

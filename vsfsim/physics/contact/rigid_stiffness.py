@@ -22,7 +22,6 @@ class PointStiffness:
     response: Response
     yielding: torch.Tensor
     free: torch.Tensor
-    held: torch.Tensor
     springs: Springs | None
     _values: torch.Tensor
     _local: torch.Tensor
@@ -63,23 +62,13 @@ class PointStiffness:
             own[geometric] += self._geometric[columns[geometric]]
         return own
 
-    def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        """Friction (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
-        rows = self._rows[columns][:, :, 1:]
-        there = self.places(columns, move.view(len(columns), -1, 3))
-        return self.held[columns] + (rows.mT @ (rows @ there[..., None]))[..., 0]
-
-    def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64,
-              geometric: torch.Tensor | None = None) -> ContactBlock:
-        """See `Contact`; on a CPU in the precision ``real``, and with the geometric term of the touches ``geometric``
-        (k,) bool."""
-        if self.gap.device.type != "cpu":
-            geometric = None
-        own = assembled(*self._faces(columns), self.own_stiffness(columns, geometric), self.free[columns])
+    def block(self, columns: torch.Tensor) -> ContactBlock:
+        """See `Contact`."""
+        own = assembled(*self._faces(columns), self.own_stiffness(columns), self.free[columns])
         if not isinstance(own, torch.Tensor):
             touched = torch.zeros((self.batch, self.free.shape[1] // 3), dtype=torch.bool)
             for b, matrix in zip(columns.tolist(), own.matrices, strict=True):
                 touched[b, torch.as_tensor(matrix.indices // 3).long()] = True
             self.response.prepare(touched)
         return ContactBlock.of(own, self.yielding[columns] if len(columns) < self.batch else self.yielding,
-                               nodes=self.has_friction, real=real)
+                               nodes=self.has_friction)

@@ -68,17 +68,16 @@ class ContactBlock:
     """Degrees of freedom of a patch, 3 s."""
 
     @classmethod
-    def of(cls, stiffness: SparseStiffness | torch.Tensor, compliance: torch.Tensor, *, nodes: bool = False,
-           real: torch.dtype = torch.float64) -> ContactBlock:
+    def of(cls, stiffness: SparseStiffness | torch.Tensor, compliance: torch.Tensor, *,
+           nodes: bool = False) -> ContactBlock:
         """From the stiffness and the compliance (k, 3 s, 3 s) [m/N] of k patches.
 
         ``nodes``: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
-        point begins to slip, and so would the rounding. ``real``: precision on a CPU; the single one takes half of
-        the time.
+        point begins to slip, and so would the rounding.
         """
         if isinstance(stiffness, torch.Tensor):
             dof = _used((stiffness != 0.0).any(dim=1), nodes)
-            own, stiff = (_between(matrix, dof, torch.float64) for matrix in (compliance, stiffness))
+            own, stiff = (_between(matrix, dof) for matrix in (compliance, stiffness))
             bracket = own @ stiff
             bracket.diagonal(dim1=1, dim2=2).add_(1.0)
             return cls(dof, stiff @ torch.linalg.inv_ex(bracket)[0], None, compliance.shape[2])
@@ -86,9 +85,9 @@ class ContactBlock:
         for b, c in enumerate(stiffness.matrices):
             used[b, torch.as_tensor(c.indices).long()] = True
         dof = _used(used, nodes)
-        own, some, parts = _between(compliance, dof, real), [], []
+        own, some, parts = _between(compliance, dof), [], []
         for c, a, at in zip(stiffness.matrices, own, dof.numpy(), strict=True):
-            few = c[at][:, at].astype(a.numpy().dtype)
+            few = c[at][:, at]
             some.append(torch.as_tensor(few.toarray()))
             parts.append(torch.as_tensor(few.T @ a.numpy()).T)  # A C = (C^T A)^T: A is symmetric
         bracket = _stacked(parts)
@@ -102,11 +101,11 @@ class ContactBlock:
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
-        own = v.gather(1, self.dof)[:, :, None].to(self.stiffness.dtype)
+        own = v.gather(1, self.dof)[:, :, None]
         if self.factors is not None:
             own = torch.linalg.lu_solve(*self.factors, own)
         force = (self.stiffness @ own)[:, :, 0]
-        return torch.zeros_like(v).scatter_(1, self.dof, force.to(v.dtype))
+        return torch.zeros_like(v).scatter_(1, self.dof, force)
 
 
 def _entries(which: torch.Tensor) -> list[int]:
@@ -127,9 +126,9 @@ def _used(touched: torch.Tensor, nodes: bool) -> torch.Tensor:
     return torch.sort(touched.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
 
 
-def _between(matrix: torch.Tensor, dof: torch.Tensor, real: torch.dtype) -> torch.Tensor:
-    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m), in the precision ``real``."""
+def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
+    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m)."""
     if len(matrix) == 1:
-        return matrix[0].index_select(0, dof[0]).to(real).index_select(1, dof[0])[None]
+        return matrix[0].index_select(0, dof[0]).index_select(1, dof[0])[None]
     touch = torch.arange(len(matrix), device=matrix.device)[:, None, None]
-    return matrix[touch, dof[:, :, None], dof[:, None, :]].to(real)
+    return matrix[touch, dof[:, :, None], dof[:, None, :]]

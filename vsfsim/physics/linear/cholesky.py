@@ -6,9 +6,9 @@ are kept, so that a solve is products with dense blocks,
 
     x_B -= G x_A  (children first),     x_A = A^-1 x_A - G^T x_B  (parents first).
 
-The elimination is in double precision. The blocks are kept in single precision, because reading them is the cost of a
-solve: every entry is rounded relative to the compliances of its own unknowns, so that soft parts beside stiff ones keep
-their digits. One refinement makes the answer exact (`RestFactor.solve`).
+The elimination is in double precision. The blocks may be kept in single precision, because reading them is the cost of
+a solve: every entry is rounded relative to the compliances of its own unknowns, so that soft parts beside stiff ones
+keep their digits. What bends easily and is stiff otherwise, as a thin plate, loses them (`RestFactor`).
 """
 
 import functools
@@ -119,6 +119,7 @@ class Cholesky:
     Args:
         order: the order of elimination.
         values: the blocks of the matrix (b, 3, 3) [N/m], in the sequence of ``order``.
+        real: precision of the blocks, np.float32 or np.float64.
 
     Raises:
         MeshError: the matrix is not positive definite.
@@ -127,9 +128,9 @@ class Cholesky:
     seconds: float
     """Duration of the elimination [s]."""
 
-    def __init__(self, order: Order, values: np.ndarray):
+    def __init__(self, order: Order, values: np.ndarray, real: type = np.float64):
         began = clock.now()
-        panels = np.empty(order.entries, np.float32)
+        panels, self.real = np.empty(order.entries, real), real
         diagonal = np.empty(len(order.place))
         on = order.owners == order.neighbours
         diagonal.reshape(-1, 3)[order.owners[on]] = np.diagonal(values[on], axis1=1, axis2=2)
@@ -156,21 +157,21 @@ class Cholesky:
         self.seconds = clock.now() - began
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """The inverse times ``right``, both (3 n, k), to single precision."""
+        """The inverse times ``right``, both (3 n, k)."""
         right = np.ascontiguousarray(right, np.float64)
         out, columns = np.empty_like(right), right.shape[1]
         width = _WIDE if columns > 1 else 1
         ends = [wp.array(a.reshape(-1), device="cpu", copy=False) for a in (right, out)]
         work = wp.empty(2 * self._size * width, dtype=wp.float64, device="cpu")
         for start in range(0, columns, width):
-            wp.launch(_solve_kernel(width), dim=1, device="cpu",
+            wp.launch(_solve_kernel(width, self.real is np.float64), dim=1, device="cpu",
                       inputs=[self._fronts, self._size, columns, start, *self._arrays, *ends, work])
         return out
 
 
 def factor_kernels() -> list[Any]:
     """One kernel of each module that a factor is made and applied with, on the host."""
-    kernels = [_gather_kernel(), _solve_kernel(1)]
+    kernels = [_gather_kernel(), _solve_kernel(1, False)]
     ON_THE_HOST.update(kernel.module.name for kernel in kernels)
     return kernels
 
@@ -243,7 +244,7 @@ def _gather_kernel() -> Any:
 # Two sweeps through the blocks for some right-hand sides at once, eight numbers of a row at a time for a single one.
 _SOLVE = """
     typedef double LANES __attribute__((vector_size(64), aligned(8)));
-    typedef float SHORT __attribute__((vector_size(32), aligned(4)));
+    typedef REAL SHORT __attribute__((vector_size(8 * sizeof(REAL)), aligned(sizeof(REAL))));
     typedef VALUE number;
     const long long* t = table.data; const int* place = places.data; const double* b = right.data + start;
     number* v = (number*)work.data; number* own = v + size;
@@ -255,7 +256,7 @@ _SOLVE = """
     for (int f = 0; f < fronts; ++f) {
         const long long p = t[5*f], q = t[5*f+1];
         const number* a = v + t[5*f+2];
-        const float* row = panels.data + t[5*f+3] + p * p; const int* at = rows.data + t[5*f+4];
+        const REAL* row = panels.data + t[5*f+3] + p * p; const int* at = rows.data + t[5*f+4];
         for (long long i = 0; i < q; ++i, row += p) {
             number sum = {0};
             SUM
@@ -265,7 +266,7 @@ _SOLVE = """
     for (int f = fronts - 1; f >= 0; --f) {
         const long long p = t[5*f], q = t[5*f+1];
         number* a = v + t[5*f+2];
-        const float* row = panels.data + t[5*f+3]; const int* at = rows.data + t[5*f+4];
+        const REAL* row = panels.data + t[5*f+3]; const int* at = rows.data + t[5*f+4];
         for (long long i = 0; i < p; ++i, row += p) {
             number sum = {0};
             SUM
@@ -296,20 +297,23 @@ _SUM_OF_MANY = """
 
 
 @functools.cache
-def _solve_kernel(width: int) -> Any:
+def _solve_kernel(width: int, double_blocks: bool) -> Any:
     """The solve for ``width`` right-hand sides: one thread, since each front waits for the ones below it."""
-    long, whole, single, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.float32, wp.float64))
+    long, whole, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.float64))
+    blocks = double if double_blocks else wp.array(dtype=wp.float32)
     text = _SOLVE.replace("SUM\n", (_SUM_OF_ONE if width == 1 else _SUM_OF_MANY) + "\n")
+    text = text.replace("REAL", "double" if double_blocks else "float")
     text = text.replace("VALUE", "double" if width == 1 else "LANES").replace("WIDTH", str(width))
 
     def sweep(fronts: int, size: int, columns: int, start: int, table: long, rows: whole, places: whole,
-              panels: single, right: double, out: double, work: double): ...
+              panels: blocks, right: double, out: double, work: double): ...
 
-    sweep.__name__ = sweep.__qualname__ = f"sweep_{width}"
+    name = f"{width}_{'double' if double_blocks else 'single'}"
+    sweep.__name__ = sweep.__qualname__ = f"sweep_{name}"
     native = wp.func_native(text)(sweep)
 
     def solve(fronts: int, size: int, columns: int, start: int, table: long, rows: whole, places: whole,
-              panels: single, right: double, out: double, work: double):
+              panels: blocks, right: double, out: double, work: double):
         native(fronts, size, columns, start, table, rows, places, panels, right, out, work)
 
-    return wp.Kernel(solve, key=f"cholesky_solve_{width}")
+    return wp.Kernel(solve, key=f"cholesky_solve_{name}")

@@ -54,10 +54,6 @@ class DenseResponse:
         """All of the inverse is there."""
         return False
 
-    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
-        """All of the inverse is there."""
-        return True
-
     def compliance(self) -> torch.Tensor:
         """See `Response`."""
         mask, index = (self._dof >= 0).to(torch.float64), self._dof.clamp(min=0)

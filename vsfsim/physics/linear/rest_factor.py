@@ -30,7 +30,7 @@ DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a mome
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
 
-_TRUST = 2e-2  # relative error in the energy norm up to which a short inverse preconditions as well as the exact one
+_TRUST = 1e-3  # relative error in the energy norm up to which an inverse in single precision serves as an exact one
 
 
 def forget_all() -> None:
@@ -77,6 +77,11 @@ class RestFactor:
         """The order of elimination of this body's mesh."""
         return Order(self._blocks, self._points)
 
+    @property
+    def real(self) -> type:
+        """Precision of the factor: single where that serves this body."""
+        return self._solver.real
+
     @functools.cached_property
     def _blocks(self) -> sp.bsr_matrix:
         return blocks_of(self._held)
@@ -88,7 +93,10 @@ class RestFactor:
     @functools.cached_property
     def _solver(self) -> Cholesky:
         began = clock.now()
-        out = Cholesky(self.order, np.asarray(self._blocks.data, np.float64))
+        values = np.asarray(self._blocks.data, np.float64)
+        out = Cholesky(self.order, values, np.float32)
+        if not trusted(self._held_rows, out.solve, _loads(self)):
+            out = Cholesky(self.order, values)
         self.seconds = clock.now() - began
         return out
 
@@ -115,7 +123,7 @@ class RestFactor:
         return out + self._solver.solve(right - self._held_rows @ out)
 
     def apply(self, right: np.ndarray) -> np.ndarray:
-        """As `solve`, to single precision in the energy norm, in less than half of the time."""
+        """As `solve`, without the refinement, in less than half of the time."""
         return self._solver.solve(right)
 
     def solve_on(self, device: str, right: np.ndarray) -> np.ndarray:
@@ -123,15 +131,12 @@ class RestFactor:
         there = self._dense.get(device)
         return self.solve(right) if there is None else times(there, right)
 
-    def make(self, nodes: np.ndarray, *, whole: bool, deadline: float = float("inf")) -> bool:
+    def make(self, nodes: np.ndarray, *, whole: bool) -> None:
         """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
-        them; all rows if ``whole``. Returns whether all are there: after the ``deadline`` (of `clock.now`) no
-        more are begun."""
+        them; all rows if ``whole``."""
         known = self._whole if whole else self._columns
         missing = [int(i) for i in nodes if int(i) not in known]
         for start in range(0, len(missing), _CHUNK // 3):
-            if clock.now() > deadline:
-                return False
             part = missing[start:start + _CHUNK // 3]
             right = np.zeros((self.size, 3 * len(part)))
             for j, i in enumerate(part):
@@ -147,7 +152,6 @@ class RestFactor:
                 self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
                 if rows is not None:
                     self._whole[i] = rows[3 * j:3 * j + 3]
-        return True
 
     def forget(self) -> None:
         """Give back the memory of the columns; they are made again if they are asked for."""
@@ -223,12 +227,7 @@ class Response(Protocol):
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
     def prepare(self, nodes: torch.Tensor) -> bool:
-        """Prepare for forces on these ``nodes`` (B, s) bool of the patches; only a lazy `response` needs it. Whether
-        `compliance` has changed."""
-
-    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
-        """Make what patches of these ``nodes`` (B of (s,)) will need, until the ``deadline`` of `clock.now`;
-        whether all of it is there. What is made by then is kept."""
+        """Prepare for forces on these ``nodes`` (B, s) bool of the patches. Whether `compliance` has changed."""
 
     def compliance(self) -> torch.Tensor:
         """Compliance of every patch (B, 3 s, 3 s) [m/N]; 0 where held, at padding, and between nodes that are not
@@ -238,20 +237,17 @@ class Response(Protocol):
         """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
 
 
-def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool = True, lazy: bool = False) -> Response:
-    """The response of a body to forces on given patches.
+def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
+    """The response of a body to forces on given patches, to single precision: a preconditioner.
 
     Args:
         factor: the body's factor.
         dof: degrees of freedom of the patches (B, 3 s); -1 is padding.
         device: Warp device.
-        exact: whether all is float64. Otherwise what takes time to read may be float32, the columns on a CPU and the
-            inverse on a GPU; that is enough for predictions and as a preconditioner.
-        lazy: columns are made when `Response.prepare` names their nodes.
     """
     if device != "cpu" and factor.size <= DENSE:
-        return DenseResponse(factor.dense(device, exact=exact), dof)
-    return _Sparse(factor, dof, device, exact, lazy)
+        return DenseResponse(factor.dense(device, exact=False), dof)
+    return _Sparse(factor, dof, device)
 
 
 def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
@@ -262,38 +258,21 @@ def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
 
 
 class _Sparse:
-    """Triangular solves on the host; for few touches also the columns of the inverse under their patches.
-
-    ``lazy``: only the nodes named to `prepare` have columns.
-    """
+    """Solves on the host; for few touches also the columns of the inverse under the nodes that are touched."""
 
     resident = False
 
-    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
         self._factor, self._dof = factor, dof
         self.took = 0.0
-        self._exact, self._real = exact, torch.float64 if exact else torch.float32
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
-        width = dof.shape[1]
-        few = self._few(width)
-        self._whole = torch.zeros((len(dof), width, factor.size), dtype=self._real, device=device) if few else None
-        self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
+        batch, width = dof.shape
+        few = batch <= _FEW and 8.0 * batch * width * factor.size <= factor.columns_bytes
+        self._whole = torch.zeros((batch, width, factor.size), device=device, dtype=(
+            torch.float64 if factor.real is np.float64 else torch.float32)) if few else None
+        self._compliance = torch.zeros((batch, width, width), dtype=torch.float64, device=device)
         self._symmetric: torch.Tensor | None = None
-        self._ready, self._lazy = np.zeros((len(dof), width // 3), bool), lazy
-        if not lazy:
-            self.prepare(torch.as_tensor(np.arange(width // 3) < np.array([len(n) for n in self._nodes])[:, None]))
-
-    def _few(self, width: int) -> bool:
-        """Whether patches of ``width`` degrees of freedom have whole columns."""
-        batch = len(self._dof)
-        return batch <= _FEW and 8.0 * batch * width * self._factor.size <= self._factor.columns_bytes
-
-    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
-        """See `Response`."""
-        if self._lazy:
-            return True
-        whole = self._few(3 * max(len(n) for n in nodes))
-        return self._factor.make(np.unique(np.concatenate(nodes)), whole=whole, deadline=deadline)
+        self._ready = np.zeros((batch, width // 3), bool)
 
     def prepare(self, nodes: torch.Tensor) -> bool:
         """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""
@@ -318,8 +297,7 @@ class _Sparse:
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         began = clock.now()
-        solve = self._factor.solve if self._exact else self._factor.apply
-        out = torch.as_tensor(solve(right.detach().cpu().numpy()), device=right.device)
+        out = torch.as_tensor(self._factor.apply(right.detach().cpu().numpy()), device=right.device)
         self.took = clock.now() - began
         return out
 

@@ -20,19 +20,17 @@ _FINAL = (Reason.TIME, Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED, Reason.
           Reason.PATH, Reason.SNAPPED)
 
 
-def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linear: bool, accept: float) -> Rows:
+def report(balance: Equilibrium, state: State, grounding: torch.Tensor) -> Rows:
     """The values of one frame from the state of all touches.
 
     Args:
         balance: the batch.
         state: of all touches.
         grounding: stiffness of the anchors to the ground (3 n, 1) [N/m].
-        linear: whether this is a frame of linear elasticity.
-        accept: measure under which a frame counts as balanced [-].
     """
     contact = balance.contact
     every = balance.every
-    batch = len(every)
+    batch, accept = len(every), balance.options.tolerance
     acting, internal = state["contact"], state["internal"]
     on_object = acting.view(-1, 3, batch).sum(dim=0).T
     held = (internal - balance.load - acting) * (1.0 - balance.free)
@@ -43,9 +41,8 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
     largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=balance.floor)
     values = {
         "force": -on_object, "reaction": held, "residual": state["measure"],
-        "body_force": state["body_force"] if "body_force" in state else contact.on_bodies(every),
-        "body_moment": state["body_moment"] if "body_moment" in state else contact.moment_on_bodies(every),
-        "force_balance": unbalanced / largest, "min_det_f": state["det"],
+        "body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every),
+        "force_balance": unbalanced / largest, "min_det_f": balance.least_det(every),
         "energy": state["energy"] + contact.local_energy(every),
         "penetration": contact.penetration(every), "slipping": contact.slipping(every),
     }
@@ -62,9 +59,7 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
     wrong = {Reason.WRONG_SIDE: state["wrong_side"] > 0, Reason.INTRUSION: contact.intruded(every)}
     if isinstance(contact, RigidContact) and contact.springs is not None:
         wrong[Reason.MOUNT] = contact.springs.unbalanced(on_object)
-    if not linear:  # small strain has no det F
-        wrong[Reason.INVERTED] = state["det"] <= 0.0
-        wrong[Reason.CRUSHED] = state["det"] < CRUSHED
+    wrong[Reason.INVERTED], wrong[Reason.CRUSHED] = state["det"] <= 0.0, state["det"] < CRUSHED
     for why, where in wrong.items():
         reason[where.cpu().numpy() & (reason == Reason.NONE)] = why
     out["reason"], out["converged"] = np.zeros_like(reason), np.ones(batch, bool)

@@ -7,9 +7,9 @@ import warp as wp
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.krylov import conjugate_gradients, gmres
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 _LAST, _LOOSE = 0.5, 0.3  # of nearly incompressible bodies: share of the step's tolerance to solve to, and the most
@@ -35,9 +35,9 @@ def linear_tolerance(options: SolverOptions, near: torch.Tensor, left: torch.Ten
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
-                     plain: bool = False, deadline: float = float("inf"), factors: TangentFactors | None = None,
+                     deadline: float = float("inf"), factors: TangentFactors | None = None,
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Solve (tangent + contact) d = residual by `pcg`, or by `gmres` where the contact is not symmetric.
+    """Solve (tangent + contact) d = residual by conjugate gradients, or by `gmres` where the contact is not symmetric.
 
     Args:
         elasticity: elements, with the tangent of ``columns`` computed.
@@ -47,7 +47,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
-        plain, deadline: see `pcg.solve`.
+        deadline: see `krylov`.
         factors: of deformed states, which precondition the touches that have one; they note the iterations.
 
     Returns:
@@ -108,11 +108,12 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         return y
 
     if not contact.symmetric:
-        direction, steps = gmres.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
+        direction, steps = gmres(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                        deadline=deadline)
         return direction, steps, torch.zeros_like(tolerance, dtype=torch.bool)
-    direction, steps, curved = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
-                                         plain=plain, deadline=deadline, resident=response.resident)
+    direction, steps, curved = conjugate_gradients(
+        multiply, precondition, residual, tolerance=tolerance, iterations=iterations, deadline=deadline,
+        resident=response.resident)
     if factors is not None:
         factors.count(columns, steps)
     return direction, steps, curved

@@ -54,12 +54,10 @@ class SolverOptions:
     """Newton iterations of a step."""
     cg: int = 150
     """Conjugate-gradient iterations of a linear system."""
-    cg_tolerance: float = 1e-2
+    cg_tolerance: float = 0.03
     """Relative residual of a linear system near the solution [-]."""
     cg_far: float = 10.0
     """Factor on it far from the solution, where Newton's linear model is no more accurate [-]."""
-    cg_plain: bool = False
-    """Measure that residual by its length, not in the preconditioner's norm, see `pcg.solve`."""
     local_indentation: bool = False
     """Whether the indentation under balls and capsules that the mesh is too coarse for is a compliance of the contact
     points, see `contact.local_indentation`."""

@@ -13,7 +13,9 @@ from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 
-_PART = 0.5  # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body
+# longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body. With friction
+# the way counts: a ball that drags a post aside has a force that is off by 11 % with 0.5, and by 0.01 % with 0.25
+_PART, _PART_FRICTION = 0.5, 0.25
 _MOST_PIECES = 400  # pieces of one frame
 _ADVANCES, _SHORT = 50, 0.01  # most steps to the first pose that may touch; the shortest, of the whole way
 _RAYS = 200  # faces whose thickness is measured
@@ -21,10 +23,11 @@ _DEEP = 0.2  # depth over the same radius from which on a path begins inside the
 _SAMPLES = 4000  # random points for the inner radius
 
 
-def stride(bodies: RigidBodies, thickness: float) -> float:
+def stride(bodies: RigidBodies, thickness: float, *, friction: bool = False) -> float:
     """Longest step of the bodies [m] against an object of this mean ``thickness`` [m] (see `mean_thickness`): a longer
     one would meet the other side of a wall as well."""
-    return min(thickness, _PART * min(_inner_ball(bodies, k)[0] for k in range(len(bodies))))
+    part = _PART_FRICTION if friction else _PART
+    return min(thickness, part * min(_inner_ball(bodies, k)[0] for k in range(len(bodies))))
 
 
 def mean_thickness(model: Model) -> float:
@@ -65,7 +68,8 @@ def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, 
     first = clear(start, poses[0], bodies, model)
     reached = pieces(first, poses[0], stride(bodies, mean_thickness(model)), bodies)  # on their way in
     contact = make(poses=poses if np.array_equal(first, poses[0]) else np.stack([*reached, *poses]))
-    longest = stride(bodies, min(mean_thickness(model), thinnest(model, [patch.faces for patch in contact.patches])))
+    longest = stride(bodies, min(mean_thickness(model), thinnest(model, [patch.faces for patch in contact.patches])),
+                     friction=contact.has_friction)
     return contact, first, longest, inside(bodies, model, start)
 
 

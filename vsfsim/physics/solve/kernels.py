@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from vsfsim.physics.contact import intrusion, line_search, rigid_kernels
+from vsfsim.physics.contact import intrusion, rigid_kernels
 from vsfsim.physics.contact.pair import kernels as pair_kernels
 from vsfsim.physics.elements.block import kernels_of
 from vsfsim.physics.linear.cholesky import factor_kernels
@@ -16,7 +16,7 @@ def solver_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
     """One kernel of each module that the solver launches for a body of ``elements`` of these kinds and laws, see
     `tiers.elements` and `block.elements_of`."""
     solid = factor_kernels() if any(law for _, law in elements) else []
-    return [rigid_kernels.kernels().evaluate, line_search.kernel(), mount_kernels.kernels().settle,
+    return [rigid_kernels.kernels().evaluate, mount_kernels.kernels().settle,
             *_body_kernels(elements), *solid]
 
 

@@ -21,7 +21,6 @@ import torch
 import warp as wp
 
 from vsfsim.physics.contact.stiffness_block import SparseStiffness
-from vsfsim.physics.runtime import vec3
 from vsfsim.physics.solve.mount_kernels import kernels
 
 BALANCED = 1e-3
@@ -89,14 +88,11 @@ class Springs:
         e = self.axis.repeat(1, compliance.shape[1] // 3)
         return compliance + e[:, :, None] * e[:, None, :] / self.stiffness
 
-    def place(self, columns: torch.Tensor, pushed: torch.Tensor | None, mounts: wp.array, points: Any) -> None:
+    def place(self, columns: torch.Tensor, mounts: wp.array, points: Any) -> None:
         """Put the bodies of the touches ``columns`` (k,) int32, whose mounts are at ``mounts`` (B, K) [m], where the
-        springs let them; these give way to the forces ``pushed`` (k, 3 s) [N] on the object, if there are any.
-        ``points``: of the contact, see `rigid_kernels`."""
-        force = self.axis.new_zeros(len(columns), 0) if pushed is None else pushed
+        springs let them. ``points``: of the contact, see `rigid_kernels`."""
         wp.launch(kernels().place, dim=len(columns), device=mounts.device, inputs=[
-            wp.from_torch(columns), points.press, self.stiffness, mounts,
-            wp.from_torch(force.contiguous().view(len(columns), -1, 3), dtype=vec3), *self._state, points.origin])
+            wp.from_torch(columns), points.press, mounts, *self._state, points.origin])
 
     def settle(self, evaluate: Callable[[], None], columns: torch.Tensor, mounts: wp.array, points: Any) -> None:
         """Bring the springs of the touches ``columns`` into balance; ``evaluate`` renews the contact of those that are

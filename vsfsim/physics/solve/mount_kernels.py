@@ -25,10 +25,8 @@ def kernels() -> Any:
         # model
         columns: wp.array(dtype=wp.int32),
         press: wp.array(dtype=vec3),
-        stiffness: real,
         # state in
         mounts: wp.array2d(dtype=vec3),
-        pushed: wp.array2d(dtype=vec3),
         # state out
         settling_out: wp.array(dtype=wp.int32),
         give_out: wp.array(dtype=real),
@@ -37,14 +35,9 @@ def kernels() -> Any:
         high_out: wp.array(dtype=real),
         origin_out: wp.array2d(dtype=vec3),
     ):
-        # bodies where springs let them, which give way to the forces ``pushed`` (k, s), if there are any
+        # bodies where springs let them
         k = wp.tid()
         b = columns[k]
-        if pushed.shape[1] > 0:
-            total = vec3()
-            for i in range(pushed.shape[1]):
-                total += pushed[k, i]
-            give_out[b] = wp.dot(total, press[b]) / stiffness
         settling_out[b] = 1
         low_out[b] = -real(wp.inf)
         high_out[b] = real(wp.inf)

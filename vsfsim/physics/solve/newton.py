@@ -24,6 +24,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
+from vsfsim.physics.solve.linear_elasticity import LinearElasticity
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 # part of the way to the first inner body of a rigid body that a step may take, and the least part of a step
@@ -90,8 +91,11 @@ class Equilibrium:
         return self._state(columns, moved)
 
     def least_det(self, columns: torch.Tensor) -> torch.Tensor:
-        """The least det F of ``columns`` (k,) at the present displacements (k,) [-]."""
+        """The least det F that the elements have, of ``columns`` (k,) at the present displacements (k,) [-]."""
         self._strain(columns)
+        index = wp.from_torch(columns.to(torch.int32))
+        if isinstance(self.elasticity, LinearElasticity):
+            return self.elasticity.det(index, wp.from_torch(self.u))
         return wp.to_torch(self.elasticity.least_det)[columns]
 
     def _strain(self, columns: torch.Tensor) -> None:
@@ -152,7 +156,7 @@ class Equilibrium:
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
-        self._deadline = self.contact.deadline = deadline
+        self._deadline = deadline
         self._aim = tolerance
         for _ in range(self.options.newton * (1 + has_friction)):
             if self.contact.follow():
@@ -243,7 +247,7 @@ class Equilibrium:
         opt = self.options
         left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
         return newton_direction(self.elasticity, self.contact, columns, residual, near=near,
-                                iterations=opt.cg, plain=opt.cg_plain, deadline=self._deadline,
+                                iterations=opt.cg, deadline=self._deadline,
                                 tolerance=linear_tolerance(opt, near, left), factors=self.factors)
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,

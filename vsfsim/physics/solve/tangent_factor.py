@@ -90,7 +90,7 @@ class TangentFactors:
         diagonal = order.owners == order.neighbours
         values[diagonal] += (1.0 - free[order.owners[diagonal]])[:, :, None] * np.eye(3)
         try:
-            out = Cholesky(order, values)
+            out = Cholesky(order, values, self._model.preconditioner.real)
         except MeshError:
             return None
         self._seconds = clock.now() - began

@@ -29,7 +29,7 @@ from vsfsim.physics.solve import audit, increments, weight
 from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.linear_tier import LinearTier
+from vsfsim.physics.solve.linear_elasticity import LinearElasticity
 from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.work_check import WorkCheck
@@ -61,7 +61,7 @@ class Solver:
         friction: Coulomb's coefficient with the object, one for all or one for each body [-].
         device: Warp device, "cpu" or "cuda:0".
         options: limits.
-        linear: use the linear elasticity of the rest state (the `linear` tier) instead of Newton's method.
+        linear: use the linear elasticity of the rest state (the `linear` tier) instead of the elements.
     """
 
     def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *,
@@ -76,7 +76,7 @@ class Solver:
         self.model, self.bodies, self.friction = model, bodies, friction
         self.device, self.linear, self.options = device, linear, options or SolverOptions()
         self._mount: Mount | None = None
-        self.elasticity = Elasticity(model, device=device)
+        self.elasticity = (LinearElasticity if linear else Elasticity)(model, device=device)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         self._floor = model.least_force()
         self._near: list[Known] = []  # equilibria that frames may begin from
@@ -110,13 +110,10 @@ class Solver:
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
         self._contact_force = torch.zeros_like(self._balance.u)
-        if self.linear:
-            self._linear_tier = LinearTier(self._balance)
-        else:
-            weight.apply(self._balance, previous)
-            self.contact.begin_step(previous, self._balance.u)
-            self.contact.move(previous, self._balance.every)
-            self._work_check = WorkCheck(self._balance)
+        weight.apply(self._balance, previous)
+        self.contact.begin_step(previous, self._balance.u)
+        self.contact.move(previous, self._balance.every)
+        self._work_check = WorkCheck(self._balance)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
@@ -140,11 +137,7 @@ class Solver:
         balance, contact, late = self._balance, self.contact, False
         way = list(increments.pieces(self._at, pose, self._stride, self.bodies))
         self._unknown = self._inside | increments.too_far(self._at, pose, self._stride, self.bodies)
-        if self.linear:
-            before, self._at = self._at, pose
-            return self._linear_frame(before, way, deadline)
         balance.reset_counts()
-        contact.deadline = deadline
         for part in way:
             begin, friction = self._step(self._at, part, deadline)
             self._contact_force = balance.contact_force()
@@ -170,7 +163,7 @@ class Solver:
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
-                                 mount=self._mount, exact=self.linear, **self.options.indentation)
+                                 mount=self._mount, linear=self.linear, **self.options.indentation)
         contact, first, self._stride, self._inside = increments.begin(make, self.bodies, self.model, poses, start)
         return contact, first
 
@@ -316,30 +309,9 @@ class Solver:
                 return
         balance.reason[host] = Reason.PATCH
 
-    def _linear_frame(self, before: np.ndarray, way: list[np.ndarray], deadline: float) -> Rows:
-        """One frame of the `linear` tier."""
-        balance, known, last = self._balance, self._known(way[0]), self.contact.gather(self._contact_force)
-        start = last if known is None else self.contact.gather(known.force)
-        if known is None and len(self._equilibria) > 1:
-            first, second = self._equilibria[-2:]
-            f0, f1 = (self.contact.gather(k.force) for k in (first, second))
-            start = f1 + torch.as_tensor(increments.ratio(first.pose, second.pose, way[0]),
-                                         device=self.device)[:, None] * (f1 - f0)
-        force, state = self._linear_tier.frame(before, way, start, deadline)
-        self._remember(way[-1], force)
-        balance.reset_counts()
-        balance.newton += 1
-        late = clock.now() > deadline
-        lost = (state["measure"] > self._linear_tier.accept).cpu().numpy()
-        balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
-        if not self._linear_tier.checked:
-            balance.reason[:] = Reason.TIME if late else Reason.PATCH
-        return self._report(state)
-
     # ------------------------------------------------------------------------------------------ audit
 
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
-        accept = self._linear_tier.accept if self.linear else self.options.tolerance
         self._balance.reason[self._unknown & (self._balance.reason == Reason.NONE)] = Reason.PATH
-        return audit.report(self._balance, state, self._grounding, linear=self.linear, accept=accept)
+        return audit.report(self._balance, state, self._grounding)

@@ -33,7 +33,7 @@ class PairResponse:
         self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=self.device)
         self._sensor_single = self._sensor_compliance.to(torch.float32)
         dof = surfaces.dof[:, :surfaces.width].reshape(surfaces.batch, -1)
-        self._object: Response = response(model.preconditioner, dof, device=self.device, exact=False, lazy=True)
+        self._object: Response = response(model.preconditioner, dof, device=self.device)
         self._object_compliance = self._object.compliance()
 
     @property

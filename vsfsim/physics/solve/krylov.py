@@ -1,4 +1,4 @@
-"""Conjugate gradients for several touches at once, vectors (3 n, k), one column a touch.
+"""Krylov methods for several touches at once, vectors (3 n, k), one column a touch.
 
 The matrix is the object's tangent plus the contact block of each touch; the preconditioner is the rest-state inverse
 with the contact block added exactly (Woodbury):
@@ -28,10 +28,10 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return (a * b).sum(dim=0)
 
 
-def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int, plain: bool = False, deadline: float = float("inf"), resident: bool = False,
+def conjugate_gradients(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
+          iterations: int, deadline: float = float("inf"), resident: bool = False,
           ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Solve A x = ``right`` from x = 0.
+    """Solve A x = ``right`` from x = 0, the residual measured by its length.
 
     Args:
         multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument names the columns of ``right``
@@ -39,8 +39,6 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         right: right-hand sides (3 n, k).
         tolerance: relative residual of each column (k,).
         iterations: limit.
-        plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the
-            preconditioner's norm.
         deadline: `clock.now` after which no iteration begins and the preconditioner is not used again [s]; x is
             then what was reached, a direction of descent all the same.
         resident: whether the products are made on a GPU alone: their iterations are then repeated as a graph.
@@ -57,7 +55,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     r = right.clone()
     p = precondition(r, None).clone()
     rz = column_dots(r, p)
-    least = tolerance**2 * (column_dots(r, r) if plain else rz).clamp(min=1e-300)
+    least = tolerance**2 * column_dots(r, r).clamp(min=1e-300)
     running, none = rz > 0.0, rz.new_zeros(())
 
     # all in place, so that a GPU can repeat it
@@ -70,13 +68,11 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         alpha = torch.where(falls, rz / pap, none)
         x.add_(alpha * p)
         r.sub_(alpha * ap)
-        running.copy_(falls & (column_dots(r, r) > least) if plain else falls)
+        running.copy_(falls & (column_dots(r, r) > least))
 
     def turn() -> None:
         z = precondition(r, which)
         fresh = column_dots(r, z)
-        if not plain:
-            running.logical_and_(fresh > least)
         p.mul_(torch.where(running, fresh / rz, none)).add_(z)
         rz.copy_(torch.where(running, fresh, rz))
 
@@ -92,15 +88,13 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         if done == 0:
             x += p * curved
         done += 1
-        if done == iterations or (plain and not running.any()) or clock.now() > deadline:
+        if done == iterations or not running.any() or clock.now() > deadline:
             break
         turn()
         if resident:
             done += graphs.repeat(iterate, running, most=iterations - done, few=int(_FEW * len(running)),
                                   deadline=deadline)
         left = int(running.sum())
-        if left == 0:
-            break
         if left < _COMPACT * len(running):
             where = slice(None) if which is None else which
             out[:, where], taken[where], bent[where] = x, steps, curved
@@ -111,3 +105,52 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     where = slice(None) if which is None else which
     out[:, where], taken[where], bent[where] = x, steps, curved
     return out, taken, bent
+
+
+def gmres(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor, iterations: int,
+          deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
+    """Solve A x = ``right`` from x = 0 by generalised minimal residuals (Saad and Schultz 1986), preconditioned from
+    the right, for matrices that are not symmetric: min |b - A M^-1 y| over the Krylov space of A M^-1, x = M^-1 y.
+    Arguments as `conjugate_gradients`.
+
+    Returns:
+        x (3 n, k) and iterations of each column (k,).
+    """
+    size = column_dots(right, right).sqrt().clamp(min=1e-300)
+    basis, searched = [right / size], []
+    k = right.shape[1]
+    upper = torch.zeros((k, iterations + 1, iterations), dtype=torch.float64, device=right.device)
+    steps = torch.zeros(k, dtype=torch.int64, device=right.device)
+    running = torch.ones(k, dtype=torch.bool, device=right.device)
+    y = None
+    for j in range(iterations):
+        if j and clock.now() > deadline:
+            break
+        steps += running
+        searched.append(precondition(basis[j], None))
+        w = multiply(searched[j], None)
+        for _ in range(2):  # twice is enough (Kahan)
+            for i, v in enumerate(basis):
+                h = column_dots(v, w)
+                upper[:, i, j] += h
+                w = w - h * v
+        length = column_dots(w, w).sqrt()
+        upper[:, j + 1, j] = length
+        basis.append(w / length.clamp(min=1e-300))
+        own = upper[:, :j + 2, :j + 1]
+        goal = torch.zeros((k, j + 2, 1), dtype=torch.float64, device=right.device)
+        goal[:, 0, 0] = size
+        q, r = torch.linalg.qr(own)
+        new = torch.linalg.solve_triangular(r, q.mT @ goal, upper=True)
+        left = (own @ new - goal)[:, :, 0].norm(dim=1)
+        grown = torch.zeros((k, j + 1, 1), dtype=torch.float64, device=right.device)
+        if y is not None:
+            grown[:, :j] = y
+        y = torch.where(running[:, None, None], new, grown)
+        running = running & (left > tolerance * size)
+        if not bool(running.any()):
+            break
+    out = torch.zeros_like(right)
+    for i, z in enumerate(searched[:y.shape[1]]):
+        out += z * y[:, i, 0]
+    return out, steps
