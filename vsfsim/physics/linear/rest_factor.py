@@ -24,8 +24,7 @@ from vsfsim.physics.linear.dense_inverse import DenseResponse, dense_inverse, ti
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
 _KEPT = 4  # factors kept in this process, by content
 _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
-# columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
-_ROWS, _SPARSE = 32, 0.4
+_SPARSE = 0.4  # share of a patch that is pushed up to which picking its columns is the faster way
 DENSE = 80_000  # unknowns; the dense inverse needs twice n^2 doubles for a moment: 102 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
@@ -314,11 +313,4 @@ class _Sparse:
         contact only its own are read."""
         force = force.to(columns.dtype)
         used = force.nonzero()[:, 0]
-        if len(used) > _SPARSE * len(force):
-            return force @ columns
-        out = torch.zeros(columns.shape[1], dtype=columns.dtype, device=columns.device)
-        part = torch.empty((_ROWS, columns.shape[1]), dtype=columns.dtype, device=columns.device)
-        for some in used.split(_ROWS):
-            rows = torch.index_select(columns, 0, some, out=part[:len(some)])
-            out.addmv_(rows.T, force[some])
-        return out
+        return force @ columns if len(used) > _SPARSE * len(force) else force[used] @ columns[used]

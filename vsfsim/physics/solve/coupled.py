@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
@@ -26,7 +25,7 @@ from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
-from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
+from vsfsim.physics.solve.frames import Frames, SolverOptions
 from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.touches import Rows, Solver
 
@@ -138,8 +137,6 @@ class CoupledSolver(Solver):
         self._setup(PairModel.of(model, sensor), _SensorReach(sensor), np.array([float(friction)]), device, options,
                     False)
         self.object, self.sensor = model, sensor
-        # displacements, friction state before the prediction, poses before
-        self._predicted: tuple[torch.Tensor, Any, np.ndarray] | None = None
         self._stride = _STRIDE * scale(sensor)
 
     def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, keep: bool = False,
@@ -212,36 +209,13 @@ class CoupledSolver(Solver):
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor) -> None:
         super()._start(columns, before, pose, begin)
-        self._predicted = None
         if bool(self.contact.touches(columns).any()):
             self.contact.predict_candidates(columns, self._balance.u)
             if self.contact.has_friction:
-                self._predicted = self._balance.u.clone(), self.contact.friction_state(), before
-                # the prediction gives better friction limits than the step before, and points that touch for the
-                # first time have none yet
+                # this state gives better friction limits than the step before, and points that touch for the first time
+                # have none yet
                 self._balance.evaluate(columns)
                 self.contact.update_friction(columns)
-
-    def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
-        predicted = self._predicted
-        self._predicted = None
-        super()._equilibrium(columns, pose, begin, deadline)
-        if predicted is None:
-            return
-        # limits from a poor prediction may not lead to an equilibrium: those touches begin again with the limits of the
-        # step before
-        u, friction, before = predicted
-        balance, contact = self._balance, self.contact
-        host = columns.cpu().numpy()
-        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.exhausted(host),
-                                         device=self.device)]
-        if len(failed):
-            balance.u[:, failed] = u[:, failed]
-            contact.restore_friction(failed, friction)
-            contact.begin_step(before, begin)
-            contact.move(pose, failed)
-            contact.predict_candidates(failed, balance.u)
-            super()._equilibrium(failed, pose, begin, deadline)
 
     def _record(self, converged: np.ndarray) -> None:
         u = self._balance.u
