@@ -224,4 +224,4 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 factor(stiffness), soft_factor=soft)
+                 factor(stiffness, now=soft is None), soft_factor=soft)

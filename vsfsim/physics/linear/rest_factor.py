@@ -101,8 +101,9 @@ class RestFactor:
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray,
-           points: np.ndarray) -> RestFactor:
-        """The factor of this matrix: the one that this process made before, or a new one; arguments as the class."""
+           points: np.ndarray, *, now: bool = False) -> RestFactor:
+        """The factor of this matrix: the one that this process made before, or a new one; arguments as the class.
+        ``now``: factorise it here, not at its first use."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
             digest.update(np.ascontiguousarray(part).tobytes())
@@ -114,6 +115,8 @@ class RestFactor:
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
+        if now:
+            _factors[key]._solver  # noqa: B018  made here
         return _factors[key]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
