@@ -61,8 +61,8 @@ def leaderboard(task: str) -> str:
 
 def study(name: str, size: str = "mini") -> str:
     """The table of `vsfsim study NAME` from the results that ship; a variant without one has no row."""
-    from vsfsim.papers.report import cells, on_other_data, title
-    from vsfsim.papers.study import load_study
+    from papers.report import cells, on_other_data, title
+    from papers.study import load_study
 
     one = load_study(name)
     found = results(name, size)
@@ -76,9 +76,9 @@ def study(name: str, size: str = "mini") -> str:
 
 def claims() -> str:
     """The table of `vsfsim claims` from the results that ship, and what experiments say."""
-    from vsfsim.papers.claims import HEAD, RULE, cells, conclusions, counts, superseded
-    from vsfsim.papers.decide import HOLDS
-    from vsfsim.papers.verdicts import all_verdicts
+    from papers.claims import HEAD, RULE, cells, conclusions, counts, superseded
+    from papers.decide import HOLDS
+    from papers.verdicts import all_verdicts
 
     found = all_verdicts(boards=BOARDS, made=False)
     numbered = list(enumerate(found, start=1))
@@ -125,8 +125,8 @@ def audits() -> str:
 @functools.cache
 def results(name: str, size: str) -> dict:
     """Results of a study that ship, by variant."""
-    from vsfsim.papers.results import stored
-    from vsfsim.papers.study import load_study
+    from papers.results import stored
+    from papers.study import load_study
 
     return stored(load_study(name), size, boards=BOARDS, made=False)
 

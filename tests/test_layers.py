@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse
 
 ROOT = Path(__file__).parents[1]
-SHIPPED = ("vsfsim", "baselines", "scenes", "measurements", "references")
-"""Folders with code; the last two stay in the checkout."""
-CHECKOUT = ("measurements", "references")
+SHIPPED = ("vsfsim", "baselines", "scenes", "measurements", "papers", "references")
+"""Folders with code; the last three stay in the checkout."""
+CHECKOUT = ("measurements", "papers", "references")
 
 MAY_IMPORT = {
     "core": set(),
@@ -63,7 +63,7 @@ HEAVY = {
     "view": {"numpy", "scipy"},
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
                    "newton", "embreex", "open3d", "OpenGL", "pyrender"},
-    "references": {"numpy", "scipy", "torch", "timm"},
+    "references": {"numpy", "scipy", "torch", "timm", "skfem"},
     "bench": {"numpy", "h5py", "msgspec"},
     "active": {"numpy", "gymnasium"},
     "papers": {"numpy", "scipy"},

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from papers.claims import SIZES, Claim, Side, claims_of, decided, judge, text, with_results
+from papers.decide import FAILS, HOLDS, UNTOLD, Difference, Question, Values, answers, holm
+from papers.figures import TABLES, TEXTS, figure, printed, said
+from papers.study import load_study, studies
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
-from vsfsim.papers.claims import SIZES, Claim, Side, claims_of, decided, judge, text, with_results
-from vsfsim.papers.decide import FAILS, HOLDS, UNTOLD, Difference, Question, Values, answers, holm
-from vsfsim.papers.figures import TABLES, TEXTS, figure, printed, said
-from vsfsim.papers.study import load_study, studies
 
 TASK = "fewshot-shoes-v2-mini-v3"
 
@@ -122,7 +122,7 @@ def test_all_claims_are_one_family():
 def test_an_angle_is_a_share_of_objects():
     found = verdict(row("a", []), row("b", []), metric="rotation_error")
     assert found.answers.direction == UNTOLD
-    from vsfsim.papers.claims import values_of
+    from papers.claims import values_of
 
     some = values_of(row("a", []).result, load_task(TASK).protocol, "rotation_error", "all", {"x": 14.0, "y": 170.0})
     assert some.objects == {"x": 1.0, "y": 0.0}

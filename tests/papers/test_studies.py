@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from papers import report, verdicts, worlds
+from papers import results as stored_results
+from papers.claims import decided as judged
+from papers.decide import FAILS, HOLDS, UNTOLD
+from papers.results import Found
+from papers.study import load_study, parse_study, studies
 from vsfsim.bench.commands.presets import preset
 from vsfsim.bench.result import Result
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import scenes
-from vsfsim.papers import report, verdicts, worlds
-from vsfsim.papers import results as stored_results
-from vsfsim.papers.claims import decided as judged
-from vsfsim.papers.decide import FAILS, HOLDS, UNTOLD
-from vsfsim.papers.results import Found
-from vsfsim.papers.study import load_study, parse_study, studies
 
 TASK = "fewshot-shoes-v2-mini-v3"
 TEXT = """
@@ -196,7 +196,7 @@ def test_a_shipped_study_asks_what_there_is(name):
 
 
 def test_every_experiment_is_on_a_claim():
-    from vsfsim.papers.claims import claims_of
+    from papers.claims import claims_of
 
     keys = {c.key for c in claims_of()} | {f"{name}/{a.text}" for name in studies() for a in load_study(name).claims}
     asked = [e.text for name in studies() for e in load_study(name).experiments]

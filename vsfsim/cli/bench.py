@@ -311,7 +311,6 @@ def leaderboard(results: Annotated[list[Path] | None,
     from vsfsim.bench import leaderboard as board
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
-    from vsfsim.papers.results import ship as ship_studies
 
     pages, tables, boards = [], [], list[board.Board]()
     names = [task] if task else list(shelf.tasks())
@@ -324,6 +323,9 @@ def leaderboard(results: Annotated[list[Path] | None,
                 paths = [Path("results") / wanted.name]
             boards.append(found := board.collect(wanted, paths))
             if ship is not None:
+                shelf.checkout()
+                from papers.results import ship as ship_studies
+
                 board.ship(found, ship / f"{name}.json")
                 ship_studies(name, ship / "studies" / f"{name}.json")
             pages.append((board.markdown if markdown else board.text)(found))
@@ -336,27 +338,6 @@ def leaderboard(results: Annotated[list[Path] | None,
         report(f"{len(files)} pages; open {files[0]}", tables[0] if task else tables, json)
         return
     report("\n\n".join(pages), tables[0] if task else tables, json)
-
-
-@app.command()
-def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper, exact or "
-                                                    "tuned.")] = "tuned",
-           size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size; "
-                                                  "default: of each claim the larger one that has results.")] = "",
-           json: JsonFile = None) -> None:
-    """Hold the papers' claims against stored results.
-
-    Reads the results that ship, those in results/TASK and those of `vsfsim study`. Each verdict names the commands
-    behind it; of a claim that does not hold, experiments say what is at fault.
-    """
-    from vsfsim.bench.commands.presets import PRESETS
-    from vsfsim.papers import claims as judged
-    from vsfsim.papers.verdicts import all_verdicts
-
-    check_choice("--preset", preset, PRESETS)
-    check_choice("--size", size or "mini", ("mini", "standard"))
-    verdicts = all_verdicts(size, preset=preset)
-    report(judged.text(verdicts), judged.table(verdicts), json)
 
 
 @app.command()

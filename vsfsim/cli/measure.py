@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import sys
 from collections.abc import MutableMapping
 from typing import Any
 
@@ -22,9 +21,7 @@ OLD_NAME = "bench"
 @functools.cache
 def _commands() -> dict[str, Any]:
     """The commands of the checkout by their names, imported when one is asked for."""
-    root = str(checkout())
-    if root not in sys.path:
-        sys.path.insert(0, root)  # worker processes inherit the path
+    checkout()
     modules = ("commands", "artificial_plants.commands", "datasets.commands", "trade.commands", "trust.commands")
     return {name: command for module in modules for name, command in
             typer.main.get_group(importlib.import_module(f"measurements.{module}").app).commands.items()}

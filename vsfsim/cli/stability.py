@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -47,9 +46,7 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     Each is converged, marked with a reason, refused, over its limit, crashed, or wrong in silence by an independent
     check. Exit code 3 if a cell is one of the last three.
     """
-    root = str(checkout())
-    if root not in sys.path:
-        sys.path.insert(0, root)  # `measurements` is a folder of the checkout; worker processes inherit the path
+    checkout()
     import vsfsim
     from measurements.stability import campaign, design
     from measurements.stability import report as results

@@ -1,4 +1,4 @@
-"""`vsfsim study`: the papers' tables that compare training sets, settings, views and objects."""
+"""`vsfsim study` and `vsfsim claims`: the papers' tables and claims, by the folder `papers/` of a checkout."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ import typer
 from vsfsim.cli.cluster import Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, fan_of
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import JsonFile, check_choice
+from vsfsim.core.errors import TaskError
+from vsfsim.core.shelf import checkout
 
 app = typer.Typer()
 
 
 def _complete(incomplete: str) -> list[str]:
-    from vsfsim.papers.study import studies
+    checkout()
+    from papers.study import studies
 
     return [name for name in studies() if name.startswith(incomplete)]
 
@@ -42,10 +45,10 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
     """
-    from vsfsim.core.errors import TaskError
-    from vsfsim.papers import report as tables
-    from vsfsim.papers.results import make_missing, stored
-    from vsfsim.papers.study import SIZES, load_study, studies
+    checkout()
+    from papers import report as tables
+    from papers.results import make_missing, stored
+    from papers.study import SIZES, load_study, studies
 
     check_choice("--size", size, SIZES)
     fan = fan_of(on, shard, printed, address, gpus_per_task)
@@ -86,3 +89,26 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         for name, message in failed:
             reasons.setdefault(message.strip(), []).append(name)
         raise TaskError("\n\n".join(f"{'; '.join(which)}: {message}" for message, which in reasons.items()))
+
+
+@app.command()
+def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper, exact or "
+                                                    "tuned.")] = "tuned",
+           size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size; "
+                                                  "default: of each claim the larger one that has results.")] = "",
+           json: JsonFile = None) -> None:
+    """Hold the papers' claims against stored results.
+
+    Reads the results that ship, those in results/TASK and those of `vsfsim study`. Each verdict names the commands
+    behind it; of a claim that does not hold, experiments say what is at fault.
+    """
+    from vsfsim.bench.commands.presets import PRESETS
+
+    checkout()
+    from papers import claims as judged
+    from papers.verdicts import all_verdicts
+
+    check_choice("--preset", preset, PRESETS)
+    check_choice("--size", size or "mini", ("mini", "standard"))
+    verdicts = all_verdicts(size, preset=preset)
+    report(judged.text(verdicts), judged.table(verdicts), json)

@@ -45,16 +45,17 @@ def folder(name: str) -> Path:
 
 
 def checkout() -> Path:
-    """The root of the repository that this package runs from.
+    """The root of the repository that this package runs from; its folders can be imported afterwards, also by worker
+    processes.
 
     Raises:
         VsfsimError: the package was installed without its repository (from a wheel), which has no `measurements/`.
     """
     root = Path(__file__).resolve().parents[2]
     if not (root / "measurements" / "__init__.py").is_file():
-        raise VsfsimError(f"`vsfsim measure` needs a checkout of the repository: its scripts are in the folder "
-                          f"measurements/, which is not part of the installed package (looked for "
-                          f"{root / 'measurements'}). Clone the repository and install it with `pip install -e .`.")
+        raise VsfsimError(f"This command needs a checkout of the repository, with measurements/ and papers/ in {root}. "
+                          "Clone it and install it with `pip install -e .`.")
+    sys.path[:] = [*dict.fromkeys([str(root), *sys.path])]
     return root
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.board.named import EARLIER, listed, row_sha256
@@ -23,7 +24,6 @@ from vsfsim.bench.trials.training import models_of
 from vsfsim.core.engines.fan import HERE, Fan
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
-from vsfsim.papers.study import Study, Variant
 
 MADE = Path("results")
 

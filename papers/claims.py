@@ -1,11 +1,11 @@
 """`vsfsim claims`: what the two papers claim, with their figures, against stored results.
 
-A claim says that one method errs less than another, or that two are equal. `vsfsim.papers.decide` answers it twice:
+A claim says that one method errs less than another, or that two are equal. `papers.decide` answers it twice:
 whether the *direction* is the claimed one, and whether the *size* is at least half of the paper's. A result is found by
 its method, its preset and its task; where one is missing, the claim cannot be told and the command that makes the
-result is printed. Figures are cells of `vsfsim.papers.figures`.
+result is printed. Figures are cells of `papers.figures`.
 
-The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.papers.verdicts`), and so do
+The claims on tables that are no plain rows stand in the files of the studies (`papers.verdicts`), and so do
 the experiments that say why a claim does not hold: each asks the same of other data.
 """
 
@@ -16,13 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from vsfsim.bench.board.compare import ByObject, by_object, interval
-from vsfsim.bench.leaderboard import Board, Row
-from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.result import Result
-from vsfsim.bench.task import Protocol, load_task
-from vsfsim.core.text_table import text_table
-from vsfsim.papers.decide import (
+from papers.decide import (
     EQUAL_WITHIN,
     FAILS,
     HOLDS,
@@ -34,7 +28,13 @@ from vsfsim.papers.decide import (
     Values,
     answers,
 )
-from vsfsim.papers.figures import figure, said
+from papers.figures import figure, said
+from vsfsim.bench.board.compare import ByObject, by_object, interval
+from vsfsim.bench.leaderboard import Board, Row
+from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import Protocol, load_task
+from vsfsim.core.text_table import text_table
 
 SIZES = {"standard": ("fewshot-plants-v4-v1", "fewshot-shoes-v3-v1"),
          "superseded": ("fewshot-plants-v4-v1", "fewshot-shoes-v2-v3"),
@@ -75,7 +75,7 @@ class Claim:
     source: str
     """Paper and place."""
     figures: tuple[str, ...]
-    """Cells of `vsfsim.papers.figures` of both sides, the better first; () where the paper prints none."""
+    """Cells of `papers.figures` of both sides, the better first; () where the paper prints none."""
     task: str
     """Name of the task that asks it here."""
     better: Side

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from papers.results import Found, differences
+from papers.study import Study
 from vsfsim.bench.board.compare import Paired, interval, paired
 from vsfsim.bench.leaderboard import Board, unit_of
 from vsfsim.core.text_table import text_table
-from vsfsim.papers.results import Found, differences
-from vsfsim.papers.study import Study
 
 RANKING = "5"
 """The shot whose differences stand in a table beside those of the first one, the last one where there is none of it;
@@ -20,7 +20,7 @@ def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]
     """The study for JSON.
 
     Args:
-        study: the study. size: of its tasks. found: results by variant, as `vsfsim.papers.results.stored` gives
+        study: the study. size: of its tasks. found: results by variant, as `papers.results.stored` gives
         them.
     """
     rows = []
@@ -85,7 +85,7 @@ def title(study: Study, size: str, found: Mapping[str, Found]) -> str:
 
 
 def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, Board] | None = None) -> str:
-    """The study for a terminal; ``boards`` as of `vsfsim.papers.results.stored`."""
+    """The study for a terminal; ``boards`` as of `papers.results.stored`."""
     lines = [f"{study.name}: {study.title} ({study.source})"]
     if study.command:
         return f"{lines[0]}\n\nThis table is made by another command:\n  {study.command}"
@@ -102,7 +102,7 @@ def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, 
 
 def on_other_data(found: Mapping[str, Found], boards: dict[str, Board]) -> list[str]:
     """A line for earlier rows, one for the variants that were made on other data than the first one, and one for those
-    that were made on the same data, made again; ``boards`` as of `vsfsim.papers.results.stored`."""
+    that were made on the same data, made again; ``boards`` as of `papers.results.stored`."""
     earlier = ", ".join(f"'{name}'" for name, one in found.items() if not one.stands)
     lines = {f"earlier rows, of a method or a scorer that is gone: {earlier}; no claim rests on them": earlier}
     odd, first = differences(found, boards) if len(found) > 1 else {}, next(iter(found), "")

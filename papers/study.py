@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from papers import worlds
+from papers.figures import figure
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
@@ -24,8 +26,6 @@ from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
 from vsfsim.core.table import Table, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
-from vsfsim.papers import worlds
-from vsfsim.papers.figures import figure
 
 SIZES = ("mini", "standard")
 _SETTINGS = ("method", "preset", "set", "train", "share_of_objects", "share_of_touches", "train_views", "test_views",
@@ -71,7 +71,7 @@ class Variant:
     data: str
     """Name of a table [data.NAME] whose dataset takes the place of the task's; "" for the task's."""
     world: str
-    """A key of `vsfsim.papers.worlds.WORLDS` that takes the place of the task; "" for none."""
+    """A key of `papers.worlds.WORLDS` that takes the place of the task; "" for none."""
     only: str
     """Class of the objects that count; "" for all."""
     paper: Mapping[str, tuple[float, float | None]]
@@ -87,7 +87,7 @@ class Asked:
     source: str
     """Paper and place."""
     figures: tuple[str, ...]
-    """Cells of `vsfsim.papers.figures` of both sides; () where the paper prints none."""
+    """Cells of `papers.figures` of both sides; () where the paper prints none."""
     words: str
     """In the place of figures."""
     better: tuple[str, str]

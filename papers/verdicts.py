@@ -6,11 +6,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from vsfsim.bench.leaderboard import Board
-from vsfsim.papers import claims
-from vsfsim.papers.claims import SIZES, Claim, Experiment, Side, Verdict, beside, claims_of, decided, judge, values_of
-from vsfsim.papers.decide import answers
-from vsfsim.papers.results import Found, board_of, stored
-from vsfsim.papers.study import Asked, Study, load_study, studies
+from papers import claims
+from papers.claims import SIZES, Claim, Experiment, Side, Verdict, beside, claims_of, decided, judge, values_of
+from papers.decide import answers
+from papers.results import Found, board_of, stored
+from papers.study import Asked, Study, load_study, studies
 
 
 def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,
