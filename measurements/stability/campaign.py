@@ -13,9 +13,6 @@ from measurements.stability.design import Cell
 from measurements.stability.judge import LATE, Outcome, Verdict, judge
 from measurements.stability.team import Ended, answers, kept
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.plain_text import from_json
-from vsfsim.data.disk import write_atomic
-from vsfsim.physics.solve.frames import Reason
 
 COMMAND = "vsfsim stability"
 FRAMES = 80  # more than any cell has
@@ -37,49 +34,6 @@ def finished(file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
         return [Verdict.of(row) for row in rows]
     except (ValueError, KeyError, TypeError) as error:
         raise VsfsimError(f"{file} is not a file of `{COMMAND}` ({error}). Give another folder.") from None
-
-
-def take_over(before: Path, file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
-    """Begin ``file`` with the verdicts of ``before``, whose limit was shorter, but for cells that ended at that limit.
-
-    A frame that ends within a limit ends within a longer one, with the same result.
-
-    Args:
-        before: a file of `run`, which stays as it is.
-        file: see `finished`; if it is there already it is left alone.
-        circumstances: as for `finished`, with the longer limit.
-
-    Returns:
-        All verdicts of ``before``.
-
-    Raises:
-        VsfsimError: ``before`` is no such file, its limit is not shorter, or it was made under other circumstances.
-    """
-    if not before.exists():
-        raise VsfsimError(f"{before} does not exist. Give the folder of an earlier `vsfsim stability`.")
-    shorter = _first_line(before).get("limit")
-    if not isinstance(shorter, float) or shorter >= circumstances["limit"]:
-        raise VsfsimError(f"{before} was made with limit {shorter!r}, which is not below this run's "
-                          f"{circumstances['limit']!r}. Give a longer --limit.")
-    known = finished(before, {**circumstances, "limit": shorter})
-    if not file.exists():
-        kept = [v for v in known if v.outcome is not Outcome.LATE and Reason.TIME.text not in v.reasons]
-        rows = (circumstances, *(v.table() for v in kept))
-        write_atomic(file, "".join(json.dumps(row) + "\n" for row in rows).encode())
-    return known
-
-
-def updated(known: Sequence[Verdict], again: Sequence[Verdict]) -> tuple[list[Verdict], int]:
-    """``known`` with the verdicts of ``again`` in their places, and how many cells are not in ``again``."""
-    newer = {v.cell.key: v for v in again}
-    return [newer.get(v.cell.key, v) for v in known], sum(v.cell.key not in newer for v in known)
-
-
-def _first_line(file: Path) -> dict[str, Any]:
-    try:
-        return dict(from_json(file.read_text().split("\n", 1)[0]))
-    except (ValueError, TypeError) as error:
-        raise VsfsimError(f"{file} is not a file of `vsfsim stability` ({error}). Give another folder.") from None
 
 
 def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device: str = "cpu",

@@ -25,7 +25,7 @@ BALANCE = 0.02  # unbalanced over acting force of a converged frame [-]
 BURIED = 0.05  # of an element's edge, that a point of a rigid body may lie inside the body beyond what is reported [-]
 INSIDE = 0.02  # of an element's edge, likewise for the surface inside a rigid body [-]
 PATH = 0.02  # difference of the last push when the number of frames is doubled, without friction [-]
-TIER = 0.35  # difference of the last push between tier fem-coarse and tier fem [-]
+TIER = 0.10  # difference of the last push between tier fem-coarse and tier fem, where the mesh resolves both [-]
 DEEPEST = 50  # points of a rigid body, deepest behind tangent planes, whose distance is computed
 CLOSELY = 12  # parts of an edge of a boundary triangle, when a contradiction is looked at again
 SAMPLES = 20_000  # points on a rigid body, at most
@@ -39,7 +39,7 @@ def contradictions(e: Evidence) -> list[str]:
 
 def compare(e: Evidence, other: Evidence, allowed: float, what: str) -> list[str]:
     """Compare the last push of a press with that of another way to it."""
-    if not (e.converged[-1] and other.converged[-1]):
+    if not (e.resolved[-1] and other.resolved[-1]):
         return []
     a, b = float(e.push[-1]), float(other.push[-1])
     if abs(a - b) <= allowed * max(abs(a), abs(b)):

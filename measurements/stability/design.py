@@ -1,11 +1,10 @@
 """The design of the stability map: which presses are made, as a stated and seeded list of cells.
 
-A cell is one press. It has a value of every factor of its kind. Four kinds are made:
+A cell is one press. It has a value of every factor of its kind. Three kinds are made:
 
 - solid: a block that stands on its base, pressed by a rigid body (`SOLID` states factors, levels and defaults);
 - bubble: the air-filled sensor against rigid bodies, and against a block (`BUBBLE`);
-- rod: a clamped upright stem bent by a capsule (`ROD`);
-- input: a block read from a mesh file that is damaged, or has slivers (`INPUT`).
+- rod: a clamped upright stem bent by a capsule (`ROD`).
 
 Solids come in three groups. "one factor" changes one factor from its default through all its levels. "pair" takes the
 two outermost levels of every pair of numerical factors together. "random" draws every factor from its levels, half of
@@ -84,15 +83,11 @@ ROD = (
 )
 """Slender: radius over length. Depth: way of the capsule past first contact over the length. Height: where it touches,
 over the length. Capsule: its radius over the length."""
-INPUT = (Factor("defect", "", "none", ("none", "flipped triangle", "all flipped", "hole", "sliver", "needle",
-                                       "doubled triangle", "degenerate triangle", "two bodies", "sheet",
-                                       "self-crossing", "millimetres", "not a number", "empty file")),)
-"""What is wrong with the mesh file of the block."""
 INSTEAD: Mapping[Level, Level] = {"float32": "float64", "spring": "fem-coarse"}
 """What a cell has in place of a level that the simulator does not have: it is drawn, so that a seed keeps its cells."""
 STIFFEST = 1e13
 """Largest modulus of a scene [Pa]: a cell whose inclusion would be stiffer is left out."""
-KINDS: Mapping[str, Sequence[Factor]] = {"solid": SOLID, "bubble": BUBBLE, "rod": ROD, "input": INPUT}
+KINDS: Mapping[str, Sequence[Factor]] = {"solid": SOLID, "bubble": BUBBLE, "rod": ROD}
 
 
 @dataclass(frozen=True)
@@ -119,10 +114,9 @@ class Cell:
 
     @property
     def moderate(self) -> bool:
-        """Whether friction is at most 1, the depth at most half of the body (or of a rod's length, or of a bubble's
-        height), and the input sound."""
-        return (float(self.factors.get("friction", 0.0)) <= 1.0
-                and float(self.factors.get("depth", 0.0)) <= 0.5 and self.kind != "input")
+        """Whether friction is at most 1, and the depth at most half of the body (or of a rod's length, or of a bubble's
+        height)."""
+        return float(self.factors["friction"]) <= 1.0 and float(self.factors["depth"]) <= 0.5
 
     def table(self) -> dict[str, Any]:
         """For JSON; `of` reads it back."""

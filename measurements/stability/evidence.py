@@ -11,12 +11,12 @@ import numpy as np
 
 from measurements.stability.design import Cell
 from measurements.stability.elastica import elastica
-from measurements.stability.scene import bubble_scene, input_scene, solid_scene
+from measurements.stability.scene import bubble_scene, solid_scene
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.shape import Capsule, ProbeShape
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.press_result import PressRequest, PressResult
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.physics.rods.model import build
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
@@ -44,8 +44,10 @@ class Evidence:
     """As the solver reports it (T,) [m]."""
     converged: np.ndarray
     """(T,) bool."""
+    resolved: np.ndarray
+    """Whether it converged and the mesh resolves it (T,) bool."""
     reasons: tuple[str, ...]
-    """Why not, one a frame; empty for a converged one."""
+    """Why it did not converge, one a frame; empty for a converged one."""
     seconds: np.ndarray
     """(T,) [s]."""
     straight: int
@@ -93,12 +95,11 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
         return _rod(cell, device)
     if cell.kind == "bubble":
         return _bubble(bubble_scene(cell, folder), limit, device)
-    if cell.kind == "solid" and frames > 1:
+    if frames > 1:
         cell = dataclasses.replace(cell, factors={**cell.factors, "frames": frames * float(cell.factors["frames"])})
-    if cell.kind == "solid" and tier is not None:
+    if tier is not None:
         cell = dataclasses.replace(cell, factors={**cell.factors, "tier": tier})
-    loaded, chosen = (solid_scene if cell.kind == "solid" else input_scene)(cell, folder)
-    return _solid(cell, loaded, chosen, folder, limit, device)
+    return _solid(cell, *solid_scene(cell, folder), folder, limit, device)
 
 
 def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float, device: str) -> Evidence:
@@ -114,9 +115,10 @@ def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float,
     free = not any(float(cell.factors.get(name, 0.0)) for name in ("friction", "gravity"))
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"], result.audit["energy"],
-        result.audit["penetration"], result.converged, tuple(result.more["reason"]), result.more["seconds"],
-        len(result.depth), free, float(result.more["edge"]), heavy=float(cell.factors.get("gravity", 0.0)) > 0.0,
-        surface=surface, poses=arrays["poses"], shapes=tuple(scene.bodies), mesh=mesh, moved=arrays["displacement"],
+        result.audit["penetration"], result.converged, _resolved(result), tuple(result.more["reason"]),
+        result.more["seconds"], len(result.depth), free, float(result.more["edge"]),
+        heavy=float(cell.factors.get("gravity", 0.0)) > 0.0, surface=surface, poses=arrays["poses"],
+        shapes=tuple(scene.bodies), mesh=mesh, moved=arrays["displacement"],
         large=tier in ("fem-coarse", "fem", "fem-fine"))
 
 
@@ -135,9 +137,13 @@ def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
                     for x, pose in zip(solved.position, solved.mount, strict=True)]
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
-        np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged,
+        np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged, _resolved(result),
         tuple(result.more["reason"]), result.more["seconds"], solved.path.frames[0], False, float(result.more["edge"]),
         surface=surface, membrane=membrane)
+
+
+def _resolved(result: PressResult) -> np.ndarray:
+    return result.converged if result.resolved is None else result.converged & result.resolved
 
 
 def _rod(cell: Cell, device: str) -> Evidence:
@@ -162,7 +168,7 @@ def _rod(cell: Cell, device: str) -> Evidence:
     return Evidence(
         travel[1:], -force[:, 0, 0], force[:, 0],
         np.linalg.norm(reaction - force.sum(axis=1), axis=1) / np.maximum(np.linalg.norm(reaction, axis=1), FLOOR),
-        out.energy[1:, 0], out.penetration[1:, 0], out.converged[1:, 0],
+        out.energy[1:, 0], out.penetration[1:, 0], out.converged[1:, 0], out.converged[1:, 0],
         tuple(Reason(r).text for r in out.reason[1:, 0]), np.zeros(frames), frames, f["friction"] == 0.0, STEM / n,
         jumped=np.array([_behind(x, c, size, radius) for x, c in zip(line, centre, strict=True)]))
 

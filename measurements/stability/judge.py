@@ -26,6 +26,7 @@ class Outcome(StrEnum):
     """What became of a cell, best first."""
 
     CONVERGED = "converged"
+    UNRESOLVED = "not resolved"
     REFUSED = "refused"
     MARKED = "marked"
     LATE = "over the limit"
@@ -49,12 +50,14 @@ class Verdict:
     frames: int = 0
     converged: int = 0
     """Of the frames."""
+    resolved: int = 0
+    """Of the frames, those that converged on a mesh that resolves them."""
     reasons: dict[str, int] = field(default_factory=dict)
     """Frames that are marked, by reason."""
     push: tuple[float | None, ...] = ()
     """Push of every frame [N]; None where it is not a number."""
     seconds: float = 0.0
-    """Of the whole cell [s]."""
+    """Processor time of the whole cell [s]."""
     slowest: float = 0.0
     """Of its slowest frame [s]."""
     unchecked: str = ""
@@ -67,7 +70,7 @@ class Verdict:
     @classmethod
     def of(cls, table: dict[str, Any]) -> Verdict:
         """The verdict of `table`."""
-        rest = {name: table[name] for name in ("frames", "converged", "reasons", "seconds", "slowest")}
+        rest = {name: table[name] for name in ("frames", "converged", "resolved", "reasons", "seconds", "slowest")}
         return cls(Cell.of(table), Outcome(table["outcome"]), tuple(table["words"]), push=tuple(table["push"]),
                    unchecked=table.get("unchecked", ""), **rest)
 
@@ -80,7 +83,7 @@ def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
         limit: limit of a frame's processor time [s].
         device: Warp device.
     """
-    began = time.perf_counter()
+    began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         try:
             e = gather(cell, Path(folder), limit, device=device)
@@ -90,20 +93,21 @@ def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
             except VsfsimError as error:
                 unchecked = str(error)
         except VsfsimError as error:
-            return Verdict(cell, Outcome.REFUSED, (str(error),), seconds=time.perf_counter() - began)
+            return Verdict(cell, Outcome.REFUSED, (str(error),), seconds=time.process_time() - began)
         except Exception:
             return Verdict(cell, Outcome.CRASHED, (traceback.format_exc(limit=-4),),
-                           seconds=time.perf_counter() - began)
+                           seconds=time.process_time() - began)
     slowest = float(np.max(e.seconds, initial=0.0))
-    outcome = Outcome.CONVERGED if e.converged.all() else Outcome.MARKED
+    outcome = (Outcome.MARKED if not e.converged.all() else Outcome.UNRESOLVED if not e.resolved.all()
+               else Outcome.CONVERGED)
     if slowest > LATE * limit:
         outcome = Outcome.LATE
     if words:
         outcome = Outcome.WRONG
     marked = Counter(reason for reason, good in zip(e.reasons, e.converged, strict=True) if not good)
-    return Verdict(cell, outcome, tuple(words), len(e.converged), int(e.converged.sum()), dict(marked),
-                   tuple(float(p) if np.isfinite(p) else None for p in e.push), time.perf_counter() - began, slowest,
-                   unchecked)
+    return Verdict(cell, outcome, tuple(words), len(e.converged), int(e.converged.sum()), int(e.resolved.sum()),
+                   dict(marked), tuple(float(p) if np.isfinite(p) else None for p in e.push),
+                   time.process_time() - began, slowest, unchecked)
 
 
 def second_press(cell: Cell, e: Evidence, folder: Path, limit: float, device: str) -> list[str]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from measurements.stability.damaged_mesh import write_block, write_pyramid
 from measurements.stability.design import Cell
 from vsfsim.core.scene import SceneFile, parse_scene
 from vsfsim.physics import tiers
@@ -122,25 +121,12 @@ def _probe(name: str, width: float, high: float, folder: Path) -> tuple[str, flo
     return tables, float(high + above), f"rotation = {[float(v) for v in turn]}"
 
 
-def input_scene(cell: Cell, folder: Path) -> tuple[SceneFile, str]:
-    """The scene of a block of 40 mm that is read from a damaged mesh file, and its tier.
-
-    Raises:
-        SceneError, MeshError: the file cannot be used, which is one of the answers that the map wants.
-    """
-    write_block(folder / "block.obj", str(cell.factors["defect"]))
-    text = """
-name = "stability"
-description = "A cell of the stability map"
-[object]
-shape = { mesh = "block.obj" }
-fixed = "bottom"
-poisson_ratio = 0.45
-young_modulus = 1e5
-[probe]
-shape = { sphere = 0.008 }
-"""
-    return parse_scene(text, folder / "scene.toml"), "fem-coarse"
+def write_pyramid(path: Path, edge: float) -> None:
+    """Write a square pyramid as OBJ, its tip down; base and height are ``edge`` [m]."""
+    corners = [(-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1), (0, 0, -1)]
+    faces = ((1, 2, 3), (1, 3, 4), (2, 1, 5), (3, 2, 5), (4, 3, 5), (1, 4, 5))
+    path.write_text("".join([*(f"v {0.5 * edge * x!r} {0.5 * edge * y!r} {0.5 * edge * z!r}\n" for x, y, z in corners),
+                             *(f"f {a} {b} {c}\n" for a, b, c in faces)]))
 
 
 def bubble_scene(cell: Cell, folder: Path) -> SceneFile:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import Device, JsonFile, Workers, check_choice, picture_option, seconds_of
+from vsfsim.cli.options import Device, JsonFile, Workers, check_choice, seconds_of
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import checkout
 
@@ -18,33 +18,25 @@ app = typer.Typer()
 @app.command()
 def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a run that was interrupted, or ended by "
                                                      "its budget, continues there.")] = Path("stability"),
-              longer_than: Annotated[Path | None, typer.Option(metavar="FOLDER",
-                                                               help="Take over what an earlier run, with a shorter "
-                                                                    "limit, has in this folder, and make only its "
-                                                                    "cells that ended at that limit, or those of them "
-                                                                    "that --cell or --kind names; the others count as "
-                                                                    "they were.")] = None,
               budget: Annotated[str | None, typer.Option(metavar="TIME",
                                                          help="Begin no new cell after this time, e.g. 90s, 10m, 2h; "
                                                               "default: make all cells.")] = None,
               limit: Annotated[float, typer.Option(min=0.1, help="Limit of a frame's processor time [s].")] = 10.0,
               seed: Annotated[int, typer.Option(min=0, help="Of the random cells and of the order.")] = 0,
-              kind: Annotated[list[str] | None, typer.Option(help="Only this kind, solid, bubble, rod or input; may be "
+              kind: Annotated[list[str] | None, typer.Option(help="Only this kind, solid, bubble or rod; may be "
                                                                   "given again.")] = None,
               cell: Annotated[list[str] | None, typer.Option(metavar="KEY",
                                                              help="Only the cell with this key; may be given "
                                                                   "again.")] = None,
               workers: Workers = None,
               device: Device = "cpu",
-              picture: Annotated[Path | None, picture_option("Write the heat map; default: stability.png in the "
-                                                             "folder.")] = None,
               json: JsonFile = None) -> None:
     """Press at the extremes of every quantity of a scene, and check every frame that is called converged.
 
     More than 500 presses: contrast to 1e8, moduli from 100 Pa to 100 GPa, nu from 0 to 0.4999, depth to 90 %, friction
-    to 10, sizes from 1 mm to 10 m, all probes, thin and thick, every tier; bubbles, rods, damaged files.
-    Each is converged, marked with a reason, refused, over its limit, crashed, or wrong in silence by an independent
-    check. Exit code 3 if a cell is one of the last three.
+    to 10, sizes from 1 mm to 10 m, all probes, thin and thick, every tier; bubbles, rods.
+    Each is converged, not resolved by its mesh, marked with a reason, refused, over its limit, crashed, or wrong in
+    silence by an independent check. Exit code 3 if a cell is one of the last three.
     """
     checkout()
     import vsfsim
@@ -65,28 +57,16 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     try:
         out.mkdir(parents=True, exist_ok=True)
         circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
-        known, notes = [], []
-        if longer_than is not None:
-            known = campaign.take_over(longer_than / "cells.jsonl", out / "cells.jsonl", circumstances)
-            theirs = {v.cell.key for v in known}
-            # the cells that the goal counts come first, for a run with a budget
-            cells = sorted((c for c in cells if c.key in theirs), key=lambda c: not c.moderate)
         with Progress("stability") as progress:
             verdicts = campaign.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
                                     budget=seconds, progress=progress, circumstances=circumstances)
-        if longer_than is not None:
-            verdicts, left = campaign.updated(known, campaign.finished(out / "cells.jsonl", circumstances))
-            if left:
-                notes.append(f"{left} cells that ended at the limit of {longer_than} were not made again and count as "
-                             f"they were there")
     except OSError as error:
         raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
                           f"folder.") from None
     verdicts = results.scaled(verdicts)
-    settings = {"seed": seed, "limit": limit, "kind": kind, "cells_of_the_design": len(known) or len(cells),
+    settings = {"seed": seed, "limit": limit, "kind": kind, "cells_of_the_design": len(cells),
                 "device": device}
-    found = results.measurement(verdicts, settings, notes)
-    results.picture(verdicts, picture or out / "stability.png")
+    found = results.measurement(verdicts, settings)
     report(found.text(), found.record(), json or out / "stability.json", indent=1)
     if any(v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE) for v in verdicts):
         raise typer.Exit(3)

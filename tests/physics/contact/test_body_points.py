@@ -6,7 +6,7 @@ import trimesh
 from frame_checks import from_above
 from scipy.spatial.transform import Rotation
 
-from measurements.stability.damaged_mesh import write_pyramid
+from measurements.stability.scene import write_pyramid
 from vsfsim.core.shape import Box, Cylinder, MeshFile, Sphere
 from vsfsim.generate.aim import clearance
 from vsfsim.physics.contact.body_samples import has_edges, sharp_samples
