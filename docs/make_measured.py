@@ -235,10 +235,9 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
 
 MEASURED: dict[str, partial[str]] = {
     **{name: partial(result, name) for name in included()},
-    "trust": partial(kept, "trust", "trust"),
     "plant-ceilings": partial(kept, "plant-ceilings", "artificial_plants.ceilings"),
     "solver": partial(measurement, "solver", 2),
-    **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini", "plants-mini")},
+    **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
     "compile": partial(measurement, "compile", 1, module="datasets.compiling"),
     "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",

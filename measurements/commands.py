@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -65,37 +65,25 @@ def methods(paper: Annotated[bool,
             literal: Annotated[bool,
                                typer.Option(help="Also run each estimator's literal dense form; it takes most "
                                                  "of the time.")] = True,
-            fields: Annotated[bool | None,
-                              typer.Option(help="Also fit the point VSF, the neural VSF and its fast variant to a "
-                                                "buried rope; default: on a GPU.")] = None,
-            iterations: Annotated[int | None, typer.Option(min=1,
-                                                           help="Of the neural VSF; default: 2,000 on a GPU (1,000 to "
-                                                                "3,000 in the paper), 400 on a CPU.")] = None,
-            rate: Annotated[float | None, typer.Option(min=1e-6, max=1.0,
-                                                       help="Of the neural VSF's training; default: 2e-4, "
-                                                            "the paper's.")] = None,
-            octaves: Annotated[int, typer.Option(min=1, max=12,
-                                                 help="Of the neural VSF's encoding, with --fields.")] = 6,
-            export: Annotated[Path | None, typer.Option(metavar="FOLDER",
-                                                        help="Also write the workload here: observation matrices, "
-                                                             "readings, noise and prior, for estimators "
-                                                             "from elsewhere.")] = None,
             device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu",
             out: JsonFile = None) -> None:
-    """Time and memory of every estimator beside its literal dense form, at equal answers; and of the fields, with F1
-    and size on disk."""
+    """Time and memory of every estimator beside its literal dense form, at equal answers."""
     from measurements import estimators
-    from measurements import fields as buried_rope
     from measurements.workload import Workload
 
-    buried_rope.check_device(device)
     sizes = estimators.PAPER if paper else estimators.MINI
     load = Workload.of(*(one or default for one, default in zip((particles, touches, frames), sizes)))
-    if export is not None:
-        load.export(export)
-    found = estimators.measure(load, literal=literal, device=device, progress=step)
-    if fields if fields is not None else device != "cpu":
-        learning = {"device": device, "iterations": iterations, **({} if rate is None else {"rate": rate})}
-        more = buried_rope.measure(**learning, octaves=octaves, progress=step)
-        found = replace(found, tables=[*found.tables, *more.tables])
-    _report(found, out)
+    _report(estimators.measure(load, literal=literal, device=device, progress=step), out)
+
+
+@app.command()
+def trust(cells: Annotated[int, typer.Option(min=1, help="Presses, the first ones of the seed.")] = 300,
+          seed: Annotated[int, typer.Option(min=0, help="Of the presses.")] = 0,
+          limit: Annotated[float, typer.Option(min=1.0, help="Processor time of a press [s].")] = 60.0,
+          workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")] = None,
+          out: JsonFile = None) -> None:
+    """Random presses against forces that another solver computed: which frames are marked, and how far the others and
+    the errors that they are told hold."""
+    from measurements.trust import measure
+
+    _report(measure(cells, seed, limit=limit, workers=workers or os.cpu_count() or 1, progress=step), out)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy import sparse
@@ -62,31 +60,6 @@ class Workload:
         rows = touches * self.frames
         return Workload(self.pressure[:rows], self.pressure_z[:rows], self.touch[:rows], self.dense[:rows * self.frame],
                         self.dense_z[:rows * self.frame], self.frame, self.frames)
-
-    def export(self, folder: Path) -> None:
-        """Write the workload for an estimator of another project: pressure.npz and dense.npz (CSR,
-        `scipy.sparse.load_npz`), readings.npz, and readings.json, which documents them and gives noise and prior.
-
-        Raises:
-            VsfError: the folder cannot be written.
-        """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            sparse.save_npz(folder / "pressure.npz", self.pressure)
-            sparse.save_npz(folder / "dense.npz", self.dense)
-            np.savez(folder / "readings.npz", pressure=self.pressure_z, dense=self.dense_z, touch=self.touch)
-            (folder / "readings.json").write_text(json.dumps({
-                "model": "z = W K + noise, K >= 0: spring constants K [N/m] of particles, W [m], z [N]",
-                "pressure.npz": "W of the force sums, one row a frame: (frames of all touches, particles)",
-                "dense.npz": f"W of the contact forces on a sensor's vertices, {self.frame} rows a frame (vertex by "
-                             f"vertex, x y z)",
-                "readings.npz": {"pressure": "z of pressure.npz", "dense": "z of dense.npz",
-                                 "touch": "which touch each frame is of"},
-                "frames_of_a_touch": self.frames, "rows_of_a_frame": self.frame, "noise_std_N": NOISE,
-                "prior_mean_N_per_m": MEAN, "prior_std_N_per_m": STD}, indent=1) + "\n")
-        except OSError as error:
-            raise VsfError(f"measure methods: the workload cannot be written to '{folder}': {error}. Give a folder "
-                           f"that can be made.") from error
 
     @property
     def touches(self) -> int:

@@ -87,8 +87,6 @@ def title(study: Study, size: str, found: Mapping[str, Found]) -> str:
 def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, Board] | None = None) -> str:
     """The study for a terminal; ``boards`` as of `papers.results.stored`."""
     lines = [f"{study.name}: {study.title} ({study.source})"]
-    if study.command:
-        return f"{lines[0]}\n\nThis table is made by another command:\n  {study.command}"
     head, rows = cells(study, found)
     lines += [title(study, size, found), "", text_table(head, rows)]
     lines += on_other_data(found, {} if boards is None else boards)

@@ -134,8 +134,6 @@ class Study:
     """Class of each model."""
     data: Mapping[str, Mapping[str, Any]]
     """Datasets other than the tasks', by name: fields of `DatasetWanted` over those of the task, in a table a size."""
-    command: str
-    """The command that makes the table where it is no comparison of evaluations; else ""."""
     claims: tuple[Asked, ...]
     """Of the paper."""
     experiments: tuple[Asked, ...]
@@ -276,8 +274,8 @@ def parse_study(text: str, path: Path) -> Study:
     """Like `load_study`, from text; ``path`` names it in messages."""
     top = Table(parse_toml(text, path, "study", TaskError), str(path), (
         "title", "source", "unit", "metric", "tasks", "baseline", "shots", "trainings", "draws", "folds", "settings",
-        "variant", "classes", "data", "command", "claim", "experiment", "note"), error=TaskError)
-    command, metric = top.text("command", ""), top.text("metric", "rmse_ratio")
+        "variant", "classes", "data", "claim", "experiment", "note"), error=TaskError)
+    metric = top.text("metric", "rmse_ratio")
     if metric not in METRICS:
         raise TaskError(f"{path}: metric is '{metric}'. {did_you_mean(metric, METRICS)}")
     settings = _plain(top, "settings")
@@ -289,12 +287,11 @@ def parse_study(text: str, path: Path) -> Study:
         path.stem, top.text("title"), top.text("source"), top.text("unit", ""), metric,
         {str(k): str(v) for k, v in _plain(top, "tasks").items()}, top.text("baseline", ""), shots,
         top.count("trainings", 0, 0), top.count("draws", 0, 0), top.count("folds", 0, 0), variants, classes,
-        _plain(top, "data"), command,
+        _plain(top, "data"),
         tuple(_asked(row, metric, f"{path} [[claim]] {k + 1}") for k, row in enumerate(top.rows("claim"))),
         tuple(_asked(row, metric, f"{path} [[experiment]] {k + 1}") for k, row in enumerate(top.rows("experiment"))),
         top.text("note", ""))
-    if not command:
-        _check(out, path)
+    _check(out, path)
     return out
 
 
@@ -366,5 +363,3 @@ def _asked(row: Mapping[str, Any], metric: str, where: str) -> Asked:
     figures, words = (tuple(cells), "") if isinstance(cells, list) else ((), str(cells))
     return Asked(t.text("text"), t.text("source", ""), figures, words, sides[0], sides[1],
                  t.flag("equal", False), t.text("metric", metric), t.text("note", ""))
-
-

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from vsfsim.bench.leaderboard import Board
 from papers import claims
 from papers.claims import SIZES, Claim, Experiment, Side, Verdict, beside, claims_of, decided, judge, values_of
 from papers.decide import answers
 from papers.results import Found, board_of, stored
 from papers.study import Asked, Study, load_study, studies
+from vsfsim.bench.leaderboard import Board
 
 
 def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,
@@ -48,7 +48,7 @@ def verdicts(size: str = "mini", names: Sequence[str] | None = None, boards: dic
     out, experiments = [], []
     for name in names if names is not None else studies():
         study = load_study(name)
-        if study.command or not (study.claims or study.experiments):
+        if not (study.claims or study.experiments):
             continue
         used = {side[0] for a in (*study.claims, *study.experiments) for side in (a.better, a.worse)}
         wanted = [v for v in study.variants if v.name in used]

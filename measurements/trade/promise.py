@@ -46,8 +46,8 @@ from vsfsim.physics.convergence import Limit
 
 UNKNOWN = "refused: of no touch of the pilot is the limit known"
 OWN = {name: Path(__file__).parent / f"{name}.toml" for name in ("column", "bubble")}
-SCENES = ("foam-block", "shoes-v3-mini", "column", "bubble", "plants-mini")
-"""An even body, a shell of many parts, layers, a bubble on an even body, a plant under an arm."""
+SCENES = ("foam-block", "shoes-v3-mini", "column", "bubble")
+"""An even body, a shell of many parts, layers and a bubble on an even body."""
 ACCURACIES = (0.05, 0.02, 0.01)
 EAGER = 3
 """Processes from which on the pilot is made at once, but for the dearest setting."""
@@ -84,11 +84,8 @@ class Trial:
 
     def audits(self, chosen: Setting) -> list[Piece]:
         """Every touch that is held out, one level finer than a setting."""
-        if chosen.parts is not None:
-            finer = Setting(chosen.tier, parts=2 * chosen.parts)
-        else:
-            assert chosen.resolution is not None
-            finer = Setting(LIMIT_TIER, chosen.resolution / RATIO, level=(chosen.level or 0) + 1)
+        assert chosen.resolution is not None
+        finer = Setting(LIMIT_TIER, chosen.resolution / RATIO, level=(chosen.level or 0) + 1)
         return [self.piece(number, finer, alone) for number in self.held for alone in range(self.touches)]
 
     def runs(self, setting: Setting, numbers: range) -> Run | str | None:

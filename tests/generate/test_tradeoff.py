@@ -12,23 +12,19 @@ from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.plant import Plant
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.data.records import View
 from vsfsim.generate.effectors.probe import EFFECTOR
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.generate.trade import command, front
-from vsfsim.generate.trade.arm import parted
 from vsfsim.generate.trade.buy import choose, too_much
 from vsfsim.generate.trade.curve import Curve, distance
 from vsfsim.generate.trade.front import Point, differences, sentence, with_front
 from vsfsim.generate.trade.made import Run, limits
 from vsfsim.generate.trade.near import contact_edge, near
 from vsfsim.generate.trade.page import page
-from vsfsim.generate.trade.pictures import compared
 from vsfsim.generate.trade.runs import spread
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.physics.convergence import curve_limit
@@ -203,6 +199,8 @@ def test_what_cannot_be_measured_is_refused(tmp_path):
     scene.write_text(NOTHING)
     with pytest.raises(VsfsimError, match=r"neither \[touches\] nor \[press\]"):
         command.tradeoff(load_scene(scene), tmp_path / "a")
+    with pytest.raises(VsfsimError, match=r"\[arm\] touches cannot be touched again"):
+        command.tradeoff(load_scene(find_scene("plants-mini")), tmp_path / "b")
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / command.LINES).write_text("{}\n")
     with pytest.raises(VsfsimError, match="is not a file of `vsfsim tradeoff`"):
@@ -224,46 +222,16 @@ def test_a_small_block(tmp_path, more):
     assert Setting("vsf", 0.02).key == "vsf, 20 mm"
 
 
-def test_every_axis_is_there_or_refused_with_the_reason(tmp_path):
-    arm = Ground("rod", None, None, None, ("rod",), arm="kinematic")
-    assert [s.key for s in arm.sweep(["arm"])] == ["rod, dynamic"]
-    assert [s.key for s in arm.ladder()] == ["rod, 2 beams a segment", "rod, 4 beams a segment",
-                                             "rod, 8 beams a segment"]
+def test_every_axis_is_there_or_refused_with_the_reason():
     bubble = Ground("fem-coarse", 0.02, 4, 390, ("fem-coarse",))
     assert [s.nodes for s in bubble.sweep(["nodes"])] == [195, 780]
     probe = Ground("fem-coarse", 0.02, 4, None, ("linear", "fem-coarse"))
     assert [s.device for s in probe.sweep(["device"], ["cuda:0"])] == ["cuda:0"]
-    for ground, axis, why in ((arm, "frames", "is an arm's"), (probe, "nodes", r"no \[sensor\]"),
-                              (probe, "arm", r"no \[arm\]"), (probe, "device", "no other device"),
-                              (arm, "tolerance", "the solver's own")):
+    corner = Ground("fem-coarse", 0.02, None, None, ("linear", "fem-coarse"))
+    for ground, axis, why in ((corner, "frames", "has corners"), (probe, "nodes", r"no \[sensor\]"),
+                              (probe, "device", "no other device")):
         with pytest.raises(VsfsimError, match=f"--axis is '{axis}', but .*{why}"):
             ground.sweep([axis])
-    with pytest.raises(VsfsimError, match=r"--axis is 'camera', but the scene has no \[camera\]"):
-        command.tradeoff(load_scene(find_scene("indent")), tmp_path, axes=("camera",))
-
-
-def test_a_finer_picture_is_nearer_to_the_surface():
-    def taken(camera):
-        pose, depth = np.eye(4), np.full((camera.height, camera.width), 0.5, np.float32)
-        size = 0.5 * camera.width
-        return View(np.zeros((*depth.shape, 3), np.uint8), depth, depth > 0.0,
-                    np.array([[size, 0.0, size], [0.0, size, 0.5 * camera.height], [0.0, 0.0, 1.0]]), pose)
-
-    found = compared(taken, load_scene(find_scene("foam-block")).sample(0).camera)
-    assert [p.points for p in found] == [40 * 30, 80 * 60, 160 * 120, 320 * 240]
-    # of a square of side s the root mean square distance from the middle is s / sqrt(6)
-    assert found[2].gap == pytest.approx(0.5 / 80 / np.sqrt(6.0), rel=0.1) and found[2].normal < 1e-6
-
-
-def test_a_segment_is_cut_into_beams_of_the_same_plant():
-    plant = Plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0, 0.1, 0.1], [0, 0, 0.3]]), np.array([-1, 0, 1, 1]),
-                  np.array([0.0, 3e-3, 2e-3, 1e-3]), np.zeros(4), np.zeros((4, 3)), np.full(4, 1e9), np.full(4, 500.0),
-                  np.zeros(4, int), ("wood",))
-    cut = parted(plant, 2)
-    assert np.allclose(cut.nodes[:, 2], [0, 0.05, 0.1, 0.1, 0.1, 0.2, 0.3]) and cut.parent.tolist() == [-1, 0, 1, 2, 3,
-                                                                                                       2, 5]
-    assert cut.radius[1:].tolist() == [3e-3, 3e-3, 2e-3, 2e-3, 1e-3, 1e-3] and parted(plant, 1) is plant
-    assert cut.lengths().sum() == pytest.approx(plant.lengths().sum())
 
 
 def test_the_table_has_every_other_reading_in_its_unit():

@@ -1,15 +1,11 @@
 """`vsfsim measure methods`: the literal forms give the same answers, and what would not fit is not tried."""
 
-import json
 import mmap
 
 import numpy as np
 import pytest
-from scipy import optimize, sparse
 
 from measurements import estimators as side_by_side
-from measurements import fields as bench_fields
-from measurements.estimators import batch, batch_dense
 from measurements.workload import Workload
 from vsfsim.core.errors import VsfError
 from vsfsim.core.system import process_memory
@@ -74,32 +70,6 @@ def test_the_peak_is_that_of_the_work_alone():
     del held
 
 
-def test_the_fields_are_compared_on_one_case():
-    rows = bench_fields.compare(iterations=2, rate=1e-3, points=(200,), scale=0.06, fresh=True, grid_iterations=2)
-    assert [row.name for row in rows] == ["point VSF, batch", "point VSF, filter", "neural VSF", "grid VSF (ours)"]
-    assert all(0.0 < row.f1 <= 1.0 and row.seconds > 0.0 and row.kilobytes > 0.0 for row in rows)
-    text = bench_fields.table(rows, "fields", "a title").text()
-    assert "N = 32, B = 300, rate 0.001" in text and text.startswith("a title")
-
-
 def test_refusals():
     with pytest.raises(VsfError, match="at least 1, 1 and 2"):
         Workload.of(100, 0, 3)
-
-
-def test_an_exported_workload_gives_an_outsider_the_same_answer(tmp_path):
-    """The matrices, readings, noise and prior in the files are all that eq. 16 needs."""
-    load = Workload.of(60, 2, 3)
-    load.export(tmp_path / "new" / "folder")
-    given = json.loads((tmp_path / "new" / "folder" / "readings.json").read_text())
-    z = np.load(tmp_path / "new" / "folder" / "readings.npz")
-    for name, mine in (("pressure", batch), ("dense", batch_dense)):
-        w = sparse.load_npz(tmp_path / "new" / "folder" / f"{name}.npz").toarray()
-        a = np.concatenate([w / given["noise_std_N"], np.eye(w.shape[1]) / given["prior_std_N_per_m"]])
-        b = np.concatenate([z[name] / given["noise_std_N"],
-                            np.full(w.shape[1], given["prior_mean_N_per_m"] / given["prior_std_N_per_m"])])
-        np.testing.assert_allclose(optimize.nnls(a, b)[0], mine(load)[1], rtol=1e-6, atol=1e-6)
-    assert w.shape[0] == len(z["touch"]) * given["rows_of_a_frame"] == 6 * given["rows_of_a_frame"]
-    (tmp_path / "file").write_text("")
-    with pytest.raises(VsfError, match="cannot be written"):
-        load.export(tmp_path / "file" / "folder")

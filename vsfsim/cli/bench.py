@@ -15,7 +15,6 @@ from vsfsim.cli.options import (
     MethodName,
     Parameters,
     TaskName,
-    check_choice,
     complete_method,
     complete_task,
     parameters_of,

@@ -22,7 +22,7 @@ OLD_NAME = "bench"
 def _commands() -> dict[str, Any]:
     """The commands of the checkout by their names, imported when one is asked for."""
     checkout()
-    modules = ("commands", "artificial_plants.commands", "datasets.commands", "trade.commands", "trust.commands")
+    modules = ("commands", "artificial_plants.commands", "datasets.commands", "trade.commands")
     return {name: command for module in modules for name, command in
             typer.main.get_group(importlib.import_module(f"measurements.{module}").app).commands.items()}
 

@@ -60,7 +60,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                [{"study": one.name, "title": one.title, "source": one.source,
                  "variants": [v.name for v in one.variants], "tasks": dict(one.tasks)} for one in listed], json)
         return
-    wanted = [(one, v) for one in known if not one.command and (size in one.tasks or not one.tasks)
+    wanted = [(one, v) for one in known if size in one.tasks or not one.tasks
               for v in ([one.variant(name) for name in variant] if variant else one.variants)]
     failed = []
     if on in ("slurm", "k8s") and not by_shards(on, shards or 10, Path("slurm-logs"), printed, int(gpus_per_task)):

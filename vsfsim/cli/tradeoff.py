@@ -23,7 +23,7 @@ def tradeoff(scene: SceneName,
              objects: Annotated[int, typer.Option(min=1, help="The first so many objects of the scene.")] = 1,
              tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
              axis: Annotated[list[str] | None, typer.Option(help="Vary only this: mesh, tolerance, frames, nodes, "
-                                                                 "device, arm, camera or together; may be "
+                                                                 "device or together; may be "
                                                                  "given again. Default: all that there are.")] = None,
              budget: Annotated[str | None, typer.Option(metavar="TIME",
                                                         help="Begin nothing new after this time, e.g. 90s, 10m, 2h; "

@@ -1,6 +1,5 @@
 """`vsfsim measure promise`, on imagined touches: what is chosen, kept and regretted."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -71,4 +70,3 @@ def test_the_file_of_another_run_is_refused(tmp_path):
     assert Pieces(file, {"scene": "a"}, **asked).rows == {} and file.read_text() == '{"scene": "a"}\n'
     with pytest.raises(VsfsimError, match="Give another --out"):
         Pieces(file, {"scene": "b"}, **asked)
-    assert dataclasses.replace(GROUND, arm="kinematic").axes().keys() == {"mesh", "arm"}

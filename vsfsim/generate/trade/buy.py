@@ -17,7 +17,7 @@ from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.made import Touched, limits
 from vsfsim.generate.trade.runs import DatasetTouches
-from vsfsim.generate.trade.setting import LIMIT_TIER, PARTS, RATIO, REFINED, Setting
+from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, REFINED, Setting
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
@@ -167,8 +167,6 @@ def candidates(loaded: SceneFile, resolution: float | None, device: str) -> list
     """Settings that show what the scene needs, cheap ones first; the order is that of `SIZES` and of no clock, so that
     every machine chooses the same."""
     scene, out = loaded.sample(0), []
-    if scene.effector == "arm":
-        return [Setting("rod", parts=parts, device=device) for parts in PARTS]
     if resolution is None:
         raise SceneError(f"{loaded.path}: --accuracy chooses the elements of an [object], and the scene has none.")
     for power, name, level in SIZES:

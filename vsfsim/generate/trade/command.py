@@ -20,13 +20,12 @@ from vsfsim.core.scene import SceneFile
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
-from vsfsim.generate.trade import front, pictures
+from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.made import Run, Touched, limits
 from vsfsim.generate.trade.page import page
-from vsfsim.generate.trade.pictures import Picture
 from vsfsim.generate.trade.runs import touched
-from vsfsim.generate.trade.setting import AXES, Setting
+from vsfsim.generate.trade.setting import Setting
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
 from vsfsim.physics.runtime import devices
@@ -54,8 +53,6 @@ class Tradeoff:
     """Settings that the budget did not reach."""
     machine: str
     """Kind of machine."""
-    pictures: tuple[Picture, ...] = ()
-    """Of the scene's camera, with fewer and more pixels."""
 
     def sentences(self) -> list[str]:
         """One a goal."""
@@ -67,9 +64,6 @@ class Tradeoff:
         if self.points:
             out += ["", front.text(self.points), "* on the front   ~ error below that of the limit, not ranked   "
                     "x tier does not show the scene's needs"]
-        if self.pictures:
-            out += ["", "Camera: distance and angle of the normals from a picture of 16 times as many pixels as the "
-                    "scene's.", pictures.text(self.pictures)]
         return "\n".join([*out, "", *self.sentences(), *(f"note: {sentence}" for sentence in self.notes())])
 
     def notes(self) -> list[str]:
@@ -81,8 +75,7 @@ class Tradeoff:
         """For JSON."""
         return {"scene": self.scene, "what": self.what, "machine": self.machine, "limit": list(self.limit),
                 "points": [dataclasses.asdict(p) for p in self.points], "sentences": self.sentences(),
-                "refused": dict(self.refused), "left": self.left,
-                "pictures": [dataclasses.asdict(p) for p in self.pictures]}
+                "refused": dict(self.refused), "left": self.left}
 
 
 class _Lines:
@@ -160,9 +153,6 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                      "seed": seed, "touches": touches, "objects": objects, "device": device,
                      "version": vsfsim.__version__, "commit": commit(), "machine": machine_kind()}
     lines = _Lines(out / LINES, circumstances)
-    seen = _seen(loaded, axes, seed, device)
-    if set(axes) == {"camera"}:
-        return Tradeoff(loaded.name, "its camera", (), (), {}, 0, str(circumstances["machine"]), seen), []
     subject = touched(loaded, touches=touches, objects=objects, seed=seed, device=device, cache=cache)
     others = [alias for words in devices() if (alias := words.split(" ")[0]) != device]
     sweep = [s for s in subject.ground.sweep(axes, others[:1]) if not tiers_only or (s.tier or "bubble") in tiers_only]
@@ -208,7 +198,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                           f"{len(bounds)} of {subject.count} touches is found. It is kept in {lines.file}; run the "
                           f"same command again to go on, with a longer --budget or fewer --touches.")
     found = Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), tuple(_said(bounds)), refused, left,
-                     str(circumstances["machine"]), seen)
+                     str(circumstances["machine"]))
     write_atomic(out / "tradeoff.html", page(f"Speed against accuracy: {found.scene}", [found.what, *found.limit],
                                              found.points, found.sentences(), found.notes()).encode())
     return found, front.differences(found.points, stored) if check is not None else []
@@ -225,16 +215,6 @@ def _made(subject: Touched, setting: Setting, bounds: list[dict[str, Limit]], sh
     p = front.point(setting.key, setting.tier or "bubble", run, bounds, shares, shows=shows)
     return {"key": setting.key, "shows": shows, "cpu": p.cpu, "bar": p.bar,
             "error": p.error if np.isfinite(p.error) else None, "run": run.table()}
-
-
-def _seen(loaded: SceneFile, axes: tuple[str, ...], seed: int, device: str) -> tuple[Picture, ...]:
-    if axes and "camera" not in axes:
-        return ()
-    if not {"touches", "camera"} <= loaded.tree.keys():
-        if axes:
-            raise VsfsimError(f"{loaded.path}: --axis is 'camera', but {AXES['camera']}.")
-        return ()
-    return tuple(pictures.pictures(loaded, seed=seed, device=device))
 
 
 def _shows(loaded: SceneFile, setting: Setting) -> bool:

@@ -18,7 +18,6 @@ from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import kernels_of
 from vsfsim.generate.solid import Retouching, Subject, prepare
-from vsfsim.generate.trade.arm import ArmTouches
 from vsfsim.generate.trade.curve import of_press, of_touch
 from vsfsim.generate.trade.made import Meter, Run, Touched, together
 from vsfsim.generate.trade.near import contact_edge, near, touch_near
@@ -165,8 +164,8 @@ def touched(loaded: SceneFile, *, touches: int, objects: int, seed: int, device:
         SceneError: it has neither.
     """
     if "touches" in loaded.tree:
-        make = ArmTouches if loaded.sample(0).effector == "arm" else DatasetTouches
-        return make(loaded, touches=touches, objects=objects, first=first, seed=seed, device=device, cache=cache)
+        return DatasetTouches(loaded, touches=touches, objects=objects, first=first, seed=seed, device=device,
+                              cache=cache)
     if "press" not in loaded.tree:
         raise SceneError(f"{loaded.path}: there is neither [touches] nor [press], so there is nothing whose error and "
                          f"time could be measured. Add one of them.")
@@ -193,8 +192,7 @@ def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> 
     effector = effector_of(scene)
     if not isinstance(effector, Retouching):
         raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another mesh. "
-                         f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object, and for "
-                         f"an [arm] on plants.")
+                         f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
     manner, order = effector.manner(scene), list(tiers.TIERS)
     if tier is None:
         return Ground(None, None, frames, manner.nodes, (), device)

@@ -17,19 +17,13 @@ further level smaller by `RATIO`, see `vsfsim.generate.trade.near` [-]."""
 REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
 """Settings with small elements where each touch meets the object: those elsewhere as the scene's own times `RATIO` to
 such a power, and the level there."""
-PARTS = (1, 2, 4)
-"""Beams of which each segment of a plant may be made."""
 LIMIT_TIER = "fem"
 """Of the meshes from which the limit of a touch is extrapolated; its law is that of every finer tier."""
 
 
-AXES = {"mesh": "the scene has no mesh", "tolerance": "an arm's touches have the solver's own tolerance",
-        "frames": "the scene's path has corners, or is an arm's",
-        "nodes": "the scene has no [sensor] kind = \"bubble\"",
-        "arm": "the scene has no [arm]",
-        "camera": "the scene has no [camera] whose picture aims its touches",
-        "device": "this machine has no other device than the one that is used",
-        "together": "an arm's touches have no settings to put together"}
+AXES = {"mesh": "the scene has no mesh", "tolerance": "the scene has none",
+        "frames": "the scene's path has corners", "nodes": "the scene has no [sensor] kind = \"bubble\"",
+        "device": "this machine has no other device than the one that is used", "together": "the scene has none"}
 """What a sweep can vary, and why a scene may not have it."""
 
 
@@ -47,10 +41,6 @@ class Setting:
     """Readings on the way in."""
     nodes: int | None = None
     """Of a bubble."""
-    arm: str | None = None
-    """Mode of a robot arm."""
-    parts: int | None = None
-    """Beams of which each segment of a plant is made."""
     level: int | None = None
     """Of the elements where each touch meets the object, see `LOCAL`; None for elements of one size."""
     device: str = "cpu"
@@ -70,9 +60,6 @@ class Setting:
             words.append(f"{self.frames} frame{'s' * (self.frames > 1)}")
         if self.nodes is not None:
             words.append(f"{self.nodes} nodes")
-        if self.parts is not None:
-            words.append(f"{self.parts} beam{'s' * (self.parts > 1)} a segment")
-        words += [] if self.arm is None else [self.arm]
         return ", ".join([*words, *([] if self.device == "cpu" else [self.device])])
 
     def options(self) -> dict[str, Any]:
@@ -98,14 +85,10 @@ class Ground:
     """Tiers that its effector can touch."""
     device: str = "cpu"
     """Warp device."""
-    arm: str | None = None
-    """Mode of its robot arm, or None."""
 
     def ladder(self, meshes: int = 3) -> list[Setting]:
         """The meshes of the limit, coarsest first, all finer than the scene's own where they are touched; a bubble's
-        grow with the object's, and beams are halved."""
-        if self.arm is not None:
-            return [Setting(self.tier, parts=2 ** (k + 1), device=self.device) for k in range(meshes)]
+        grow with the object's."""
         return [Setting(LIMIT_TIER if self.tier else None, self.resolution and self.resolution / RATIO**k,
                         nodes=self.nodes and round(self.nodes * RATIO ** (2 * k)),
                         level=k + 1 if self.tier else None, device=self.device)
@@ -114,9 +97,6 @@ class Ground:
     def axes(self) -> dict[str, list[Setting]]:
         """The points along each of `AXES` that the scene has, and the cheapest of all together."""
         base: dict[str, Any] = {"tier": self.tier, "resolution": self.resolution, "device": self.device}
-        if self.arm is not None:
-            other = "dynamic" if self.arm == "kinematic" else "kinematic"
-            return {"mesh": [Setting(**base, parts=parts) for parts in PARTS], "arm": [Setting(**base, arm=other)]}
 
         def sizes(tier: str | None) -> list[float | None]:
             levels = (-1, -2) if tier == LIMIT_TIER else (1, 0, -1)
@@ -154,6 +134,6 @@ class Ground:
         if devices:
             found["device"] = [Setting(self.tier, self.resolution, device=name) for name in devices]
         for name in axes:
-            if name not in found and name != "camera":
+            if name not in found:
                 raise VsfsimError(f"--axis is '{name}', but {AXES[name]}. There are: {', '.join(found)}.")
         return [setting for name, own in found.items() if not axes or name in axes for setting in own]

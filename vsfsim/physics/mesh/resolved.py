@@ -20,8 +20,8 @@ indentation.
 Where a wall bends under the contact, only the share of the way that is local indentation has this error.
 
 Under a body with edges the error falls as h / a, since the pressure has no bound at an edge. Six frames of two random
-presses by flat cylinders, a / h from 0.46 to 0.68, were off by 0.03 to 0.114 h / a (`vsfsim measure trust --seed 11`,
-presses 95 and 101); the largest is taken, so that a frame is marked below 1.1 elements.
+presses by flat cylinders, a / h from 0.46 to 0.68, were off by 0.03 to 0.114 h / a; the
+largest is taken, so that a frame is marked below 1.1 elements.
 """
 
 from __future__ import annotations
