@@ -1,15 +1,19 @@
 """A query shows the planned touch: where the robot left its plan tells the reading, and must not be seen."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.protocol import as_planned, divide, record
+from vsfsim.bench.protocol import as_planned, divide, record, share_unresolved
+from vsfsim.bench.task import load_task, parse_task
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
+from vsfsim.core.shelf import find_task, tasks
 from vsfsim.data.hdf5 import read_view, write_view
+from vsfsim.data.recipe import text_sha256
 
 LIMIT = 4.0  # N: about half of the mock's touches meet it
 
@@ -100,3 +104,34 @@ def test_an_arm_without_its_plan_is_refused_where_objects_are_cross_validated(ta
     with pytest.raises(TaskError, match=r"does not keep the planned paths .* plan = true in \[touches\]"):
         record(view, folded)
     assert record(view, task).queries, "older tasks go on"
+
+
+def test_frames_that_the_mesh_does_not_resolve_are_left_out_unless_the_task_says_scored(task_text, views):
+    """Of a straight touch, of one that leaves its plan, and of one without a resolved frame, which is no query."""
+    scored = parse_task(task_text.replace("protocol = {", 'protocol = { unresolved = "scored",'), "toy-v1.toml")
+    task = parse_task(task_text, "toy-v1.toml")
+    assert task.sha256 != scored.sha256 and not task.protocol.unresolved and scored.protocol.unresolved
+
+    def odd(touch, none):
+        good = np.arange(len(touch.time)) % 3 != 1
+        return dataclasses.replace(touch, resolved=good & (not none))
+
+    for touches in (views[0].touches, mock_view(0, touches=40).touches):
+        view = dataclasses.replace(views[0], touches=tuple(odd(t, k == 0) for k, t in enumerate(touches)))
+        queries, asked = record(view, task).queries, record(view, scored).queries
+        for k, (query, of, touch) in enumerate(zip(queries, asked, view.touches, strict=True)):
+            made = np.arange(len(touch.time)) % 3 != 1
+            assert of.scored[:len(made)].all() and np.array_equal(query.scored[:len(made)], made & (k > 0))
+        for protocol, usable in ((task.protocol, 39), (scored.protocol, 40)):
+            draw = divide(view, protocol)
+            assert len(draw.query) + len(draw.pool) == usable
+    known = [(float(f @ f), not good) for t in view.touches for f, good in zip(t.force, t.resolved) if f.any()]
+    share = sum(size for size, odd in known if odd) / sum(size for size, _ in known)
+    assert share_unresolved(view.touches) == (len(known), sum(odd for _, odd in known), pytest.approx(share))
+
+
+def test_tasks_that_were_released_before_score_every_frame_and_keep_their_sha256():
+    for name in tasks():
+        text = find_task(name).read_text()
+        assert load_task(name).protocol.unresolved and 'unresolved = "scored"\n' in text
+        assert load_task(name).sha256 == text_sha256(re.sub(r"(?m)^(superseded_by|unresolved) *=.*\n", "", text))

@@ -84,6 +84,8 @@ class Board:
     (`vsfsim.bench.admission.admit`)."""
     rows: tuple[Row, ...]
     """One row a result."""
+    unresolved: tuple[int, int, float] | None = None
+    """Of its query touches (`vsfsim.bench.protocol.share_unresolved`); None where it was not measured."""
 
 
 def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
@@ -156,7 +158,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         1, len(good) + 1)
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
     again = record.again.touches if record is not None and record.again is not None else 0.0
-    return Board(task, reference, record is not None, again, (*ranked, *odd))
+    return Board(task, reference, record is not None, again, (*ranked, *odd), record.unresolved if record else None)
 
 
 def _most(results: list[Result], task: Task) -> str:
@@ -331,9 +333,19 @@ def column_notes(board: Board) -> list[str]:
     if any(row.other_bits for row in board.rows):
         lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
             f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
+    lines.append(_unresolved(board))
     if any(row.mark == EARLIER for row in board.rows):
         lines.append(f"† {EARLIER}; not ranked, and no claim rests on it")
     return lines + [f"no row of {names}: {reason}" for names, reason in absent(board.task.name).items()]
+
+
+def _unresolved(board: Board) -> str:
+    verdict = "and are scored" if board.task.protocol.unresolved else "and are left out"
+    if board.unresolved is None:
+        return f"frames whose contact the mesh does not resolve {verdict[4:]}; their share was not measured"
+    frames, odd, share = board.unresolved
+    return (f"{odd} of {frames} contact frames of the query touches ({odd / max(frames, 1):.0%}) are not resolved by "
+            f"the mesh; they carry {share:.0%} of the squared force {verdict}")
 
 
 def _paper(board: Board) -> list[list[str]]:

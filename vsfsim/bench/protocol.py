@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import compress
 
@@ -77,18 +77,18 @@ def record(view: ObjectView, task: Task) -> Recording:
         readings.append(Reading(action, frozen(row.reading(noisy, touch.axis)), frozen(touch.converged),
                                 _surface(touch, task.noise, which)))
         clean.append(row.reading(values, touch.axis))
-        queries.append(_query(touch, action, clean[-1]))
+        queries.append(_query(touch, action, clean[-1], task.protocol))
     return Recording(view.name, tuple(readings), tuple(clean), tuple(queries),
                      tuple(bool(touch.converged.any()) and not (task.protocol.transfer and touch.press)
                            for touch in view.touches))
 
 
-def _query(touch: Touch, action: Action, clean: np.ndarray) -> Query:
+def _query(touch: Touch, action: Action, clean: np.ndarray, protocol: Protocol) -> Query:
     if touch.planned_pose is None or touch.planned_time is None or touch.planned_frame is None:
-        return Query(action, clean, touch.converged)
+        return Query(action, clean, counted(touch, protocol))
     plan = dataclasses.replace(action, time=frozen(touch.planned_time), poses=frozen(touch.planned_pose),
                                q=None if touch.planned_q is None else frozen(touch.planned_q))
-    made = np.flatnonzero(as_planned(touch))
+    made = np.flatnonzero(counted(touch, protocol))
     frame = touch.planned_frame[made]
     values, scored = np.full((len(plan.time), clean.shape[1]), np.nan), np.zeros(len(plan.time), bool)
     values[frame], scored[frame] = clean[made], True
@@ -98,6 +98,23 @@ def _query(touch: Touch, action: Action, clean: np.ndarray) -> Query:
 def as_planned(touch: Touch) -> np.ndarray:
     """Which frames of a touch converged, and were made as planned (T,) bool."""
     return touch.converged if touch.planned_frame is None else touch.converged & (touch.planned_frame >= 0)
+
+
+def counted(touch: Touch, protocol: Protocol) -> np.ndarray:
+    """Which frames of a query touch are scored (T,) bool: those made as planned whose contact the mesh resolves, or all
+    of them where the task says so or nothing is known of it."""
+    made = as_planned(touch)
+    return made if protocol.unresolved or touch.resolved is None else made & touch.resolved
+
+
+def share_unresolved(touches: Iterable[Touch]) -> tuple[int, int, float]:
+    """Number of converged frames in contact, how many of them the mesh does not resolve, and their share of the squared
+    force [-]."""
+    frames = np.concatenate([np.zeros((0, 2)), *(np.stack([(t.force[t.converged] ** 2).sum(axis=1), (
+        ~t.resolved if t.resolved is not None else np.zeros(len(t.time), bool))[t.converged]], axis=1)
+        for t in touches)])
+    size, odd = frames[frames[:, 0] > 0.0].T
+    return len(size), int(odd.sum()), float(size @ odd / max(size.sum(), np.finfo(float).tiny))
 
 
 def _check_plan(view: ObjectView, task: Task) -> None:
@@ -151,7 +168,8 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
     Raises:
         TaskError: there are too few touches with a reading for the query set and the largest support set.
     """
-    usable = np.array([i for i, touch in enumerate(view.touches) if as_planned(touch).any()], dtype=int)
+    usable = np.array([i for i, touch in enumerate(view.touches) if counted(touch, protocol).any()],
+                      dtype=int)
     kind = np.array([view.touches[i].press or 0 for i in usable], dtype=int)
     asked = usable[kind > 0] if protocol.transfer else usable
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(0, view.object_index, view.view_index))

@@ -27,7 +27,8 @@ DEVELOPMENT = "development"
 OTHERS = re.compile(r"(.+)-(development|seed-\d+)")
 """Name of a task on other objects than its own (`Task.on`)."""
 
-_SUPERSEDED = re.compile(r"(?m)^superseded_by *=.*\n")
+_NOT_COUNTED = re.compile(r'(?m)^(superseded_by *=|unresolved *= *"scored").*\n')
+"""Lines that the sha256 of a task is not of: tasks were released before they said that unresolved frames count."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,8 @@ class Protocol:
     """With cross-validation, trainings of a method with a ``seed``, each with another seed; else 0."""
     chosen: bool = False
     """A method with `choose` names its support touches itself, one after the other; others are given the drawn ones."""
+    unresolved: bool = False
+    """Frames are scored whose contact the mesh does not resolve (`vsfsim.data.records.Touch.resolved`)."""
     transfer: bool = False
     """Queries are the presses of other kinds than the scene's own (``[[touches.other]]``), and only its own are learned
     from, on training objects as well."""
@@ -229,7 +232,7 @@ def parse_task(text: str, path: str | Path) -> Task:
             raise TaskError(f"{o.where}: seed {development.seed} and folder '{development.folder}' must both differ "
                             f"from those of [dataset], so that no object is in both.")
     protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed", "folds", "draws",
-                                                  "trainings", "support", "transfer")))
+                                                  "trainings", "support", "transfer", "unresolved")))
     o = top.section("observation", ("kind",))
     noise = _noise(top.section("noise", ("kind", *(f.name for f in fields(Noise)))))
     m = top.section("metrics", ("primary", "ranking_shot"))
@@ -244,7 +247,7 @@ def parse_task(text: str, path: str | Path) -> Task:
                                error=TaskError), protocol) for i, row in enumerate(top.rows("paper")))
     return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, development, protocol,
                 observation(o.text("kind"), o.where), noise, primary, ranking, paper,
-                text_sha256(_SUPERSEDED.sub("", text)))
+                text_sha256(_NOT_COUNTED.sub("", text) + ("" if protocol.unresolved else "unresolved left out")))
 
 
 def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
@@ -289,7 +292,8 @@ def _protocol(t: Table) -> Protocol:
         or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots)):
         raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
     query, seed, given = t.count("query", None, 1), t.count("seed", None, 0), t.text("support", "drawn")
-    transfer = t.flag("transfer", False)
+    more: dict[str, bool] = {"transfer": t.flag("transfer", False), "chosen": given == "chosen",
+                             "unresolved": t.word("unresolved", "left out", ("left out", "scored")) == "scored"}
     if given not in ("drawn", "chosen"):
         raise TaskError(f"{t.where}: support is '{given}'; it is drawn (at random) or chosen (by the method).")
     if "folds" not in t.table:
@@ -298,14 +302,14 @@ def _protocol(t: Table) -> Protocol:
             raise TaskError(f"{t.where}: {odd[0]} belongs to cross-validation; give folds too, or give train, test and "
                             f"seeds without it.")
         return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
-                        query, seed, chosen=given == "chosen", transfer=transfer)
+                        query, seed, **more)
     odd = [key for key in ("train", "test", "seeds") if key in t.table]
     if odd:
         raise TaskError(f"{t.where}: {odd[0]} and folds exclude each other. With cross-validation every object is a "
                         f"test object once; give folds, draws and trainings.")
     draws, trainings = t.count("draws", None, 1), t.count("trainings", None, 1)
     return Protocol("", "", tuple(shots), draws * trainings, query, seed, t.count("folds", None, 2), draws, trainings,
-                    given == "chosen", transfer)
+                    **more)
 
 
 def _noise(t: Table) -> Noise:

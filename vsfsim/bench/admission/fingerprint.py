@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.folds import shown_names, test_names
-from vsfsim.bench.protocol import divide, record
+from vsfsim.bench.protocol import divide, record, share_unresolved
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import from_json, plain
@@ -111,6 +111,8 @@ class Record:
     """Version and commit that made the dataset."""
     entries: tuple[Entry, ...]
     """In the dataset's order, of the splits that the task uses."""
+    unresolved: tuple[int, int, float] | None = None
+    """Of the frames of query touches (`vsfsim.bench.protocol.share_unresolved`); None where it was not measured."""
     again: Again | None = None
     """What another machine makes of the same touches, where that was measured and is more than rounding."""
 
@@ -121,6 +123,7 @@ class Record:
                  "view": _text(e.of_view), "fingerprints": _text(e.of_touches)} for e in self.entries]
         return {"format": FORMAT, "version": VERSION, "task": self.task, "task_sha256": self.task_sha256,
                 "dataset_sha256": self.dataset_sha256, "made_by": dict(self.made_by),
+                **({"unresolved": self.unresolved} if self.unresolved else {}),
                 **({"again": asdict(self.again)} if self.again else {}), "entries": rows}
 
     @classmethod
@@ -138,7 +141,9 @@ class Record:
             if not all(isinstance(text, str) for text in texts) or not isinstance(table["made_by"], dict):
                 raise ValueError("a text is missing")
             again = Again.read(table["again"]) if "again" in table else None
-            return cls(table["task"], table["task_sha256"], table["dataset_sha256"], table["made_by"], entries, again)
+            frames = tuple(map(float, table["unresolved"])) if "unresolved" in table else None
+            return cls(table["task"], table["task_sha256"], table["dataset_sha256"], table["made_by"], entries, (
+                int(frames[0]), int(frames[1]), frames[2]) if frames else None, again)
         except (KeyError, TypeError, ValueError, IndexError, binascii.Error, OverflowError) as error:
             raise TaskError(f"{where} is no record of a task's dataset: {plain(error)}. Make it again with `vsfsim "
                             f"tasks --record FOLDER`.") from error
@@ -151,9 +156,10 @@ def make_record(task: Task, dataset: Dataset) -> Record:
         TaskError: the dataset does not fit the task.
     """
     asked = frozenset(test_names(dataset, task.protocol))
+    queries = (view.touches[k] for view in map(dataset.load, asked) for k in divide(view, task.protocol).query)
     return Record(task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
                   tuple(_of_view(dataset.load(name), task, name in asked)
-                        for name in shown_names(dataset, task.protocol)))
+                        for name in shown_names(dataset, task.protocol)), share_unresolved(queries))
 
 
 def record_path(task: Task) -> Path:
