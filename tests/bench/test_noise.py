@@ -55,17 +55,6 @@ def test_hysteresis_changes_with_the_direction_of_motion_and_stays_at_rest():
     assert (found[:, 1] == found[0, 1]).all()
 
 
-def test_without_joint_angles_or_with_the_old_kind_nothing_is_added():
-    old = Noise(**{"offset_std": 0.0, "drift_std": 0.0, "tare_frames": 0, "seed": 0, **NOISE_KINDS["gen3"]})
-    torque, q = np.ones((4, 7)), np.random.default_rng(0).normal(size=(4, 7))
-    which = {"object_index": 1, "view_index": 0, "touch_index": 2}
-    time, force = np.arange(4.0), np.ones((4, 3))
-    assert np.array_equal(noisy_torque(torque, time, force, old, q=q, **which),
-                          noisy_torque(torque, time, force, old, **which))
-    assert not np.array_equal(noisy_torque(torque, time, force, POSED, q=q, **which),
-                              noisy_torque(torque, time, force, POSED, **which))
-
-
 # ------------------------------------------------------------------ the force of any sensor
 
 
