@@ -237,7 +237,7 @@ def score_table(result: Result, metric: str) -> str:
     for name in order:
         unit = unit_of(name, result.unit)
         rows.append([f"{name} [{unit}]" if unit else name,
-                     *(_number(result.scores[name].get(label)) for label in result.shots)])
+                     *(score_text(result.scores[name].get(label)) for label in result.shots)])
     return text_table(head, rows)
 
 
@@ -276,11 +276,11 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
-        values = [_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
-                  for shot in labels]
+        values = [interval_text(row.objects[shot]) if row.objects and over_objects(task) else
+                  score_text(by_shot.get(shot)) for shot in labels]
         rows.append([str(row.rank or "-"), shown(label) + row.signs, *values,
                      *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
-                     _number(stiffness), row.evidence, f"{adapt:.2f} s",
+                     score_text(stiffness), row.evidence, f"{adapt:.2f} s",
                      shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
 
@@ -356,7 +356,8 @@ def _paper(board: Board) -> list[list[str]]:
     return [["method", *(f"{label}-shot" for label in labels), "unit", "source"], *rows] if rows else []
 
 
-def _number(score: Score | None) -> str:
+def score_text(score: Score | None) -> str:
+    """A score with its deviation over runs, "" for none."""
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
 
 
@@ -365,7 +366,8 @@ def share_text(row: Row, ceiling: Mapping[str, float], shot: str) -> str:
     return "" if share is None else f"{share:.2f}"
 
 
-def _over(values: ByObject) -> str:
+def interval_text(values: ByObject) -> str:
+    """A mean over objects with its standard error."""
     mean, error = interval(values)
     return f"{mean:.3f} ± {error:.3f}" if error == error else f"{mean:.3f}"
 

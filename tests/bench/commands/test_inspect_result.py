@@ -7,8 +7,6 @@ import re
 import numpy as np
 import pytest
 
-from vsfsim.bench.board.charts import round_numbers
-from vsfsim.bench.board.touch_chart import touch_chart
 from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.commands.presets import Choice
@@ -133,14 +131,3 @@ def test_a_shipped_task_is_found_on_its_development_objects_by_name():
     assert task.dataset == load_task("fewshot-shoes-v3-mini-v1").development
     with pytest.raises(TaskError, match="unknown task 'fewshot'"):
         load_task("fewshot-development")
-
-
-def test_a_chart_holds_its_curves_and_round_numbers_enclose_them():
-    time, truth = np.linspace(0.0, 1.0, 5), np.array([0.0, 1.0, np.nan, -3.0, 2.0])
-    chart = touch_chart(time, truth, {"0": np.zeros((2, 5)), "5": np.array([time, 2 * time])}, band="0",
-                        unit="N m")
-    height = [float(y) for points in re.findall(r'points="([^"]+)"', chart) for y in re.findall(r",([\d.]+)", points)]
-    assert chart.count("<polyline") == 3 and 0.0 < min(height) and max(height) < 170.0
-    for low, high in ((0.0, 7.3), (-0.31, 0.02), (-5.0, -1.0), (0.0, 0.0), (0.0, 10.0)):
-        marks = round_numbers(low, high)
-        assert marks[0] <= low + 1e-9 and marks[-1] >= high - 1e-9 and 2 <= len(marks) <= 8

@@ -14,7 +14,7 @@ import json
 import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import msgspec
 
@@ -160,13 +160,8 @@ def command_of(result: Result, *, whole: bool = False) -> str:
         return shlex.join(["vsfsim", "score", "FILE", "--task", result.task, "--name", result.method])
     words = ["vsfsim", "evaluate", "--method", result.method, *(["--preset", result.preset] if result.preset else [])]
     for key, value in result.parameters.items() if whole else ():
-        words += ["--set", f"{key}={_toml(value)}"] if value is not None else []
+        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"] * (value is not None)
     return shlex.join([*words, "--task", result.task])
-
-
-def _toml(value: Any) -> str:
-    """A value of `--set`."""
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def absent(task: str) -> dict[str, str]:

@@ -6,7 +6,6 @@ objects are added where the task's dataset is on this machine.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Sequence
 from datetime import date
@@ -14,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from vsfsim.bench import leaderboard
 from vsfsim.bench.board import charts
-from vsfsim.bench.board.compare import ByObject, interval, paired
+from vsfsim.bench.board.compare import interval, paired
 from vsfsim.bench.board.markup import Cell, escape, figure, file_name, link, page, paragraph, table
 from vsfsim.bench.board.named import EARLIER, command_of, labels_of
 from vsfsim.bench.leaderboard import Board, Row, column_notes, over_objects, possible, share_text, superseded, unit_of
 from vsfsim.bench.metric_functions import object_of, scale_of
-from vsfsim.bench.metrics import Answer, Score
+from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.training import models_of
@@ -163,7 +163,8 @@ def _method_page(board: Board, row: Row, name: str) -> str:
     task, result = board.task, row.result
     labels = task.protocol.labels
     scores = [[f"{metric} [{unit}]" if (unit := unit_of(metric, task.observation.unit)) else metric,
-               *(_score(by_shot.get(label)) for label in labels)] for metric, by_shot in row.scores.items()]
+               *(leaderboard.score_text(by_shot.get(label)) for label in labels)]
+              for metric, by_shot in row.scores.items()]
     body = [paragraph(f"{result.entry} on {task.name}; {f'rank {row.rank}' if row.rank else f'not ranked: {row.mark}'}."
                       f" The file is {row.path.name} ({row.origin}).")]
     if row.objects and over_objects(board.task):
@@ -237,17 +238,8 @@ def _how(board: Board) -> str:
 
 def _cell(row: Row, task: Task, label: str) -> str:
     if row.objects.get(label):
-        return _interval(row.objects[label])
-    return _score(row.scores.get(task.primary, {}).get(label))
-
-
-def _interval(values: ByObject) -> str:
-    mean, error = interval(values)
-    return f"{mean:.3f}" + (f" ± {error:.3f}" if math.isfinite(error) else "")
-
-
-def _score(score: Score | None) -> str:
-    return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
+        return leaderboard.interval_text(row.objects[label])
+    return leaderboard.score_text(row.scores.get(task.primary, {}).get(label))
 
 
 def _difference(row: Row, best: Row | None, task: Task) -> str:
