@@ -80,19 +80,6 @@ def test_an_object_of_one_particle(name, world):
     assert np.isfinite(method.stiffness(np.zeros((2, 3))).mean).all()
 
 
-@pytest.mark.parametrize("name", PARTICLES)
-def test_a_sensor_that_a_method_does_not_know_is_named(name, world):
-    train, view, recording = world
-    method = fitted(name, train)
-    action = dataclasses.replace(recording.readings[0].action, observation="temperature")
-    strange = dataclasses.replace(recording.readings[0], action=action)
-    with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
-        method.adapt(view, [strange])
-    with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
-        method.adapt(view, [])
-        method.predict([strange.action])
-
-
 @pytest.mark.parametrize("name", ["neural-vsf", "grid-vsf"])
 def test_a_field_needs_forces_with_and_without_touches(name, world):
     train, view, recording = world
@@ -135,20 +122,6 @@ def test_a_view_that_shows_nothing_is_refused(name, world):
         if name == "contact-points":
             with pytest.raises(MethodError, match=words):
                 method.locate(np.eye(3), np.array([[0, 1, 2]]))
-
-
-@pytest.mark.parametrize("name", PARTICLES)
-def test_an_object_between_the_particles_is_refused(name, world):
-    train, view, recording = world
-    method = fitted(name, train)
-    # One pixel on the object and a grid of 20 cm: no ray through the mask meets a particle.
-    row, column = np.argwhere(view.mask)[0]
-    mask = np.zeros_like(view.mask)
-    mask[row, column] = True
-    speck = dataclasses.replace(view, mask=mask)
-    method.shelf.settings = dataclasses.replace(method.shelf.settings, spacing=0.2)
-    with pytest.raises(MethodError, match="no particle lies in or behind what the camera sees"):
-        method.adapt(speck, recording.readings[:2])
 
 
 @pytest.mark.parametrize("name", ["sbml", "imaml-vision"])

@@ -67,22 +67,6 @@ def test_without_support_nothing_moves():
     assert torch.equal(adapt(network, theta, empty, rate=0.1, steps=5, regularisation=2.0)[0], theta)
 
 
-def test_an_epoch_has_one_step_for_all_objects_or_one_for_each():
-    rng = np.random.default_rng(0)
-    assert [list(step) for step in Imaml()._steps(5, rng)] == [[0, 1, 2, 3, 4]]
-    steps = Imaml(tasks_per_step=1)._steps(5, rng)
-    assert [len(step) for step in steps] == [1] * 5 and sorted(np.concatenate(steps)) == [0, 1, 2, 3, 4]
-    assert [len(step) for step in Imaml(tasks_per_step=2)._steps(5, rng)] == [2, 2, 1]
-    # Adam's first step is as long as its rate, whatever the gradient: five of them go further than one.
-    task, learned = parse_task(MOCK_TASK, "mock"), []
-    for tasks_per_step in (0, 1):
-        method = Imaml(epochs=1, inner_steps=2, cg_steps=2, tasks_per_step=tasks_per_step)
-        method.meta_fit([specimen(mock_view(i, split="train"), task) for i in range(5)])
-        learned.append(float(method._theta[-1]))
-    start = float(method._network.start(torch.Generator().manual_seed(0))[-1])
-    assert abs(learned[0] - start) == pytest.approx(1e-3, rel=1e-3) and abs(learned[1] - start) > 1.5e-3
-
-
 def test_single_precision_agrees_with_double():
     task = parse_task(MOCK_TASK, "mock")
     train, view = [specimen(mock_view(i, split="train"), task) for i in range(3)], mock_view(10)

@@ -162,16 +162,6 @@ def test_cnp_learns_what_it_sees_and_what_it_feels(task, train):
 
 
 @pytest.mark.parametrize("make", METHODS)
-def test_touches_that_miss_teach_nothing(make, task):
-    miss = [specimen(mock_view(i, split="train", touches=1), task) for i in range(2)]  # the last touch misses
-    method = make()
-    with pytest.raises(MethodError, match="touches"):
-        method.meta_fit(miss)
-    with pytest.raises(MethodError, match="call meta_fit or load first"):
-        method.adapt(mock_view(0).view, [])
-
-
-@pytest.mark.parametrize("make", METHODS)
 def test_readings_of_several_numbers_are_refused(make, task, train):
     from dataclasses import replace
 

@@ -97,19 +97,6 @@ def test_a_thin_stem_is_never_jumped(step, device):
     assert not held[-1] and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9
 
 
-def test_a_stem_half_as_thick_as_the_capsule_finds_its_balance(device):
-    """Its patch is wide and deep: the sum over three points is the integral of the energy to a ten-thousandth only, and
-    a line search on the potential alone stalls at twice the tolerance."""
-    def pressed(frames):
-        return touch(stem(60, length=0.3, radius=0.015, young_modulus=1e7),
-                     crossing(np.linspace(0.0, 0.045, frames + 1)[1:], height=0.06, start=-0.045), radius=0.03,
-                     device=device)
-
-    few, many = pressed(2), pressed(6)
-    assert few.converged.all() and many.converged.all()
-    assert few.force[:, 0, 0, 0] == pytest.approx(many.force[2::3, 0, 0, 0], rel=5e-4)
-
-
 def test_a_batch_gives_the_bits_of_touches_alone(device):
     rng = np.random.default_rng(0)
     bodies = [stem(10, length=0.3), plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.18], [-0.05, 0, 0.2]]),

@@ -79,20 +79,6 @@ def test_the_balance_of_torques_closes(blind, touch):
     assert d.inertia.max() > 1e-3 and d.lag.max() > 1e-5, "there is something to close"
 
 
-def test_friction_shows_in_the_reading_by_the_share_that_is_seen(touch):
-    q, force, moment = touch
-    arm = load_arm(joints=JointParameters(sensed_share=0.2))
-    times = np.linspace(0.0, 4.0, FRAMES)
-    d = difference(arm, q, times, force, moment)
-    middle = slice(7, 14)
-    moving = np.abs(d.motion.rate[middle]).min(axis=0) > 5e-3
-    assert moving.sum() >= 3
-    there = body_torque(arm, d.motion.q, force, moment=moment)
-    want = arm.joints.sensed_friction(d.motion.rate)
-    # inertia is a few hundredths of a newton metre here, Coulomb's friction 0.7 of it
-    assert (d.dynamic - there)[middle][:, moving] == pytest.approx(want[middle][:, moving], abs=0.06)
-
-
 def test_a_soft_arm_gives_way_by_torque_over_stiffness():
     """Held without friction against a force, every joint turns by J^T f over its stiffness."""
     arm = load_arm(joints=JointParameters(coulomb=(0.0,) * 7))

@@ -59,14 +59,6 @@ def test_rows_are_mujocos_jacobians(arm, case):
     assert rows.sum(axis=1) == pytest.approx(body_torque(arm, q, force, point=points), abs=1e-10)
 
 
-def test_a_moment_about_the_origin_is_the_same_as_its_force_at_the_point(arm, case):
-    q, force, _ = case
-    origin = arm.body_poses(q)[..., :3, 3]
-    point = origin + np.random.default_rng(9).normal(scale=0.05, size=origin.shape)
-    by_moment = body_torque(arm, q, force, moment=np.cross(point - origin, force))
-    assert by_moment == pytest.approx(body_torque(arm, q, force, point=point), abs=1e-10)
-
-
 def test_what_does_not_fit_is_refused(arm, case):
     q, force, moment = case
     with pytest.raises(ArmError, match="moments about"):

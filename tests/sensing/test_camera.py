@@ -12,7 +12,7 @@ from vsfsim.core.scene import CameraSpec
 from vsfsim.core.solid import TEXTURES, Appearance
 from vsfsim.sensing.camera import look_at, render
 from vsfsim.sensing.render_pyrender import load_pyrender
-from vsfsim.sensing.surface import RenderError, Surface, corner_normals
+from vsfsim.sensing.surface import RenderError, Surface
 
 SPEC = CameraSpec(160, 120, 0.8, 0.6, 0.9, 0.7)
 
@@ -111,14 +111,6 @@ def test_textures_vary_in_rest_coordinates_and_move_with_the_material(texture):
     pose2[:3, 3] += shift
     again = render(moved, intrinsics, pose2, 160, 120).rgb.astype(int)
     assert np.mean(np.abs(rgb - again)) < 0.05
-
-
-def test_shading_normals_are_round_on_a_ball_and_sharp_on_a_box():
-    ball = surface_of(trimesh.creation.icosphere(subdivisions=3, radius=1.0))
-    normals = corner_normals(ball)
-    assert np.einsum("fci,fci->fc", normals, ball.vertices[ball.triangles]).min() > 0.999
-    box = surface_of(trimesh.creation.box((1, 1, 1)))
-    assert np.abs(corner_normals(box)).max(axis=2).min() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("change, words", [

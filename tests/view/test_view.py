@@ -77,20 +77,6 @@ def test_the_page_needs_nothing_from_outside_and_names_cannot_end_its_data():
     assert not re.search(r"https?://|\bsrc=[\"']|\bhref=|import\s|fetch\(", text)
 
 
-def test_frames_without_a_value_are_marked(folder):
-    from dataclasses import replace
-
-    from vsfsim.view.subject import of_view
-
-    view = mock_view(0, touches=1)
-    touch = view.touches[0]
-    force, converged = touch.force.copy(), touch.converged.copy()
-    force[3], converged[3] = np.nan, False
-    shown = of_view(replace(view, touches=(replace(touch, force=force, converged=converged),)))["touches"][0]
-    assert shown["force"][3] == [None] * 3 and shown["normal_force"][3] is None and not shown["converged"][3]
-    page("x", [shown])  # JSON without NaN
-
-
 def test_the_object_of_a_scene(vsfsim, tmp_path):
     (tmp_path / "block.toml").write_text(
         'name = "block"\n[object]\nshape = { box = [0.06, 0.04, 0.02] }\npoisson_ratio = 0.3\n'

@@ -72,15 +72,3 @@ def test_place_is_thickness_and_place_alone_as_logarithms():
     along = np.array([0.025, 0.175, 0.225 - 0.015 + 0.15])
     # a voxel of 10 mm at the end, and some per cent more or less along the graph
     assert (np.abs(way - 0.05 - along) < 0.010 + 0.12 * along).all()
-
-
-def test_a_leaf_that_hangs_far_below_the_foot_has_finite_features():
-    """The lowest height is a quantile; a plant of plants-v4-mini has 103 of 58,676 pixels up to 79 mm below it."""
-    depth = np.zeros((300, 220))
-    depth[40:150, 20:120] = 1.0
-    depth[150:270, 119] = 1.0
-    depth[200:265, 119] = 0.0  # five pixels of 11,000, 87 mm below the others
-    view = picture(depth)
-    assert place(view)[:, 2].min() < -0.06
-    found = particle_features("place", view, view.points()[::50], spacing=0.01)
-    assert np.isfinite(found).all() and np.isfinite(view_token("place", view)).all()
