@@ -115,6 +115,10 @@ class ByParticles:
     """HE components that they move (k,)."""
     gram: torch.Tensor | sparse.csr_matrix
     """G = A^T A (k, k), sparse with `fronts`."""
+    fronts: Fronts | None
+    """Order in which G is factored on a CPU, None if dense."""
+    entries: np.ndarray
+    """Entries of G in the order of ``fronts`` (q,)."""
     at: torch.Tensor
     """The point, in the unit of a stiffness (k,)."""
     rest: torch.Tensor
@@ -127,10 +131,6 @@ class ByParticles:
     """U^T U (s, s)."""
     met: torch.Tensor
     """U^T (z - A at) (s,)."""
-    fronts: Fronts | None
-    """Order in which G is factored on a CPU, None if dense."""
-    entries: np.ndarray
-    """Entries of G in the order of ``fronts`` (q,)."""
 
     @classmethod
     def of(cls, particle: np.ndarray, rows: sparse.csr_matrix, value: np.ndarray, shared: np.ndarray, *,
@@ -145,14 +145,14 @@ class ByParticles:
         if fronts is not None:
             entries = found.data[fronts.kept]
         gram = torch.as_tensor(found.toarray(), device=device) if fronts is None else found
-        block = cls(torch.as_tensor(particle, device=device), gram, *[torch.zeros(0)] * 6, fronts, entries)
+        block = cls(torch.as_tensor(particle, device=device), gram, fronts, entries, *[torch.zeros(0)] * 6)
         wide = torch.full((size,), (_RIDGE * max(float(found.diagonal().max()), 1e-300)) ** -0.5, dtype=torch.float64,
                           device=device)
         right = torch.as_tensor(columns @ value, device=device)
         at = (wide * block._solve(block._factored(wide), (wide * right)[:, None])[:, 0]).cpu().numpy()
         left = value - rows @ at
         arrays = (at, columns @ left, np.asarray(left @ left), columns @ shared, shared.T @ shared, shared.T @ left)
-        return cls(block.particle, gram, *(torch.as_tensor(x, device=device) for x in arrays), fronts, entries)
+        return cls(block.particle, gram, fronts, entries, *(torch.as_tensor(x, device=device) for x in arrays))
 
     @property
     def largest(self) -> int:
