@@ -81,7 +81,7 @@ class DiagonalFilter:
             return
         read = np.flatnonzero(np.diff(w.indptr))
         moved = np.unique(w.indices)
-        a = w[read][:, moved].toarray() / noise[read, None]
+        a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read][:, moved])
         surprise = z[read] / noise[read] - a @ self.mean[moved]
         var = self.var[moved]
         shift, left = _by_particles(a, surprise, var) if len(moved) < len(read) else _by_readings(a, surprise, var)
@@ -116,21 +116,25 @@ class DiagonalFilter:
                         self.update(rows, values, noise_std=std, replayed=True)
 
 
-def _by_readings(a: np.ndarray, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _by_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shift of the means and new variances for ``a`` (r, k), in units of the noise, through M (r, r)."""
-    weighted = a * var
-    spread = weighted @ a.T
+    weighted = sparse.csr_matrix(a @ sparse.diags_array(var))
+    spread = (weighted @ a.T).toarray()
     spread[np.diag_indices_from(spread)] += 1.0
-    factor = linalg.cholesky(spread, lower=True, overwrite_a=True, check_finite=False)
-    white = linalg.solve_triangular(factor, weighted, lower=True, check_finite=False)
-    shift = white.T @ linalg.solve_triangular(factor, surprise, lower=True, check_finite=False)
-    return shift, var - np.einsum("ij,ij->j", white, white)
+    inverse, columns = _inverse(spread), sparse.csr_matrix(a.T)
+    known = np.asarray(columns.multiply(columns @ inverse).sum(axis=1)).ravel()
+    return weighted.T @ (inverse @ surprise), var * (1.0 - var * known)
 
 
-def _by_particles(a: np.ndarray, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same through the precision matrix (k, k), whose inverse LAPACK's potri takes half the work for."""
-    precision = a.T @ a
+def _by_particles(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same through the precision matrix (k, k)."""
+    precision = (a.T @ a).toarray()
     precision[np.diag_indices_from(precision)] += 1.0 / var
-    factor = linalg.cho_factor(precision, lower=True, overwrite_a=True, check_finite=False)
-    inverse = linalg.lapack.dpotri(factor[0], lower=1)[0]
-    return linalg.cho_solve(factor, a.T @ surprise, check_finite=False), inverse.diagonal().copy()
+    inverse = _inverse(precision)
+    return inverse @ (a.T @ surprise), inverse.diagonal().copy()
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a positive definite matrix, by LAPACK's potri: half the work of solving for the identity."""
+    half = linalg.lapack.dpotri(linalg.cholesky(matrix, lower=True, check_finite=False), lower=1)[0]
+    return half + np.tril(half, -1).T
