@@ -84,7 +84,7 @@ class DiagonalFilter:
         a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read][:, moved])
         surprise = z[read] / noise[read] - a @ self.mean[moved]
         var = self.var[moved]
-        shift, left = _by_particles(a, surprise, var) if len(moved) < len(read) else _by_readings(a, surprise, var)
+        shift, left = _updated(a, surprise, var)
         self.mean[moved] = np.maximum(self.mean[moved] + shift, 0.0)
         if not replayed:
             # A variance that falls by fourteen orders of magnitude may be negative by rounding.
@@ -116,25 +116,17 @@ class DiagonalFilter:
                         self.update(rows, values, noise_std=std, replayed=True)
 
 
-def _by_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the means and new variances for ``a`` (r, k), in units of the noise, through M (r, r)."""
-    weighted = sparse.csr_matrix(a @ sparse.diags_array(var))
-    spread = (weighted @ a.T).toarray()
-    spread[np.diag_indices_from(spread)] += 1.0
-    inverse, columns = _inverse(spread), sparse.csr_matrix(a.T)
+def _updated(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the means and new variances for ``a`` (r, k), in units of the noise: through M (r, r), or with fewer
+    particles than readings through the precision matrix (k, k)."""
+    weighted, few = sparse.csr_matrix(a @ sparse.diags_array(var)), a.shape[1] < a.shape[0]
+    matrix = (a.T @ a if few else weighted @ a.T).toarray()
+    matrix[np.diag_indices_from(matrix)] += 1.0 / var if few else 1.0
+    # LAPACK's potri takes half the work of solving for the identity
+    half = linalg.lapack.dpotri(linalg.cholesky(matrix, lower=True, check_finite=False), lower=1)[0]
+    inverse = half + np.tril(half, -1).T
+    if few:
+        return inverse @ (a.T @ surprise), inverse.diagonal().copy()
+    columns = sparse.csr_matrix(a.T)
     known = np.asarray(columns.multiply(columns @ inverse).sum(axis=1)).ravel()
     return weighted.T @ (inverse @ surprise), var * (1.0 - var * known)
-
-
-def _by_particles(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same through the precision matrix (k, k)."""
-    precision = (a.T @ a).toarray()
-    precision[np.diag_indices_from(precision)] += 1.0 / var
-    inverse = _inverse(precision)
-    return inverse @ (a.T @ surprise), inverse.diagonal().copy()
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a positive definite matrix, by LAPACK's potri: half the work of solving for the identity."""
-    half = linalg.lapack.dpotri(linalg.cholesky(matrix, lower=True, check_finite=False), lower=1)[0]
-    return half + np.tril(half, -1).T

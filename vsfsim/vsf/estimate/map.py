@@ -64,7 +64,7 @@ def bounded_least_squares(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *
 
 
 def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
-                 prior_mean: np.ndarray | float, prior_var: np.ndarray | float, tolerance: float = 1e-11) -> MapResult:
+                 prior_mean: np.ndarray | float, prior_var: np.ndarray | float) -> MapResult:
     """Solve SBML eq. 16 for a diagonal Gaussian prior, at any number of particles.
 
     Args:
@@ -73,7 +73,6 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
         noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
         prior_mean: of the stiffnesses (n,) or one number; may be negative, the estimate is not.
         prior_var: of the stiffnesses, > 0 (n,) or one number.
-        tolerance: KKT residual at which to stop.
 
     Raises:
         VsfError: shapes that do not fit, values that are not finite, a variance or noise that is not positive.
@@ -85,13 +84,12 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
     out = np.maximum(mean, 0.0)
     if len(touched) == 0:
         return MapResult(out, 0, 0.0, 0)
-    a = sparse.diags_array(1.0 / noise[read]) @ w[read][:, touched] @ sparse.diags_array(scale[touched])
-    a = sparse.csr_matrix(a)
+    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read][:, touched]
+                          @ sparse.diags_array(scale[touched]))
     b, x0 = z[read] / noise[read], mean[touched] / scale[touched]
-    x, steps = bounded_least_squares(a, b, x0, scale=scale[touched], tolerance=tolerance)
+    x, steps = bounded_least_squares(a, b, x0, scale=scale[touched])
     out[touched] = scale[touched] * x
-    residual = kkt_residual(a, b, x0, x, scale[touched])
-    return MapResult(out, steps, residual, int(np.count_nonzero(x > 0.0)))
+    return MapResult(out, steps, kkt_residual(a, b, x0, x, scale[touched]), int(np.count_nonzero(x > 0.0)))
 
 
 def _checked(w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndarray | float,
