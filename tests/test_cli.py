@@ -1,17 +1,13 @@
 """The command line as a user meets it: fast help, exit codes, one-paragraph errors."""
 
 import io
-import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from vsfsim.bench.mock import mock_view
 from vsfsim.cli.console import Progress
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
 HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplotlib", "rich")
 
@@ -81,13 +77,6 @@ def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", [("--debug", "verify", "nowhere"), ("verify", "nowhere", "--debug")])
-def test_debug_shows_the_traceback_before_and_after_the_command(words, tmp_path):
-    out = run(*words, cwd=tmp_path)
-    assert out.returncode == 2 and "Traceback" in out.stderr
-    assert "error: there is no folder of a dataset 'nowhere'" in out.stderr
-
-
 def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):
     code = ("import sys; sys.argv = ['vsfsim', 'methods']; import vsfsim.core.shelf as s; s.methods = lambda: 1 / 0; "
             "from vsfsim.cli.main import main; main()")
@@ -112,36 +101,3 @@ def test_a_method_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "broken.py").write_text("1 / 0")
     out = run("check", "broken:X", cwd=tmp_path)
     assert out.returncode == 2 and "ZeroDivisionError" in out.stderr and "Traceback" not in out.stderr
-
-
-def test_verify_and_evaluate_through_the_command_line(vsfsim, tmp_path):
-    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
-                    splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(tmp_path / "toy", recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        writer.finish()
-    bench = Path(__file__).parent / "bench"
-    (tmp_path / "toy-v1.toml").write_text(runpy.run_path(str(bench / "conftest.py"))["TASK"])
-    code = f"""
-import sys
-sys.path.insert(0, {str(bench)!r})
-sys.argv = ("vsfsim evaluate --method toy_methods:Constant --task toy-v1.toml --dataset toy --seeds 2 "
-            "--set value=2.5").split()
-from vsfsim.cli.main import main
-main()
-"""
-    out = vsfsim("verify", "toy", cwd=tmp_path)
-    assert out.returncode == 0 and out.stdout.rstrip().endswith("ok")
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
-    assert out.returncode == 0, out.stderr
-    assert "rmse [N]" in out.stdout and "all-shot" in out.stdout and "2 seeds instead of the task's 3" in out.stdout
-    assert (tmp_path / "results" / "toy-v1" / "toy_methods.Constant.json").is_file()
-    board = vsfsim("leaderboard", "--task", "toy-v1.toml", cwd=tmp_path)
-    assert "toy_methods:Constant" in board.stdout, board.stderr
-    broken = bytearray((tmp_path / "toy" / "mock-0001-v0.h5").read_bytes())
-    broken[5000] ^= 1
-    (tmp_path / "toy" / "mock-0001-v0.h5").write_bytes(bytes(broken))
-    out = vsfsim("verify", "toy", cwd=tmp_path)
-    assert out.returncode == 2 and "mock-0001-v0.h5: was changed" in out.stdout

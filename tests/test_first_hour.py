@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core import shelf
-from vsfsim.core.errors import MethodError, no_such_file
+from vsfsim.core.errors import MethodError
 
 ROOT = Path(__file__).parents[1]
 
@@ -111,12 +111,6 @@ def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, mes
         monkeypatch.setattr("vsfsim.bench.task.open_dataset", lambda *_: None)
     out = vsfsim(*words, cwd=tmp_path)
     assert out.returncode == 2 and message in out.stderr and "Traceback" not in out.stderr, out.stderr
-
-
-def test_the_nearest_name_is_looked_for_in_the_folder(tmp_path):
-    (tmp_path / "foam.toml").write_text("")
-    assert no_such_file("scene file", tmp_path / "foamm.toml").endswith(f"Did you mean '{tmp_path / 'foam.toml'}'?")
-    assert "has a similar name" in no_such_file("scene file", tmp_path / "zzz")
 
 
 # ------------------------------------------------------------------------------------------ a method of one's own

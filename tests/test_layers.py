@@ -52,9 +52,9 @@ BY_NAME = {"physics": {"scenes"}}
 """Layers whose modules a layer loads by a name that a user gave: a family is a file of scenes/."""
 
 HEAVY = {
-    "core": {"numpy", "scipy"},
-    "data": {"numpy", "h5py"},
-    "physics": {"numpy", "scipy", "warp", "torch", "trimesh"},
+    "core": {"numpy", "scipy", "filelock"},
+    "data": {"numpy", "h5py", "filelock"},
+    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},

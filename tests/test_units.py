@@ -47,29 +47,3 @@ def undocumented(text: str) -> list[str]:
 def test_fields_say_unit_and_shape(layer):
     found = {str(p.relative_to(ROOT)): undocumented(p.read_text()) for p in sorted((ROOT / layer).rglob("*.py"))}
     assert {path: problems for path, problems in found.items() if problems} == {}
-
-
-@pytest.mark.parametrize(("points", "mass", "found"), [
-    ("Nodes (n, 3) [m].", "[kg].", []),
-    ("", "[kg].", ["Body.points: not documented"]),
-    ("Nodes [m].", "[kg].", ["Body.points: no shape in 'Nodes [m].'"]),
-    ("Nodes (n, 3) [m].", "How heavy it is.", ["Body.mass: no unit in 'How heavy it is.'"]),
-    ("Nodes, see (the paper).", "[kg].", ["Body.points: no shape in 'Nodes, see (the paper).'"]),
-])
-def test_a_field_without_one_is_found(points, mass, found):
-    below = [f'    """{doc}"""\n' if doc else "" for doc in (points, mass)]
-    assert undocumented(f'@dataclass(frozen=True)\nclass Body:\n    """A body."""\n    points: np.ndarray\n{below[0]}'
-                        f'    mass: float\n{below[1]}    name: str = ""\n') == found
-
-
-def test_what_the_class_says_holds_for_all_its_fields():
-    text = """@dataclass
-class Body:
-    \"\"\"All (n, 3). Lengths in metres.\"\"\"
-    points: np.ndarray
-    \"\"\"Nodes.\"\"\"
-    size: float
-    \"\"\"Of the body.\"\"\"
-"""
-    assert undocumented(text) == []
-    assert len(undocumented(text.replace("All (n, 3). Lengths in metres.", "A body."))) == 2

@@ -16,6 +16,7 @@ from measurements.measurement import Progress
 from measurements.stability.team import kept
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
+from vsfsim.core.system.content import file_sha256
 from vsfsim.generate.trade.made import Run, Touched
 from vsfsim.generate.trade.runs import touched
 from vsfsim.generate.trade.setting import Setting
@@ -45,8 +46,8 @@ class Piece:
 
 
 @functools.lru_cache(maxsize=8)
-def object_of(scene: str, number: int, touches: int) -> Touched:
-    """The touches of one object of a scene.
+def object_of(scene: str, sha256: str, number: int, touches: int) -> Touched:
+    """The touches of one object of a scene, whose file has this sha256.
 
     Raises:
         VsfsimError: they cannot be made again.
@@ -57,7 +58,7 @@ def object_of(scene: str, number: int, touches: int) -> Touched:
 def made(piece: Piece) -> dict[str, Any]:
     """The run of a piece as `Run.table` has it, or why it cannot be made."""
     try:
-        subject = object_of(piece.scene, piece.number, piece.touches)
+        subject = object_of(piece.scene, file_sha256(Path(piece.scene)), piece.number, piece.touches)
         if piece.alone is None:
             return subject.run(piece.setting).table()
         return subject.near(piece.alone, piece.setting).table()

@@ -18,7 +18,6 @@ from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError
-from vsfsim.core.system import file_lock
 
 HERE = Path(__file__).parent
 WORDS = ["evaluate", "--method", "slow_method:Slow", "--task", "toy-v1.toml", "--dataset", "toy"]
@@ -178,9 +177,9 @@ def test_a_lock_of_a_killed_evaluation_holds_nobody_up(tmp_path):
 
 
 def test_a_file_system_without_locks(tmp_path, monkeypatch):
-    def refuse(handle, *, wait):
+    def refuse(handle, wanted):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(file_lock, "lock", refuse)
+    monkeypatch.setattr("fcntl.flock", refuse)
     with own(tmp_path / "mine.json"):
         pass

@@ -2,6 +2,7 @@
 files give."""
 
 import functools
+import os
 import shutil
 
 import numpy as np
@@ -13,6 +14,7 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Box, Capsule, MeshFile, Plane, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_samples import has_edges, inner_radius
 from vsfsim.physics.contact.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline
 from vsfsim.physics.mesh.winding import winding_number
 
@@ -283,6 +285,30 @@ def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):
     assert edited.upper == pytest.approx(1.5 * first.upper, rel=1e-6), "an edited file is read again"
 
 
+def test_a_tip_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_path):
+    tip, found = MeshFile(str(tmp_path / "tip.stl"), 1.0), []
+    for mesh in (trimesh.creation.icosphere(subdivisions=3, radius=0.008),
+                 trimesh.creation.icosphere(subdivisions=3, radius=0.016), trimesh.creation.box((0.02, 0.02, 0.02))):
+        mesh.export(tip.path)
+        os.utime(tip.path, (1.7e9, 1.7e9))
+        found.append((sdf.reach(tip), inner_radius(tip), has_edges(tip)))
+    assert found[0] == pytest.approx((0.008, 0.008, False), rel=0.03)
+    assert found[1] == pytest.approx((0.016, 0.016, False), rel=0.03)
+    assert found[2] == pytest.approx((0.01 * 3**0.5, 0.01, True), rel=0.2)
+
+
+def test_a_tip_is_accounted_for_against_its_file(tmp_path):
+    """A box whose corners have gone round by one, as a reader that loses a vertex makes it, and one with a loose part
+    that its closing loses, are no probes; a needle is one."""
+    box, turned = trimesh.creation.box((0.02, 0.02, 0.008)), tmp_path / "turned.ply"
+    trimesh.Trimesh(np.roll(box.vertices, -1, axis=0), box.faces, process=False).export(turned)
+    with pytest.raises(MeshError, match=r"turned\.ply.*within 10 % of the file.*Repair the mesh by hand"):
+        baked(MeshFile(str(turned), 1.0), cache=tmp_path)
+    trimesh.creation.cylinder(0.001, 0.05, sections=12).export(tmp_path / "needle.stl")
+    said = baked(MeshFile(str(tmp_path / "needle.stl"), 1.0), cache=tmp_path).notes[-1]
+    assert said.startswith("Distance grid against file: box") and "departs" not in said
+
+
 def test_the_spacing_rule_and_its_memory_bound():
     assert spacing_rule(np.array([0.04, 0.04, 0.04])) == pytest.approx(0.04 / 64)
     assert spacing_rule(np.array([0.1, 0.012, 0.012])) == pytest.approx(0.012 / 20)
@@ -292,7 +318,7 @@ def test_the_spacing_rule_and_its_memory_bound():
 
 
 @pytest.mark.parametrize(("text", "word"), [("v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nf 1 2 3\n", "flat sheet"),
-                                            ("nonsense", "no faces"), (None, "cannot be read")])
+                                            ("# nothing", "no faces"), (None, "cannot be read")])
 def test_files_that_are_no_solid_are_refused(tmp_path, text, word):
     path = tmp_path / "x.obj"
     if text is not None:

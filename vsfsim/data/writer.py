@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.file_lock import Held, release, sync_folder, take
@@ -80,7 +81,7 @@ class DatasetWriter:
                                    f"--out.") from error
         # Refused before the lock is made, so that a folder of something else is left without a trace of us.
         self._refuse_other()
-        self._lock: int | None = self._take_lock()
+        self._lock = self._take_lock()
         try:
             self._made_by = self._begin()
         except BaseException:
@@ -163,9 +164,7 @@ class DatasetWriter:
     def close(self) -> None:
         """Let go of the folder, finished or not. Safe to call twice."""
         if self._lock is not None:
-            assert self.path is not None
-            _HELD.discard(self._lock)
-            release(self._lock, self.path / self._lock_name)
+            release(self._lock)
             self._lock = None
 
     def __enter__(self) -> DatasetWriter:
@@ -278,7 +277,7 @@ class DatasetWriter:
     def _lock_name(self) -> str:
         return LOCK if self.shard is None else f"shard-{self.shard[0]}-of-{self.shard[1]}.lock"
 
-    def _take_lock(self) -> int | None:
+    def _take_lock(self) -> FileLock | None:
         """A lock on a file of the folder: the system lets go of it when we die, so a stale lock cannot outlive its
         process. Shards have one each; the owner refuses to begin beside them."""
         if not isinstance(self.store, FolderStore) or self.path is None:
@@ -286,8 +285,8 @@ class DatasetWriter:
         path = self.path / self._lock_name
         try:
             for other in self._others():
-                release(take(other, unlocked=True)[0], other)
-            handle, before = take(path, unlocked=self.shard is not None)
+                release(take(other, unlocked=True)[0])
+            lock, before = take(path, unlocked=self.shard is not None)
         except Held as held:
             raise DatasetError(f"folder {self.path} is being written by process {held}. Wait for it, stop it, or "
                                f"choose another --out.") from None
@@ -296,8 +295,7 @@ class DatasetWriter:
                                f"another --out.") from error
         if before:
             self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
-        _HELD.add(handle)
-        return handle
+        return lock
 
     def _others(self) -> list[Path]:
         """Locks that nobody may hold while this writer writes."""
@@ -310,15 +308,3 @@ class DatasetWriter:
 def _code(made: object) -> str:
     table = dict(made)  # type: ignore[call-overload]
     return f"vsfsim {table.get('vsfsim')} at commit {table.get('commit') or 'unknown'}"
-
-
-def _close_locks_in_child() -> None:
-    # A forked worker would keep the lock alive after its parent was killed, and block the re-run.
-    for handle in _HELD:
-        os.close(handle)
-    _HELD.clear()
-
-
-_HELD: set[int] = set()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_close_locks_in_child)

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-
-from vsfsim.core.system.file_lock import lock
+from filelock import FileLock
 
 
 def folder() -> Path:
@@ -28,7 +27,7 @@ def locked(path: Path) -> Iterator[None]:
         # a folder that cannot be written, or a file system without locks, only costs double work
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            lock(stack.enter_context(path.with_suffix(".lock").open("a")).fileno(), wait=True)
+            stack.enter_context(FileLock(path.with_suffix(".lock")))
         yield
 
 

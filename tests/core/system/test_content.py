@@ -1,5 +1,7 @@
 """What decides a result is found by content, without importing any of it."""
 
+import os
+
 from vsfsim.core.system.content import differences, named_files, source_files, source_sha256
 
 
@@ -22,6 +24,13 @@ def test_the_source_is_all_that_is_imported_at_any_depth(tmp_path):
     write(tmp_path, parts__other="A = 2\n")
     assert source_sha256("mine", tmp_path) != before
     assert source_sha256("there_is_none_of_this_name", tmp_path) == ""
+
+
+def test_a_module_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_path):
+    for text, used in (("import one\n", "one"), ("import two\n", "two")):
+        write(tmp_path, changing=text, one="", two="")
+        os.utime(tmp_path / "changing.py", (1.7e9, 1.7e9))
+        assert set(source_files("changing", tmp_path)) == {"changing", used}
 
 
 def test_the_source_of_a_baseline_is_its_particle_model_and_no_other_package():

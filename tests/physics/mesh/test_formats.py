@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,45 @@ def test_a_cube_is_a_cube_however_its_corners_are_named(text: str) -> None:
     assert volume(text, "a.obj") == pytest.approx(1.0)
 
 
+BOM, CUBE_OBJ, CUBE_STL = b"\xef\xbb\xbf", obj_faces("{i}").encode(), trimesh.creation.box().export(
+    file_type="stl_ascii").encode()
+CUBE_OFF = b"OFF\n8 6 0\n" + "".join("{} {} {}\n".format(*c) for c in CUBE).encode() + "".join(
+    "4 {} {} {} {}\n".format(*(i - 1 for i in quad)) for quad in QUADS).encode()
+
+
+@pytest.mark.parametrize(("name", "data"), [
+    ("a.obj", CUBE_OBJ), ("a.off", CUBE_OFF), ("a.stl", CUBE_STL),
+    ("a.ply", trimesh.creation.box().export(file_type="ply", encoding="ascii"))])
+@pytest.mark.parametrize("change", [lambda d: BOM + d, lambda d: d.replace(b"\n", b"\r"),
+                                    lambda d: d.replace(b"\n", b"\r\n")])
+def test_a_byte_order_mark_and_every_end_of_a_line_are_read(name: str, data: bytes,
+                                                            change: Callable[[bytes], bytes]) -> None:
+    assert volume(change(data), name) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("name", "data", "word"), [
+    ("a.obj", CUBE_OBJ.decode().encode("utf-16"), "byte order mark of UTF-16"),
+    ("a.obj", CUBE_OBJ + BOM + CUBE_OBJ, r"line 17 has the character U\+FEFF"),
+    ("a.obj", b"# made by a\rv 9 9 9\n" + CUBE_OBJ, "carriage return alone"),
+    *[("a.obj", b"# made by a" + odd.encode() + b"v 9 9 9\n" + CUBE_OBJ, f"line 1 has the character U.{ord(odd):04X}")
+      for odd in "\x0b\x0c\x85\u2028"],
+    ("a.obj", b"# C:\\models\\\n" + CUBE_OBJ, "line 1 ends in a backslash"),
+    ("a.obj", b"o name\\\n" + CUBE_OBJ, "line 1 ends in a backslash"),
+    ("a.obj", CUBE_OBJ.replace(b"f 4 3", b"f 4\\\n3"), "line 11 ends in a backslash"),
+    ("a.obj", b"V 9 9 9\n" + CUBE_OBJ, "line 1 begins with 'V'"),
+    ("a.obj", b"call more.obj\n" + CUBE_OBJ, "line 1 begins with 'call'"),
+    ("a.obj", b"v 1_0 0 0\n" + CUBE_OBJ, "line 1 has '1_0'"), ("a.obj", b"v 1 2 3 4 5\n" + CUBE_OBJ, "5 numbers"),
+    ("a.obj", CUBE_OBJ + b"f 1 2 3.0\n", "'3.0' where an index belongs"),
+    ("a.off", CUBE_OFF.replace(b"4 3 2 1 0", b"4 3 2 1.5 0"), "'1.5' where an index belongs"),
+    ("a.off", CUBE_OFF.replace(b"8 6 0\n", b"8 6 0 #\x0b"), r"U\+000B"),
+    ("a.stl", CUBE_STL.replace(b"endloop", b"vertex 0 0 0 endloop", 1), "outside of facets"),
+    ("a.stl", CUBE_STL.replace(b"endsolid", b"facet", 1), "ends without 'endsolid'")])
+def test_what_programs_read_in_different_ways_is_refused_by_name(name: str, data: bytes, word: str) -> None:
+    """Each of these gave a corner more or less to some reader, and shifted every index behind it."""
+    with pytest.raises(MeshError, match=word):
+        volume(data, name)
+
+
 def ply_block(order: str, real: str = "float", index: str = "int", *, faces: int = 12) -> bytes:
     mesh, kind = trimesh.creation.box((1, 2, 3)), {"float": "f", "double": "d", "int": "i", "ushort": "H"}
     head = (f"ply\nformat {order} 1.0\nelement vertex 8\n" + "".join(f"property {real} {a}\n" for a in "xyz")
@@ -81,6 +121,20 @@ def test_ply_of_every_order(order: str) -> None:
         one, other = (b"big", b"little") if "big" in order else (b"little", b"big")
         with pytest.raises(MeshError, match="cannot be understood as PLY"):
             volume(ply_block(order).replace(one, other, 1), "a.ply")
+
+
+@pytest.mark.parametrize(("old", "new", "word"), [
+    ("end_header", "vertices 9\nend_header", "line 9 of its header, 'vertices 9', is not known"),
+    ("element face", "element vertex 0\nelement face", "names an element or a property twice"),
+    ("property int z", "property int y", "names an element or a property twice"),
+    ("list uchar int", "list uchar float", "integer"),
+    ("property float x", "property int x", "announces whole numbers"),
+    ("element vertex", "comment a\x0belement vertex", r"U\+000B"), ("element face", "element tristrips", "strips")])
+def test_a_ply_whose_header_does_not_say_what_follows_is_refused(old: str, new: str, word: str) -> None:
+    data = ply_block("ascii", "int" if "int z" in old else "float").decode()
+    assert old in data
+    with pytest.raises(MeshError, match=word):
+        volume(data.replace(old, new, 1), "a.ply")
 
 
 def test_polygons_that_are_not_convex_are_cut_by_their_ears() -> None:

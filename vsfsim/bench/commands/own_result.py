@@ -12,7 +12,7 @@ from vsfsim.core.system.file_lock import Held, release, take
 
 @contextlib.contextmanager
 def own(result: Path) -> Iterator[None]:
-    """Hold the result file ``result`` for this process and the processes that it forks.
+    """Hold the result file ``result`` for this process.
 
     Raises:
         MethodError: another evaluation writes it, or its folder cannot be written.
@@ -21,7 +21,7 @@ def own(result: Path) -> Iterator[None]:
     made = [folder for folder in (result.parent, *result.parent.parents) if not folder.exists()]
     try:
         result.parent.mkdir(parents=True, exist_ok=True)
-        handle, _ = take(path, unlocked=True)
+        lock, _ = take(path, unlocked=True)
     except Held as held:
         raise MethodError(f"{result} is being written by process {held}. Wait for it, stop it, or choose another "
                           f"--out.") from None
@@ -30,7 +30,7 @@ def own(result: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        release(handle, path)
+        release(lock)
         with contextlib.suppress(OSError):  # what the evaluation wrote stays, and so do its folders
             for folder in made:
                 folder.rmdir()

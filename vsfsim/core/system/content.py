@@ -38,7 +38,7 @@ def source_files(module: str, folder: str | Path = "") -> dict[str, Path]:
         if file is None or not _counts(file, first, top):
             continue
         found[name] = file
-        for used in _imports(str(file), file.stat().st_mtime_ns, name, file.name == "__init__.py"):
+        for used in _imports(file.read_bytes(), name, file.name == "__init__.py"):
             parts = used.split(".")
             for some in (".".join(parts[:k]) for k in range(1, len(parts) + 1)):
                 if some not in seen:
@@ -159,12 +159,11 @@ def _statements(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 @functools.lru_cache(maxsize=4096)
-def _imports(file: str, _: int, name: str, is_package: bool) -> tuple[str, ...]:
-    """Names of what a file imports; of ``from a import b`` both a and a.b, of which one may be no module."""
+def _imports(text: bytes, name: str, is_package: bool) -> tuple[str, ...]:
+    """Names of what a module imports; of ``from a import b`` both a and a.b, of which one may be no module."""
     try:
-        text = Path(file).read_bytes()
         tree = ast.parse(text)
-    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
         return ()
     out: list[str] = []
     for node in ast.walk(tree) if _NAMED.search(text) else _statements(tree):

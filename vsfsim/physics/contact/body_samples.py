@@ -4,13 +4,15 @@ object, and those of its edges, corners and rims, which are contact points."""
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
 
+T = TypeVar("T")
 _MOST_POINTS = 20_000  # points of one body
 _INNER = 4000  # random points for the inner radius of a mesh
 _MOST_SHARP = 2000  # points of its edges, corners and rims
@@ -18,7 +20,13 @@ _CREASE = np.radians(30.0)  # turn of the outward side at an edge of a mesh
 _PROJECTIONS = 3  # steps along the normal onto the rounded surface
 
 
-@functools.lru_cache(maxsize=64)
+def _kept(of_shape: Callable[[ProbeShape], T]) -> Callable[[ProbeShape], T]:
+    """``of_shape``, remembered: of a mesh as long as its file has the same content, whose grid is then the same."""
+    kept = functools.lru_cache(maxsize=64)(lambda shape, grid: of_shape(shape))
+    return lambda shape: kept(shape, sdf.grid(shape) if isinstance(shape, MeshFile) else None)
+
+
+@_kept
 def inner_radius(shape: ProbeShape) -> float:
     """Radius [m] of the largest ball inside a body, of a mesh from random points; infinite for a plane."""
     match shape:
@@ -55,7 +63,7 @@ def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
     return points
 
 
-@functools.lru_cache(maxsize=64)
+@_kept
 def has_edges(shape: ProbeShape) -> bool:
     """Whether a body has edges, corners or rims; the mesh of a smooth body has none."""
     return len(_sharp(shape, float("inf"))[0]) > 0

@@ -13,9 +13,8 @@ winding number (Jacobson et al. 2013; Barill et al. 2018), so that parts that ov
 """
 
 import functools
-import hashlib
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +31,12 @@ PAD = 4  # cells of distance kept around the bounding box
 # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
 _RIM = 4
 _SLOW = 1.0  # duration of a bake above which it is kept on disk [s]
-_RECIPE = 2  # part of the cache key: raise it when the bake changes
+_RECIPE = 3  # part of the cache key: raise it when the bake changes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """A baked mesh, in the probe's frame, whose origin is the centre of the bounding box."""
+    """A baked mesh, in the probe's frame, whose origin is the centre of the bounding box; equal to itself alone."""
 
     coefficients: np.ndarray
     """Of the spline (nx, ny, nz) [m]."""
@@ -53,9 +52,6 @@ class DistanceGrid:
     """Corners of the mesh (n, 3) [m]."""
     faces: np.ndarray
     """Triangles of the mesh (f, 3)."""
-    error: np.ndarray
-    """|phi| at the corners and triangle centres of the mesh, where it should be 0: root mean square and largest (2,)
-    [m]."""
     notes: tuple[str, ...]
     """What was repaired or decided, for people."""
 
@@ -103,21 +99,17 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
     Raises:
         MeshError: as `vsfsim.physics.mesh.repair.read_surface`, or a surface that cannot be closed.
     """
-    path = Path(shape.path)
-    stamp = path.stat().st_mtime_ns if path.is_file() else None
-    return _baked(shape, spacing, cache, slow, stamp)
+    from vsfsim.physics.mesh.repair import digest  # imports trimesh, which a sphere does not need
+
+    return _baked(shape, spacing, cache, slow, digest(shape, spacing, LONGEST, SHORTEST, MAX_NODES, _RECIPE))
 
 
 @functools.lru_cache(maxsize=16)
 def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: float,
-           stamp: int | None) -> DistanceGrid:
-    # repair imports trimesh, which a sphere does not need. ``stamp`` is the file's time: an edited file is read again
-    from vsfsim.physics.mesh import repair
+           key: str) -> DistanceGrid:
+    from vsfsim.physics.mesh import account, repair
 
     path = Path(shape.path)
-    content = repair.content(path)
-    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, shape.up, spacing, LONGEST, SHORTEST,
-                                         MAX_NODES, _RECIPE)).encode()).hexdigest()
     stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
     grid = _read(stored)
     if grid is None:
@@ -128,6 +120,9 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: flo
                             f"Close it or give it thickness.")
         grid = bake(surface.vertices + surface.centre, surface.faces, spacing=spacing, centre=surface.centre,
                     notes=surface.notes)
+        found = account.of_tip(surface, grid.upper - grid.lower, grid.spacing, grid.coefficients, grid.distance)
+        account.refuse(found, f"mesh file '{path}' could not be taken as a probe", "Repair the mesh by hand")
+        grid = replace(grid, notes=(*grid.notes, found.sentence()))
         if time.perf_counter() - began > slow:
             _write(stored, grid)
     return grid
@@ -157,15 +152,11 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     axes = [first[c] + h * np.arange(nodes[c]) for c in range(3)]
     at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = exact_distance(vertices, faces, at).reshape(nodes)
-    grid = DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, np.zeros(2), notes)
-    off = grid.distance(np.concatenate([vertices, vertices[faces].mean(axis=1)]))
-    error = np.array([np.sqrt((off**2).mean()), np.abs(off).max()])
     still = np.abs(centre).max() < 1e-6 * (high - low).max()
     moved = "" if still else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
     note = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
-            f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface "
-            f"by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
-    return DistanceGrid(grid.coefficients, grid.origin, grid.spacing, low, high, vertices, faces, error, (*notes, note))
+            f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm.")
+    return DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, (*notes, note))
 
 
 def spline(distance: np.ndarray) -> np.ndarray:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 import torch
+from filelock import FileLock
 
-from vsfsim.core.system.file_lock import lock
 from vsfsim.physics.runtime import kernel_cache
 
 
@@ -17,8 +17,7 @@ def dense_inverse(matrix: sp.coo_matrix, free: np.ndarray, device: str) -> torch
     The processes of a machine take turns: for a moment the matrix and its inverse are there, twice the memory that is
     kept.
     """
-    with open(kernel_cache() / f"{device.replace(':', '')}.lock", "w") as file:
-        lock(file.fileno(), wait=True)
+    with FileLock(kernel_cache() / f"{device.replace(':', '')}.lock"):
         left = torch.sparse_coo_tensor(np.stack([matrix.row, matrix.col]), matrix.data, matrix.shape, device=device,
                                        check_invariants=False).to_dense().mT
         torch.linalg.cholesky(left, out=left)  # in place: it is symmetric, and stored column after column

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from scipy import ndimage
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.solid import boundary_faces, tet_volumes
@@ -37,6 +37,8 @@ class Account:
     """Of scan and filling; parts of a scan that overlap make one of the filling."""
     distance: tuple[float, float]
     """From the scan's surface to the filling's: root mean square and largest [m]."""
+    names: tuple[str, str] = ("scan", "filling")
+    """Of the two that are compared, for people."""
 
     @property
     def off(self) -> dict[str, float]:
@@ -55,15 +57,15 @@ class Account:
         """For people."""
         box = [" x ".join(f"{1e3 * e:.4g}" for e in edges) for edges in self.box]
         off = self.off
-        text = (f"Filling against scan: box {box[1]} for {box[0]} mm, volume {1e6 * self.volume[1]:.4g} for "
-                f"{1e6 * self.volume[0]:.4g} cm^3 ({100 * off['volume']:+.1f} %), cavities {self.cavities[1]} for "
-                f"{self.cavities[0]}, parts {self.parts[1]} for {self.parts[0]}, surfaces {1e3 * self.distance[0]:.2g} "
-                f"mm apart (rms), {1e3 * self.distance[1]:.2g} mm at most.")
+        scan, filling = self.names
+        text = (f"{filling.capitalize()} against {scan}: box {box[1]} for {box[0]} mm, volume "
+                f"{1e6 * self.volume[1]:.4g} for {1e6 * self.volume[0]:.4g} cm^3 ({100 * off['volume']:+.1f} %), "
+                f"cavities {self.cavities[1]} for {self.cavities[0]}, parts {self.parts[1]} for {self.parts[0]}, "
+                f"surfaces {1e3 * self.distance[0]:.2g} mm apart (rms), {1e3 * self.distance[1]:.2g} mm at most.")
         told = ", ".join(f"{name} {100 * abs(value):.1f} %" for name, value in off.items() if abs(value) > TOLD)
         if self.cavities[0] != self.cavities[1]:
             told += f"{', ' if told else ''}cavities {self.cavities[1]} for {self.cavities[0]}"
-        return text + (f" The filling departs from the scan by more than {100 * TOLD:g} %: {told}; a finer resolution "
-                       "brings them together." if told else "")
+        return text + (f" The {filling} departs from the {scan} by more than {100 * TOLD:g} %: {told}." if told else "")
 
 
 def inside(surface: Surface) -> Callable[[np.ndarray], np.ndarray]:
@@ -108,6 +110,36 @@ def account(surface: Surface, volume: float, vertices: np.ndarray, tets: np.ndar
         tets: of the filling (m, 4).
     """
     faces, _ = boundary_faces(tets)
+    hollow = sum(signed_volume(vertices, shell) < 0.0 for shell in shells(faces))
+    return Account((surface.extents, np.ptp(vertices[np.unique(tets)], axis=0)),
+                   (volume, float(tet_volumes(vertices, tets).sum())), (surface.cavities, hollow),
+                   (surface.parts, int(body_of_each_tet(tets).max()) + 1),
+                   _apart(surface, SurfaceDistance(vertices, faces)))
+
+
+def of_tip(surface: Surface, extents: np.ndarray, spacing: float, coefficients: np.ndarray,
+           distance: Callable[[np.ndarray], np.ndarray]) -> Account:
+    """Compare the distance grid of a probe with the surface of its file.
+
+    Args:
+        surface: of the file.
+        extents: edges of the box of what the grid was made of (3,) [m].
+        spacing: of the grid [m].
+        coefficients: of the grid's cubic B-spline (nx, ny, nz) [m].
+        distance: from the grid, of points (k, 3) [m].
+    """
+    phi = coefficients
+    for axis in range(3):  # the spline at its nodes
+        phi = ndimage.convolve1d(phi, [1 / 6, 2 / 3, 1 / 6], axis=axis)
+    volume = spacing**3 * float(np.clip(0.5 - phi / spacing, 0.0, 1.0).sum())
+    return Account((surface.extents, extents), (scan_volume(surface), volume),
+                   (surface.cavities, ndimage.label(phi > 0.0)[1] - 1),
+                   (surface.parts, ndimage.label(phi < 0.0, np.ones((3, 3, 3)))[1]),
+                   _apart(surface, distance), ("file", "distance grid"))
+
+
+def _apart(surface: Surface, distance: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
+    """Distance of what ``distance`` belongs to from a surface: root mean square and largest [m]."""
     corners = surface.vertices[surface.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normal, axis=1)
@@ -122,22 +154,16 @@ def account(surface: Surface, volume: float, vertices: np.ndarray, tets: np.ndar
         test = SurfaceDistance(surface.vertices, surface.faces)
         outer = (test(points + step) < 0.0) != (test(points - step) < 0.0)
         points = points[outer] if outer.any() else points
-    away = np.abs(SurfaceDistance(vertices, faces)(points))
-    hollow = sum(signed_volume(vertices, shell) < 0.0 for shell in shells(faces))
-    return Account((surface.extents, np.ptp(vertices[np.unique(tets)], axis=0)),
-                   (volume, float(tet_volumes(vertices, tets).sum())), (surface.cavities, hollow),
-                   (surface.parts, int(body_of_each_tet(tets).max()) + 1),
-                   (float(np.sqrt((away**2).mean())), float(away.max())))
+    away = np.abs(distance(points))
+    return float(np.sqrt((away**2).mean())), float(away.max())
 
 
-def refuse(found: Account, path: Path, resolution: float) -> None:
-    """Refuse a filling that is another body than its scan.
+def refuse(found: Account, what: str, remedy: str) -> None:
+    """Refuse what is another body than its scan; ``what`` and ``remedy`` are the words before and after the account.
 
     Raises:
         MeshError: volume, box or distance differ by more than `REFUSED`.
     """
-    if found.worst <= REFUSED:
-        return
-    raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m so that the body is "
-                    f"within {100 * REFUSED:g} % of the scan. {found.sentence().split(' The filling departs')[0]} Use "
-                    "a finer resolution ([object] resolution), or repair the mesh by hand (e.g. in MeshLab).")
+    if found.worst > REFUSED:
+        raise MeshError(f"{what} so that it is within {100 * REFUSED:g} % of the {found.names[0]}. "
+                        f"{found.sentence().split(' The ')[0]} {remedy} (e.g. in MeshLab).")

@@ -2,17 +2,22 @@
 
 Formats: Wavefront OBJ (appendix B1 of the Advanced Visualizer manual), PLY (Turk 1994), STL (3D Systems 1989), OFF
 (Geomview). An index is resolved where it stands in the file, and what a header announces is compared with what follows.
+What programs read in different ways (a word, a number, the end of a line) is refused: a corner more or less shifts
+every index behind it.
 """
 
 from __future__ import annotations
 
+import codecs
+import operator
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import recfunctions
 
 from vsfsim.core.errors import MeshError
 
@@ -59,29 +64,67 @@ class _Bad(Exception):
     """What is wrong with the content."""
 
 
-# ---------------------------------------------------------------------------------------------- OBJ
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)"
+_WRITTEN: dict[Any, re.Pattern[str]] = {float: re.compile(_NUMBER, re.ASCII | re.IGNORECASE),
+                                        int: re.compile(r"[-+]?\d+", re.ASCII)}
+_BREAKS = re.compile("[\0\v\f\x1c-\x1e\x85\u2028\u2029\ufeff]")
+"""Characters at which some programs begin a new line, and others do not, or that only some see."""
+
+
+def _lines(content: bytes) -> list[str]:
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise _Bad("it begins with the byte order mark of UTF-16, and UTF-8 or ASCII is read")
+    text = content.removeprefix(codecs.BOM_UTF8).decode("utf-8", errors="replace").replace("\r\n", "\n")
+    if odd := _BREAKS.search(text):
+        line = text.count("\n", 0, odd.start()) + 1
+        raise _Bad(f"line {line} has the character U+{ord(odd[0]):04X}, where programs differ on what a line is")
+    if "\r" in text and "\n" in text:
+        raise _Bad("some of its lines end in a carriage return alone and others in a line feed, and programs differ on "
+                   "what a line is")
+    return text.replace("\r", "\n").split("\n")
+
+
+def _number(word: str, line: int, kind: Callable[[str], Any]) -> Any:
+    if not _WRITTEN[kind].fullmatch(word):
+        raise _Bad(f"line {line} has '{word[:40]}' where {'an index' if kind is int else 'a number'} belongs")
+    return kind(word)
+
+
+_OBJ_GOES_ON = re.compile(r"\s*(?:v|vt|vn|f|fo)\s([^#]*\s)?\\").fullmatch
+_OBJ_UNUSED = {"p", "l", "curv", "curv2", "surf"}
+_OBJ_KNOWN = {"v", "f", "fo", "vt", "vn", "vp", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "bevel",
+              "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step", "ctech",
+              "stech", "parm", "trim", "hole", "scrv", "sp", "con", "end"} | _OBJ_UNUSED
 
 
 def _obj(content: bytes, path: Path) -> Facets:
-    text = re.sub(r"\\\r?\n", " ", content.decode("utf-8", errors="replace"))
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     materials: set[str] = set()
-    textured, others = False, set[str]()
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.split("#", 1)[0].split()
+    textured, others, statement = False, set[str](), ""
+    for number, line in enumerate([*_lines(content), ""], 1):
+        statement += line
+        if statement.endswith("\\"):
+            if not _OBJ_GOES_ON(statement):
+                raise _Bad(f"line {number} ends in a backslash, and programs differ on whether the next line belongs "
+                           "to it; that is known of a vertex or a face with a space before the backslash")
+            statement = statement[:-1]
+            continue
+        words, statement = statement.split("#", 1)[0].split(), ""
         if not words:
             continue
+        if words[0] not in _OBJ_KNOWN:
+            raise _Bad(f"line {number} begins with '{words[0][:40]}', which is not a word of OBJ that is known")
         if words[0] == "v":
-            if len(words) < 4:
+            if len(words) not in (4, 5, 7, 8):
                 raise _Bad(f"line {number} gives a vertex {len(words) - 1} numbers, and it needs three")
-            vertices.append([float(w) for w in words[1:]])
+            vertices.append([_number(w, number, float) for w in words[1:]])
         elif words[0] in ("f", "fo"):
             polygons.append([_obj_corner(word, len(vertices), number) for word in words[1:]])
         elif words[0] == "usemtl":
             materials.add(" ".join(words[1:]))
         textured = textured or words[0] == "vt"
-        others |= {words[0]} & {"p", "l", "curv", "curv2", "surf"}
+        others |= {words[0]} & _OBJ_UNUSED
     points = np.array([v[:3] for v in vertices], float).reshape(-1, 3)
     _check_indices(polygons, len(points))
     # x y z r g b, or x y z w r g b; a lone fourth number is the weight of a rational curve
@@ -101,7 +144,7 @@ def _obj(content: bytes, path: Path) -> Facets:
 
 
 def _obj_corner(word: str, known: int, line: int) -> int:
-    index = int(word.split("/", 1)[0])
+    index = _number(word.split("/", 1)[0], line, int)
     # a negative index counts back from the last vertex before this line
     found = index - 1 if index > 0 else known + index
     if index == 0 or found < 0:
@@ -124,41 +167,46 @@ class _Element:
 
 
 def _ply(content: bytes, path: Path) -> Facets:
-    header, mark, body = content.partition(b"end_header")
-    if not content.startswith(b"ply") or not mark:
-        raise _Bad("it has no PLY header, which begins with 'ply' and ends with 'end_header'")
-    body = body[body.index(b"\n") + 1:] if b"\n" in body else b""
-    form, elements = "", list[_Element]()
-    for line in header.decode("ascii", errors="replace").splitlines()[1:]:
-        words = line.split()
-        if words[:1] == ["format"]:
-            form = words[1]
-        elif words[:1] == ["element"]:
-            elements.append(_Element(words[1], int(words[2]), []))
-        elif words[:2] == ["property", "list"]:
-            elements[-1].properties.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
-        elif words[:1] == ["property"]:
-            elements[-1].properties.append((words[2], _PLY_TYPES[words[1]], None))
+    content = content.removeprefix(codecs.BOM_UTF8)
+    head = re.match(rb"ply[ \t]*(\r\n|\n|\r)", content)
+    end = head and re.search(rb"(?:\r\n|[\r\n])end_header[ \t]*" + head[1], content)
+    if not end:
+        raise _Bad("it has no PLY header, which begins with the line 'ply' and ends with the line 'end_header'")
+    body, form, elements = content[end.end():], "", list[_Element]()
+    for number, line in enumerate(_lines(content[:end.start()])[1:], 2):
+        match line.split():
+            case ["format", form, *_]:
+                pass
+            case ["element", name, count] if count.isascii() and count.isdecimal():
+                elements.append(_Element(name, int(count), []))
+            case ["property", "list", length, kind, name]:
+                elements[-1].properties.append((name, _PLY_TYPES[kind], _PLY_TYPES[length]))
+            case ["property", kind, name]:
+                elements[-1].properties.append((name, _PLY_TYPES[kind], None))
+            case ["comment" | "obj_info", *_] | []:
+                pass
+            case _:
+                raise _Bad(f"line {number} of its header, '{line[:40]}', is not known")
+    names = [(e.name, *of) for e in elements for of in [(), *((name,) for name, _, _ in e.properties)]]
+    if len(set(names)) < len(names):
+        raise _Bad("its header names an element or a property twice")
     if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise _Bad(f"its format is '{form}'; ascii, binary_little_endian and binary_big_endian are known")
-    if any(e.count < 0 or e.count > len(content) for e in elements):
+    if any(e.name == "tristrips" for e in elements):
+        raise _Bad("it has strips of triangles, and single faces are read")
+    if any(e.count > len(content) for e in elements):
         raise _Bad("its header announces more rows than the file has bytes")
-    rows = {}
-    words_left: list[bytes] = body.split() if form == "ascii" else []
-    at = 0
-    for element in elements:
-        order = ">" if form == "binary_big_endian" else "<"
-        columns, at = (_ply_ascii(element, words_left, at) if form == "ascii"
-                       else _ply_binary(element, body, at, order))
-        rows[element.name] = columns
-    left = len(words_left) - at if form == "ascii" else len(body[at:].strip(b"\r\n\0 "))
-    if left:
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
+    source = _PlyBody(order, body if order else body.split())
+    rows = {element.name: source.columns(element) for element in elements}
+    left = source.left[source.at:]
+    if left.strip(b"\r\n\0 ") if isinstance(left, bytes) else left:
         raise _Bad(f"its header announces {', '.join(f'{e.count} of {e.name}' for e in elements)}, and more data "
                    "follow: counts and content do not agree")
     corner = rows["vertex"]
     points = np.stack([np.asarray(corner[axis], float) for axis in "xyz"], axis=1)
     polygons = next((v for k, v in rows.get("face", {}).items() if k in ("vertex_indices", "vertex_index")), [])
-    polygons = [list(map(int, p)) for p in polygons] + _strips(rows.get("tristrips", {}).get("vertex_indices", []))
+    polygons = [list(map(operator.index, p)) for p in polygons]
     _check_indices(polygons, len(points))
     colours = None
     names = next((n for n in (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"),
@@ -172,104 +220,88 @@ def _ply(content: bytes, path: Path) -> Facets:
     return Facets(points, _triangles(points, polygons), colours, tuple(notes))
 
 
-def _ply_ascii(element: _Element, words: list[bytes], at: int) -> tuple[dict[str, Any], int]:
-    columns: dict[str, Any] = {name: [] for name, _, _ in element.properties}
-    if all(length is None for _, _, length in element.properties):
-        width = len(element.properties)
-        table = np.array(words[at:at + width * element.count], float)
-        if len(table) < width * element.count:
-            raise _too_short(element, len(table) // max(width, 1))
-        table = table.reshape(element.count, width)
-        return {name: table[:, k].astype(kind) for k, (name, kind, _) in enumerate(element.properties)}, \
-            at + width * element.count
-    for row in range(element.count):
+@dataclass
+class _PlyBody:
+    """What follows a header, read row by row."""
+
+    order: str
+    left: Any  # bytes of a binary file, words of an ASCII one
+    at: int = 0
+
+    def columns(self, element: _Element) -> dict[str, Any]:
+        """Every property by its name: (count,), and of a list its rows."""
+        table = self._rows(element, element.count)
+        if table is not None:
+            return {name: table[name] if length else table[name][:, 0] for name, _, length in element.properties}
+        rows = []
+        for done in range(element.count):
+            row = self._rows(element, 1)
+            if row is None:
+                raise _Bad(f"its header announces {element.count} of {element.name}, and it ends after {done}")
+            rows.append(row[0])
+        return {name: [row[name] if length else row[name][0] for row in rows] for name, _, length in element.properties}
+
+    def _rows(self, element: _Element, count: int) -> np.ndarray | None:
+        """The next rows (count,); None if fewer are left, or if a list is not as long as that of the first row."""
+        fields: list[tuple[str, str, tuple[int, ...]]] = []
+        at, lengths = self.at, {}
         for name, kind, length in element.properties:
-            count = 1
-            if length is not None:
-                if at >= len(words):
-                    raise _too_short(element, row)
-                count, at = int(words[at]), at + 1
-            if count < 0 or at + count > len(words):
-                raise _too_short(element, row)
-            values = [float(w) if kind[0] == "f" else int(w) for w in words[at:at + count]]
-            columns[name].append(values[0] if length is None else values)
-            at += count
-    return columns, at
-
-
-def _ply_binary(element: _Element, body: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
-    # Rows of one width are read at once: without lists, or where all lists are as long as those of the first row.
-    width: list[tuple[Any, ...]] = []
-    place = at
-    for name, kind, length in element.properties:
-        if length is None:
-            width.append((name, order + kind))
-            place += np.dtype(kind).itemsize
-            continue
-        if place + np.dtype(length).itemsize > len(body):
-            if element.count:
-                raise _too_short(element, 0)
-            break
-        count = int(np.frombuffer(body, order + length, 1, place)[0])
-        width += [(f"length of {name}", order + length), (name, order + kind, (max(count, 0),))]
-        place += np.dtype(length).itemsize + max(count, 0) * np.dtype(kind).itemsize
-    row = np.dtype(width)
-    if element.count and at + row.itemsize * element.count <= len(body):
-        table = np.frombuffer(body, row, element.count, at)
-        if all((table[f"length of {n}"] == table[n].shape[1]).all() for n, _, length in element.properties if length):
-            return {name: table[name].astype(kind) for name, kind, _ in element.properties}, \
-                at + row.itemsize * element.count
-    columns: dict[str, Any] = {name: [] for name, _, _ in element.properties}
-    for n in range(element.count):
-        for name, kind, length in element.properties:
-            count = 1
-            if length is not None:
-                if at + np.dtype(length).itemsize > len(body):
-                    raise _too_short(element, n)
-                count = int(np.frombuffer(body, order + length, 1, at)[0])
-                at += np.dtype(length).itemsize
-            if count < 0 or at + count * np.dtype(kind).itemsize > len(body):
-                raise _too_short(element, n)
-            values = np.frombuffer(body, order + kind, count, at)
-            columns[name].append(values[0] if length is None else values)
-            at += count * np.dtype(kind).itemsize
-    return columns, at
-
-
-def _too_short(element: _Element, rows: int) -> _Bad:
-    return _Bad(f"its header announces {element.count} of {element.name}, and it ends after {rows}")
-
-
-def _strips(rows: Iterable[Sequence[int]]) -> list[list[int]]:
-    out = []
-    for strip in rows:
-        part: list[int] = []
-        for index in [*map(int, strip), -1]:
-            if index >= 0:
-                part.append(index)
-                continue
-            out += [part[k:k + 3] if k % 2 == 0 else [part[k + 1], part[k], part[k + 2]] for k in range(len(part) - 2)]
-            part = []
-    return out
+            many = 1
+            if length:
+                size = np.dtype(length).itemsize if self.order else 1
+                if at + size > len(self.left):
+                    return None
+                many = int(np.frombuffer(self.left, self.order + length, 1, at)[0] if self.order else self.left[at])
+                lengths[f"length of {name}"] = many
+                fields.append((f"length of {name}", length, (1,)))
+                at += size
+            at += many * (np.dtype(kind).itemsize if self.order else 1)
+            if many < 0 or at > len(self.left):
+                return None
+            fields.append((name, kind, (many,)))
+        row, width = np.dtype(fields), at - self.at
+        part = self.left[self.at:self.at + width * count]
+        if len(part) < width * count:
+            return None
+        if self.order:
+            table = np.frombuffer(part, row.newbyteorder(self.order))
+        else:
+            words = np.array(part, float).reshape(count, width)
+            with np.errstate(invalid="ignore"):  # NaN and numbers too large are found below
+                table = recfunctions.unstructured_to_structured(words, row)
+        if any((table[name] != many).any() for name, many in lengths.items()):
+            return None
+        if not self.order:
+            whole = np.repeat([kind[0] != "f" for _, kind, _ in fields], [many for _, _, (many,) in fields])
+            if (recfunctions.structured_to_unstructured(table, float) != words)[:, whole].any():
+                raise _Bad(f"its header announces whole numbers of {element.name}, and others follow")
+        self.at += width * count
+        return table
 
 
 # ---------------------------------------------------------------------------------------------- STL, OFF
 
 
+_STL_VERTEX = rf"\s+vertex\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})"
+_STL_FACET = re.compile(r"\s*facet\s+normal(?:\s+\S+){3}\s+outer\s+loop" + 3 * _STL_VERTEX
+                        + r"\s+endloop\s+endfacet(?!\S)", re.ASCII)
+
+
 def _stl(content: bytes, path: Path) -> Facets:
     # a binary file may begin with "solid", too: what tells is the count at byte 80, which fixes the file's length
     count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else -1
-    text = content.lstrip()[:5].lower() == b"solid" and b"facet" in content[:2000].lower() and (
-        84 + 50 * count != len(content))
+    text = (content.removeprefix(codecs.BOM_UTF8).lstrip()[:5].lower() == b"solid"
+            and b"facet" in content[:2000].lower() and 84 + 50 * count != len(content))
     notes: tuple[str, ...] = ()
     if text:
-        words = content.decode("utf-8", errors="replace").lower()
-        if "endsolid" not in words:
-            raise _Bad("it ends without 'endsolid'")
-        corners = re.findall(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", words)
-        facets = len(re.findall(r"\bendfacet\b", words))
-        if len(corners) != 3 * facets or facets != len(re.findall(r"\bfacet\s+normal\b", words)):
-            raise _Bad(f"it has {len(corners)} vertices in {facets} facets, and each facet needs three")
+        lines = [line.strip().lower() for line in _lines(content)]
+        names = [re.match(r"(?:end)?solid\b", line) for line in lines]
+        if [name[0] for name in names if name] != ["solid", "endsolid"] * (sum(map(bool, names)) // 2):
+            raise _Bad("it ends without 'endsolid', or has one without 'solid'")
+        words = " ".join(line for line, name in zip(lines, names, strict=True) if not name)
+        corners = _STL_FACET.findall(words)
+        if left := _STL_FACET.sub("", words).strip():
+            raise _Bad(f"it has '{left[:60]}' outside of facets, which have a normal and three vertices each")
         points = np.array(corners, float).reshape(-1, 3)
     else:
         if count < 0:
@@ -286,25 +318,25 @@ def _stl(content: bytes, path: Path) -> Facets:
 
 
 def _off(content: bytes, path: Path) -> Facets:
-    lines = [line.split("#", 1)[0].split() for line in content.decode("utf-8", errors="replace").splitlines()]
-    rows = [line for line in lines if line]
-    if not rows or rows[0][0] not in ("OFF", "COFF"):
+    rows = [(line, words) for line, text in enumerate(_lines(content), 1) if (words := text.split("#", 1)[0].split())]
+    if not rows or rows[0][1][0] not in ("OFF", "COFF"):
         raise _Bad("it does not begin with 'OFF' or 'COFF'")
-    rows = [rows[0][1:], *rows[1:]] if len(rows[0]) > 1 else rows[1:]
-    corners, faces = int(rows[0][0]), int(rows[0][1])
+    rows = [(rows[0][0], rows[0][1][1:]), *rows[1:]] if len(rows[0][1]) > 1 else rows[1:]
+    corners, faces = (_number(word, rows[0][0], int) for word in rows[0][1][:2])
     if corners < 0 or faces < 0 or len(rows) != 1 + corners + faces:
         raise _Bad(f"its header announces {corners} vertices and {faces} faces, and {len(rows) - 1} rows follow")
-    table = [[float(w) for w in row] for row in rows[1:1 + corners]]
-    points = np.array([row[:3] for row in table], float).reshape(-1, 3)
-    colours = np.array([row[3:6] for row in table], float) if table and min(map(len, table)) >= 6 else None
-    polygons = []
-    for row in rows[1 + corners:]:
-        if len(row) < 1 + int(row[0]):
-            raise _Bad(f"a face announces {row[0]} corners and has {len(row) - 1}")
-        polygons.append([int(w) for w in row[1:1 + int(row[0])]])
-    _check_indices(polygons, len(points))
-    coloured = any(len(row) > 1 + int(row[0]) for row in rows[1 + corners:])
-    return Facets(points, _triangles(points, polygons), _unit(colours), (_FACE_COLOURS,) if coloured else ())
+    table = np.array([[_number(w, line, float) for w in words] for line, words in rows[1:1 + corners]], float)
+    if table.shape[1] not in (3, 6, 7):
+        raise _Bad(f"its vertices have {table.shape[1]} numbers; three, or three and a colour, are known")
+    polygons, coloured = [], False
+    for line, words in rows[1 + corners:]:
+        count = _number(words[0], line, int)
+        if not 0 <= count < len(words):
+            raise _Bad(f"a face announces {count} corners and has {len(words) - 1}")
+        polygons.append([_number(w, line, int) for w in words[1:1 + count]])
+        coloured |= len(words) > 1 + count
+    _check_indices(polygons, corners)
+    return Facets(table[:, :3], _triangles(table, polygons), _unit(table[:, 3:6]), (_FACE_COLOURS,) * coloured)
 
 
 # ---------------------------------------------------------------------------------------------- polygons
@@ -360,7 +392,7 @@ def _cut(at: np.ndarray, polygon: list[int]) -> list[list[int]]:
 
 def _unit(colours: np.ndarray | None, *, whole: bool | None = None) -> np.ndarray | None:
     """Colours in 0..1 (n, 3), of bytes or of fractions."""
-    if colours is None or not len(colours) or not np.isfinite(colours).all():
+    if colours is None or not colours.size or not np.isfinite(colours).all():
         return None
     bytes_ = bool(colours.max() > 1.0) if whole is None else whole
     return np.clip(colours / (255.0 if bytes_ else 1.0), 0.0, 1.0)

@@ -8,6 +8,7 @@ wound; a part inside a cavity is solid again.
 from __future__ import annotations
 
 import functools
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,20 +80,25 @@ def content(path: Path) -> bytes:
                         "OFF file, relative to the scene file.") from error
 
 
+def digest(shape: MeshFile, *more: object) -> str:
+    """sha256 of the content of a mesh file, of how it is read, and of ``more``, hexadecimal: the key of what is made of
+    it; raises as `content`."""
+    path = Path(shape.path)
+    said = repr((path.suffix.lower(), shape.scale, shape.up, *more))
+    return hashlib.sha256(content(path) + said.encode()).hexdigest()
+
+
 def extents(shape: MeshFile) -> np.ndarray:
     """Edges of the file's bounding box (3,) [m].
 
     Raises:
         MeshError: the file is unreadable, or the mesh has no faces or is not finite.
     """
-    path = Path(shape.path)
-    stamp = path.stat().st_mtime_ns if path.is_file() else None
-    return _extents(shape, stamp).copy()
+    return _extents(shape, digest(shape)).copy()
 
 
 @functools.lru_cache(maxsize=16)
-def _extents(shape: MeshFile, stamp: int | None) -> np.ndarray:
-    # ``stamp``, the file's modification time, is part of the key so that an edited file is read again.
+def _extents(shape: MeshFile, digest: str) -> np.ndarray:
     path = Path(shape.path)
     found = _finite(parse(content(path), path), path)
     size = np.ptp(found.vertices @ _UP[shape.up].T, axis=0)

@@ -21,7 +21,7 @@ from vsfsim.physics.mesh.account import TOLD, Account, account, inside, refuse, 
 from vsfsim.physics.mesh.foot import BASE
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
-from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
+from vsfsim.physics.mesh.repair import DEBRIS, Surface, digest, read_surface
 from vsfsim.physics.mesh.surface_distance import nearest_on
 
 MAX_TETS = 2_000_000
@@ -52,8 +52,7 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
             holds several objects, cannot be filled, or the filling is off by more than 10 % of it.
     """
     path = Path(shape.path)
-    key = hashlib.sha256(content(path) + repr((path.suffix.lower(), shape.scale, shape.up, resolution,
-                                               _RECIPE)).encode()).hexdigest()
+    key = digest(shape, resolution, _RECIPE)
     folder = disk_cache.folder() if cache is None else Path(cache)
     stored = folder / f"tets-{key[:32]}.npz"
     with disk_cache.locked(stored):
@@ -93,7 +92,8 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
                         f"{float(np.prod(surface.extents)):.3g} m^3. It is an open sheet; close it or give "
                         "it thickness.")
     vertices, tets, found, notes = _best(surface, volume, resolution, path)
-    refuse(found, path, resolution)
+    refuse(found, f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m",
+           "Use a finer resolution ([object] resolution), or repair the mesh by hand")
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     shift = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     moved = -(surface.centre + shift)

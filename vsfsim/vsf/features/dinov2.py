@@ -60,7 +60,7 @@ class Dinov2:
         """
         name, _, wanted = str(weights).partition("@")
         path = find_weights(size, name)
-        model = _loaded(size, str(path), path.stat().st_mtime_ns, wanted.lower())
+        model = _loaded(size, str(path), file_sha256(path), wanted.lower())
         return cls(model, device=device)
 
     @torch.no_grad()
@@ -132,12 +132,10 @@ def _state(path: str) -> Mapping[str, torch.Tensor]:
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(size: str, path: str, _changed: int, wanted: str) -> VisionTransformer:
-    if wanted:
-        found = file_sha256(Path(path))
-        if found != wanted:
-            raise VsfError(f"weights {path} have the sha256 {found}, not {wanted}. The file is another one or was cut "
-                           f"short; fetch it again.")
+def _loaded(size: str, path: str, sha256: str, wanted: str) -> VisionTransformer:
+    if wanted and sha256 != wanted:
+        raise VsfError(f"weights {path} have the sha256 {sha256}, not {wanted}. The file is another one or was cut "
+                       f"short; fetch it again.")
     state = {name: value for name, value in _state(path).items() if name not in _UNUSED}
     model = VisionTransformer(ARCHITECTURES[size])
     own = model.state_dict()
