@@ -5,7 +5,7 @@ WORKDIR /vsfsim
 COPY . .
 ARG COMMIT=""
 ENV VSFSIM_COMMIT=$COMMIT
-RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[all]"
+RUN pip install --extra-index-url https://download.pytorch.org/whl/cpu -c constraints.txt ".[all,cloud]"
 WORKDIR /out
 # the commands of the README
 CMD ["sh", "-c", "vsfsim generate shoes-v3-mini \

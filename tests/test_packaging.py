@@ -149,7 +149,7 @@ def test_every_package_folder_is_declared():
 # ------------------------------------------------------------------------------------------------- weight
 
 
-BASE = {"numpy", "scipy", "h5py", "typer", "rich"}
+BASE = {"numpy", "scipy", "h5py", "typer", "rich", "filelock"}
 IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn", "rerun-sdk": "rerun"}
 """Distributions whose package has another name."""
 
@@ -213,7 +213,7 @@ def in_bare(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess
     return subprocess.run([str(python), "-P", *words], capture_output=True, text=True, cwd=cwd, env=env)
 
 
-def test_five_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path):
+def test_six_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path):
     def vsfsim(*words):
         return in_bare(bare, "-c", "from vsfsim.cli.main import main; main()", *words, cwd=tmp_path)
 
@@ -246,6 +246,27 @@ def test_the_extras_bring_what_the_messages_promise():
     brought = {IMPORTED_AS.get(name, name) for extra in names if extra not in ("all", "test", "docs")
                for name in names[extra]}
     assert brought == set(EXTRA_OF)
+
+
+def test_ci_resolves_every_extra_and_the_image_has_that_of_the_object_store():
+    extras = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+    (loop,) = re.findall(r"for extra in ([\w ]+); do", (ROOT / ".github/workflows/test.yml").read_text())
+    assert set(loop.split()) == extras
+    assert '-c constraints.txt ".[all,cloud]"' in (ROOT / "Dockerfile").read_text()
+
+
+def test_no_two_pins_exclude_each_other():
+    """Of what is installed here; CI asks the registry for every extra."""
+    pinned = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line)
+    pinned = {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in pinned.items()}
+    bad, asked = [], 0
+    for found in importlib.metadata.distributions():
+        for need in map(Requirement, found.requires or [] if found.name.lower() in pinned else []):
+            version = pinned.get(re.sub(r"[-_.]+", "-", need.name).lower())
+            if version and (need.marker is None or need.marker.evaluate({"extra": ""})):
+                asked += 1
+                bad += [] if need.specifier.contains(version, prereleases=True) else [f"{found.name}: {need}"]
+    assert asked > 50 and bad == []
 
 
 def test_every_requirement_is_pinned_in_the_constraints():

@@ -17,7 +17,7 @@ from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
-from vsfsim.core.engines.fan import Fan
+from vsfsim.core.engines.shard import Fan
 from vsfsim.core.errors import MethodError, SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.generate.resim import again

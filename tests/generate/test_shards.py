@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 from test_generate import SCENE, command
 
-from vsfsim.core.engines import kubernetes, slurm
+from vsfsim.core.engines import scheduler
 from vsfsim.core.engines.shard import shard_of
 from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.core.scene import load_scene
@@ -190,16 +191,31 @@ def test_shards_that_are_none_are_refused(given, env):
 
 def test_the_files_for_schedulers_hold_the_command():
     words = ["vsfsim", "generate", "x", "--out", "a b"]
-    batch = slurm.script(words, 4, finish=[*words, "--finish"])
+    batch = scheduler.job_file("slurm", words, 4, finish=[*words, "--finish"])
     assert "--array=0-3" in batch and "srun vsfsim generate x --out 'a b' --shard auto" in batch
     with pytest.raises(VsfsimError, match="at most 1000"):
-        slurm.script(words, 1001, finish=[])
+        scheduler.job_file("slurm", words, 1001, finish=[])
     yaml = pytest.importorskip("yaml")
-    job = yaml.safe_load(kubernetes.manifest(words, 3, finish=[*words, "--finish"], gpus=1))
+    job = yaml.safe_load(scheduler.job_file("k8s", words, 3, finish=[*words, "--finish"], gpus=1))
     assert job["spec"]["completions"] == 3 and job["spec"]["completionMode"] == "Indexed"
     (container,) = job["spec"]["template"]["spec"]["containers"]
     assert container["command"][:7] == [*words, "--shard", "auto/3"]
     assert container["resources"]["limits"]["nvidia.com/gpu"] == "1"
+    assert container["workingDir"] == "/work" and job["spec"]["template"]["spec"]["volumes"]
+    other = yaml.safe_load(scheduler.job_file("k8s", [*words[:-1], "s3://b/Data_1.x"], 3, finish=words))
+    assert "volumes" not in other["spec"]["template"]["spec"], "an object store needs none"
+    names = [one["metadata"]["name"] for one in (job, other)]
+    assert len(set(names)) == 2 and all(re.fullmatch(r"[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?", name) for name in names)
+
+
+@pytest.mark.parametrize(("engine", "word", "message"), [
+    ("k8s", "/home/me/shoes", "'/home/me/shoes' is a path of this machine"),
+    ("k8s", "--out=/home/me/shoes", "is a path of this machine"), ("k8s", "~/shoes", "is a path of this machine"),
+    ("k8s", "a\nkind: Pod", "a character that ends a line"), ("slurm", "a\nrm -r x", "a character that ends a line"),
+    ("slurm", "a\u2028b", "a character that ends a line")])
+def test_words_that_a_job_cannot_have_are_refused(engine, word, message):
+    with pytest.raises(VsfsimError, match=message):
+        scheduler.job_file(engine, ["vsfsim", "generate", word], 3, finish=())
 
 
 def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim):
@@ -246,7 +262,7 @@ def test_slurm_by_processes_of_this_machine(scene, made, tmp_path):
     pytest.importorskip("submitit")
     out = tmp_path / "d"
     words = [str(w) for w in command("generate", scene.path, "--out", out, "--objects", 4, "--workers", 1)]
-    assert slurm.submit(words, 2, tmp_path / "logs", cluster="local") == []
+    assert scheduler.submit(words, 2, tmp_path / "logs", cluster="local") == []
     assert make(scene, out, share=Share(finish=True), objects=4).dataset.sha256 == made.sha256
     assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()
 

@@ -16,6 +16,8 @@ from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
 from vsfsim.physics.contact.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline
+from vsfsim.physics.mesh import account
+from vsfsim.physics.mesh.repair import read_surface
 from vsfsim.physics.mesh.winding import winding_number
 
 RADIUS = 0.02
@@ -298,15 +300,20 @@ def test_a_tip_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_pat
 
 
 def test_a_tip_is_accounted_for_against_its_file(tmp_path):
-    """A box whose corners have gone round by one, as a reader that loses a vertex makes it, and one with a loose part
-    that its closing loses, are no probes; a needle is one."""
-    box, turned = trimesh.creation.box((0.02, 0.02, 0.008)), tmp_path / "turned.ply"
-    trimesh.Trimesh(np.roll(box.vertices, -1, axis=0), box.faces, process=False).export(turned)
-    with pytest.raises(MeshError, match=r"turned\.ply.*within 10 % of the file.*Repair the mesh by hand"):
-        baked(MeshFile(str(turned), 1.0), cache=tmp_path)
+    """A needle is its file; the grid of a smaller ball, or of a ball without its cavity, is not the file's."""
     trimesh.creation.cylinder(0.001, 0.05, sections=12).export(tmp_path / "needle.stl")
     said = baked(MeshFile(str(tmp_path / "needle.stl"), 1.0), cache=tmp_path).notes[-1]
     assert said.startswith("Distance grid against file: box") and "departs" not in said
+    ball, small = (trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (0.016, 0.014))
+    cavity = small.copy()
+    cavity.invert()
+    for mesh, made in ((ball, small), (trimesh.util.concatenate([ball, cavity]), ball)):
+        mesh.export(tmp_path / "b.stl")
+        grid = bake(made.vertices, made.faces, spacing=0.001)
+        found = account.of_tip(read_surface(MeshFile(str(tmp_path / "b.stl"), 1.0)), grid.upper - grid.lower,
+                               grid.spacing, grid.coefficients, grid.distance)
+        with pytest.raises(MeshError, match="so that it is within 10 % of the file"):
+            account.refuse(found, "b.stl could not be taken as a probe", "Repair it")
 
 
 def test_the_spacing_rule_and_its_memory_bound():

@@ -20,7 +20,7 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
-from vsfsim.core.engines.fan import HERE
+from vsfsim.core.engines.shard import HERE
 from vsfsim.core.errors import MethodError, TaskError, VsfsimError
 
 if TYPE_CHECKING:

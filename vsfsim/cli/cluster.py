@@ -10,8 +10,7 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.options import check_choice
-from vsfsim.core.engines.fan import Fan
-from vsfsim.core.engines.shard import shard_of
+from vsfsim.core.engines.shard import Fan, shard_of
 from vsfsim.core.errors import VsfsimError
 
 ENGINES = ("ray", "slurm", "k8s")
@@ -69,15 +68,14 @@ def by_shards(engine: str, shards: int, logs: Path, printed: bool, gpus: int, fi
     Raises:
         VsfsimError: shards failed, or there is no Slurm.
     """
-    from vsfsim.core.engines import kubernetes, slurm
+    from vsfsim.core.engines import scheduler
 
     words = shard_words(sys.argv[1:])
     last = [*words, *finish]
     if printed:
-        print(kubernetes.manifest(words, shards, finish=last, gpus=gpus) if engine == "k8s" else
-              slurm.script(words, shards, finish=last, gpus=gpus), end="")
+        print(scheduler.job_file(engine, words, shards, finish=last, gpus=gpus), end="")
         return False
-    failed = slurm.submit(words, shards, logs, gpus=gpus)
+    failed = scheduler.submit(words, shards, logs, gpus=gpus)
     if failed:
         raise VsfsimError(f"{len(failed)} of {shards} shards failed; their logs are in {logs}. {'; '.join(failed[:3])} "
                           f"Run the same command again, which makes what is missing.")

@@ -10,7 +10,7 @@ from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.cli.cluster import shard_words
-from vsfsim.core.engines.fan import Fan
+from vsfsim.core.engines.shard import Fan
 from vsfsim.core.errors import VsfsimError
 
 ROWS = [Choice("toy_methods:Constant", "", {"value": 2.0}), Choice("toy_methods:Constant", "tuned", {"value": 3.0})]

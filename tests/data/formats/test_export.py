@@ -1,5 +1,6 @@
 """Datasets in the formats of others, read back by their own readers where these are installed."""
 
+import dataclasses
 import io
 import json
 import os
@@ -122,6 +123,42 @@ def test_webdataset_holds_every_array(made, tmp_path):
     assert len(samples) == 4 and {"json", "npz", "png"} <= set(samples[0])
 
 
+@pytest.fixture(scope="module")
+def dotted(tmp_path_factory):
+    """Names with dots, and views whose splits alternate."""
+    views = [dataclasses.replace(mock_view(k, split=("train", "test", "train")[k], touches=2), name=name)
+             for k, name in enumerate(("shoe.v2-0000", "shoe.v2-0001", "shoe%2Ev2".replace("%", "+")))]
+    with DatasetWriter(tmp_path_factory.mktemp("dotted") / "d", RECIPE, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        return writer.finish()
+
+
+def test_a_sample_of_webdataset_is_one_touch_whatever_its_view_is_called(dotted, tmp_path):
+    pytest.importorskip("PIL")
+    out, keys = export(dotted.path, "webdataset", tmp_path / "w"), set()
+    for path in out.glob("*.tar"):
+        with tarfile.open(path) as tar:
+            for member in tar.getmembers():
+                key, _, ending = member.name.partition(".")  # as webdataset has it
+                assert ending in ("json", "npz", "png") and (key, ending) not in keys
+                keys.add((key, ending))
+                if ending == "json":
+                    about = json.load(tar.extractfile(member))
+                    assert key == f"{about['view'].replace('.', '%2E')}-{about['touch']:03d}"
+    assert len(keys) == 3 * 6
+
+
+def test_a_split_of_lerobot_is_the_range_of_its_episodes(dotted, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    out = export(dotted.path, "lerobot", tmp_path / "l")
+    splits = json.loads((out / "meta/info.json").read_text())["splits"]
+    rows = parquet.read_table(out / "sidecar/touches.parquet").to_pylist()
+    for name, text in splits.items():
+        first, last = map(int, text.split(":"))
+        assert [r["episode_index"] for r in rows if r["split"] == name] == list(range(first, last))
+
+
 def test_openvsf_wants_an_arm_and_bad_words_are_told(made, tmp_path):
     with pytest.raises(DatasetError, match="was not touched by an arm"):
         export(made.path, "openvsf", tmp_path / "o")
@@ -168,8 +205,6 @@ def test_a_killed_export_leaves_no_folder_and_the_next_one_is_whole(made, tmp_pa
 def test_datasets_are_compared_touch_by_touch(made, tmp_path):
     assert compare(made.path, made.path).equal == 6
     views = list(made)
-    import dataclasses
-
     def changed(view, factor):
         touches = [dataclasses.replace(t, force=t.force * factor) for t in view.touches]
         return dataclasses.replace(view, touches=tuple(touches))

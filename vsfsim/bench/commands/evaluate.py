@@ -23,7 +23,7 @@ from vsfsim.bench.method import check_name, contents_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.bench.trials.training import Training
-from vsfsim.core.engines.fan import HERE, Fan
+from vsfsim.core.engines.shard import HERE, Fan
 from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
 from vsfsim.core.shelf import ceilings
 from vsfsim.data.dataset import Dataset

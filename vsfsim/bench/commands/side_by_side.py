@@ -3,7 +3,7 @@
 A job keeps its answers in a folder beside the result, and the last job of an evaluation scores them all. A second call
 with the same operands makes only what is missing. Where a method's ``device`` is "cuda", without a number, each of its
 trainings is shown one GPU, that with the fewest of them. Instead of processes of this machine, a Ray cluster or the
-shards of a job array may run the jobs (`vsfsim.core.engines.fan`), over a folder that their machines share.
+shards of a job array may run the jobs (`vsfsim.core.engines.shard`), over a folder that their machines share.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from vsfsim.bench.trials.answers import Reader
 from vsfsim.bench.trials.collect import Collector, Stage, stages
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.engines import ray_cluster
-from vsfsim.core.engines.fan import HERE, Fan
+from vsfsim.core.engines.shard import HERE, Fan
 from vsfsim.core.errors import Interrupted, VsfsimError
 from vsfsim.data.dataset import Dataset
 

@@ -1,15 +1,32 @@
-"""Which part of a work this process does: shard i of n, given or read from what a scheduler says."""
+"""Where the parts of a work are made, and which of them this process makes: shard i of n, given or read from what a
+scheduler says."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from vsfsim.core.errors import VsfsimError
 
 MOST = 100_000
 """Shards of one work."""
+
+
+@dataclass(frozen=True)
+class Fan:
+    """The default is this machine, by itself."""
+
+    shard: tuple[int, int] | None = None
+    """(i, n): only the i-th of n shares of the parts, from 0; whoever runs the work without it ends it."""
+    ray: str = ""
+    """Address of a Ray cluster that makes the parts; "" for none."""
+    gpus: float = 0.0
+    """GPUs of each of its tasks [1]."""
+
+
+HERE = Fan()
 
 
 def shard_of(given: str, environment: Mapping[str, str] | None = None) -> tuple[int, int]:

@@ -43,9 +43,10 @@ def export(dataset: Dataset, folder: Path) -> None:
     features: dict[str, Any] = {}
     total, sums = 0, _Sums()
     truths: list[Path] = []
-    names = dict.fromkeys(f"touch {dataset.recipe.scene}" for _ in range(1))
+    names = [f"touch {dataset.recipe.scene}"]
     splits: dict[str, list[int]] = {}
-    for number, view in enumerate(dataset):
+    # a split is a range of episodes, so that the views of one follow one another
+    for number, view in enumerate(view for split in dataset.splits for view in dataset.split(split)):
         picture, columns = png(view.view.rgb), []
         chunk, file = divmod(number, _CHUNK)
         for index, touch in enumerate(view.touches):
@@ -54,7 +55,7 @@ def export(dataset: Dataset, folder: Path) -> None:
             columns.append({**rows, "timestamp": (np.arange(frames) / FPS).astype(np.float32),
                             "frame_index": np.arange(frames), "episode_index": np.full(frames, episode),
                             "index": total + np.arange(frames), "task_index": np.zeros(frames, np.int64)})
-            for key, value in zip(episodes, (episode, list(names), frames, chunk, file, total, total + frames, 0, 0),
+            for key, value in zip(episodes, (episode, names, frames, chunk, file, total, total + frames, 0, 0),
                                   strict=True):
                 episodes[key].append(value)
             for key, value in zip(which, (episode, view.name, index, view.split), strict=True):
@@ -75,7 +76,7 @@ def export(dataset: Dataset, folder: Path) -> None:
         truths.append(folder / "sidecar" / "truth" / f"{view.name}.parquet")
         write_table(truths[-1], truth_columns([view]))
     write_table(folder / "meta/episodes/chunk-000/file-000.parquet", episodes)
-    write_table(folder / "meta/tasks.parquet", {"task_index": np.arange(1), "task": list(names)}, index="task")
+    write_table(folder / "meta/tasks.parquet", {"task_index": np.arange(1), "task": names}, index="task")
     write_table(folder / "sidecar/touches.parquet", which)
     (folder / "meta/stats.json").write_text(json.dumps(sums.table(), indent=1))
     (folder / "meta/info.json").write_text(json.dumps({

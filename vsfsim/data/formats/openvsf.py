@@ -87,9 +87,10 @@ def export(dataset: Dataset, folder: Path) -> None:
             if not len(good):
                 continue
             rows = np.concatenate([np.full(TARE, good[0]), good])
-            (place / f"seq_{index:03d}").mkdir()
+            sequence = place / f"seq_{index:0{max(3, len(str(len(view.touches) - 1)))}d}"  # in the order of their names
+            sequence.mkdir()
             for key, value in (("kinova_state", touch.q), ("kinova_joint_torques", touch.torque)):
-                np.save(place / f"seq_{index:03d}" / f"{key}.npy", np.asarray(value, np.float64)[rows])
+                np.save(sequence / f"{key}.npy", np.asarray(value, np.float64)[rows])
 
 
 def _write_picture(place: Path, shown: View) -> None:

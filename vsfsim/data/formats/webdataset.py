@@ -1,6 +1,6 @@
 """WebDataset: tar files, in which a touch is a sample of files with one stem.
 
-    VIEW-TOUCH.json    view, number, split, axis, target, names of the arrays
+    VIEW-TOUCH.json    (a dot in VIEW is %2E) view, number, split, axis, target, names of the arrays
     VIEW-TOUCH.npz     every recorded array of the touch, by the names of the schema
     VIEW-TOUCH.png     the picture of its object
 """
@@ -40,7 +40,8 @@ def export(dataset: Dataset, folder: Path) -> None:
                 arrays = touch_arrays(touch)
                 about = {"view": view.name, "touch": index, "split": view.split, "arrays": sorted(arrays),
                          "reason_names": list(touch.reason_names)}
-                stem = f"{view.name}-{index:03d}"  # readers take all before the first dot for the key
+                # readers take all before the first dot for the key; no name of a view has a %
+                stem = f"{view.name.replace('.', '%2E')}-{index:03d}"
                 for name, content in ((f"{stem}.json", json.dumps(about).encode()), (f"{stem}.npz", packed(arrays)),
                                       (f"{stem}.png", picture)):
                     item = tarfile.TarInfo(name)
