@@ -84,13 +84,6 @@ def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):
     assert out.returncode == 1 and "ZeroDivisionError" in out.stderr and "this is a bug in vsfsim" in out.stderr
 
 
-def test_lists():
-    assert "gaussian" in run("methods").stdout
-    assert "fewshot-shoes-v3-mini-v1" in run("tasks").stdout
-    assert run("--version").stdout.startswith("vsfsim 0")
-    assert run().returncode == 2
-
-
 def test_a_method_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text("from toy_methods import Constant as Mine\n")
     (tmp_path / "toy_methods.py").write_text((Path(__file__).parent / "bench" / "toy_methods.py").read_text())

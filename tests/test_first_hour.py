@@ -5,14 +5,12 @@ import json
 import os
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vsfsim.core import shelf
-from vsfsim.core.errors import MethodError
 
 ROOT = Path(__file__).parents[1]
 
@@ -21,12 +19,6 @@ ROOT = Path(__file__).parents[1]
 def test_python_m_is_the_command_and_h_is_help(words):
     out = subprocess.run([sys.executable, "-m", "vsfsim", *words], capture_output=True, text=True)
     assert out.returncode == 0 and "new-method" in out.stdout and "--install-completion" in out.stdout
-
-
-def test_h_is_help_of_every_command(vsfsim, tmp_path):
-    for words in (("press",), ("leaderboard",), ("measure", "solver")):
-        out = vsfsim(*words, "-h", cwd=tmp_path)
-        assert out.returncode == 0 and "Usage:" in out.stdout and "-h, --help" in out.stdout
 
 
 @pytest.mark.parametrize(("typed", "found"), [
@@ -130,41 +122,6 @@ def test_new_method_makes_a_package_that_passes_check_and_its_own_tests(vsfsim, 
     assert tested.returncode == 0 and "2 passed" in tested.stdout, tested.stdout + tested.stderr
 
 
-def test_its_entry_point_is_found_once_it_is_installed(vsfsim, tmp_path, monkeypatch):
-    """As an installer would leave it: the entry points of pyproject.toml in a folder of metadata on the path."""
-    import tomllib
-
-    vsfsim("new-method", "mine-too", cwd=tmp_path)
-    folder = tmp_path / "mine-too"
-    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-    ((group, entries),) = project["entry-points"].items()
-    info = folder / "mine_too-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine-too\nVersion: 0.1.0\n")
-    (info / "entry_points.txt").write_text(f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in entries.items()))
-    monkeypatch.syspath_prepend(str(folder))
-    assert "mine-too" in vsfsim("methods", cwd=tmp_path).stdout
-    out = vsfsim("check", "mine-too", cwd=tmp_path)
-    assert out.returncode == 0 and "mine-too conforms" in out.stdout, out.stdout + out.stderr
-
-
-@pytest.mark.parametrize(("name", "message"), [
-    ("My_Method", "small letters, digits and single dashes"),
-    ("../x", "small letters, digits and single dashes"),
-    ("gaussian", "there is a method 'gaussian' already"),
-    ("taken", "exists and is not empty"),
-])
-def test_new_method_refuses(tmp_path, monkeypatch, name, message):
-    from vsfsim.bench.commands.new_method import write_package
-
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "taken").mkdir()
-    (tmp_path / "taken" / "x").write_text("")
-    with pytest.raises(MethodError, match=message):
-        write_package(name)
-    assert [str(p) for p in sorted(tmp_path.rglob("*"))] == [str(tmp_path / "taken"), str(tmp_path / "taken" / "x")]
-
-
 # --------------------------------------------------------------------------------------------- names of folders
 
 
@@ -185,21 +142,6 @@ def test_the_default_folder_of_a_dataset_is_where_its_task_looks(monkeypatch):
             other = shelf.dataset_folder(want.scene, text=scene.text, seed=want.seed + 1, objects=want.objects,
                                          views=want.views, touches=want.touches, tier=want.tier)
             assert other == Path(root) / want.scene, "another dataset of the scene does not take the task's place"
-
-
-def test_the_first_command_without_out_makes_the_dataset_of_the_task(monkeypatch, tmp_path):
-    """`vsfsim generate bag-punyo-mini`, up to the point where it would simulate."""
-    import vsfsim
-    from vsfsim.generate import run
-
-    monkeypatch.chdir(tmp_path)
-    asked = {}
-    made = types.SimpleNamespace(dataset=True, names=(), unfinished=0)
-    monkeypatch.setattr(run, "make", lambda scene, out, **options: asked.update(out=out) or made)
-    vsfsim.generate("bag-punyo-mini")
-    assert asked["out"] == vsfsim.tasks()["bag-punyo-mini-v2"].dataset.path() == Path("datasets/bag-punyo-mini-v2")
-    vsfsim.generate("bag-punyo-mini", objects=1)
-    assert asked["out"] == Path("datasets/bag-punyo-mini")
 
 
 def test_a_script_without_a_main_guard_can_use_workers(tmp_path):

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from vsfsim.core import extras, shelf
+from vsfsim.core import shelf
 from vsfsim.core.errors import SceneError, VsfsimError
-from vsfsim.core.plain_text import from_json
 from vsfsim.core.shape import parse_object_shape, parse_probe_shape
 from vsfsim.core.table import parse_toml
 
@@ -16,12 +15,6 @@ from vsfsim.core.table import parse_toml
 def test_deep_tables_are_refused(text: str) -> None:
     with pytest.raises(SceneError, match=r"more than 50 deep|not valid TOML"):
         parse_toml(text, Path("deep.toml"), "scene", SceneError)
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000 + "]" * 100_000, '{"a":' * 100_000 + "1" + "}" * 100_000, "{", ""])
-def test_json_that_cannot_be_read_is_one_kind_of_error(text: str) -> None:
-    with pytest.raises(ValueError, match=r"nested too deep|Expecting"):
-        from_json(text)
 
 
 @pytest.mark.parametrize("table", [{"box": [1e-9, 0.1, 0.1]}, {"sphere": 1e-9}, {"cylinder": [0.1, 1e-8]}])
@@ -41,9 +34,3 @@ def test_two_copies_are_not_mixed(name: str, ask: Callable[[], object], tmp_path
     monkeypatch.setattr(shelf, "__file__", str(tmp_path / "vsfsim" / "core" / "shelf.py"))
     with pytest.raises(VsfsimError, match=f"two copies of vsfsim are mixed.*its {name} are those"):
         ask()
-
-
-def test_the_advice_names_the_checkout() -> None:
-    root = Path(__file__).parents[2]
-    assert str(extras.missing_package("warp", "sim")).endswith(
-        f"cd '{root}' && pip install -e \".[sim]\" (\"[all]\" for everything).")

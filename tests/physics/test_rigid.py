@@ -15,9 +15,10 @@ from vsfsim.core.shape import Box, Capsule, MeshFile, Plane, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
-from vsfsim.physics.contact.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline
+from vsfsim.physics.contact.distance_grid import PAD, bake, baked, spacing_rule, spline
 from vsfsim.physics.mesh import account
 from vsfsim.physics.mesh.repair import read_surface
+from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 from vsfsim.physics.mesh.winding import winding_number
 
 RADIUS = 0.02
@@ -203,8 +204,8 @@ def test_edges_are_rounded_by_a_share_of_the_spacing():
         grid = bake(np.array(cube.vertices), np.array(cube.faces), spacing=h)
         x = shell(20000, 0.0, 0.03)[0]
         # outside the corner rounding is exact distance, inside it has medial planes; both kinks are O(h)
-        near = np.abs(exact_distance(grid.vertices, grid.faces, x)) < 0.003
-        errors.append(np.abs(grid.distance(x) - exact_distance(grid.vertices, grid.faces, x))[near].max() / h)
+        near = np.abs(SurfaceDistance(grid.vertices, grid.faces)(x)) < 0.003
+        errors.append(np.abs(grid.distance(x) - SurfaceDistance(grid.vertices, grid.faces)(x))[near].max() / h)
     assert max(errors) < 0.25, errors
     away = np.array([[0.0, 0.0, 0.0145], [0.003, -0.002, 0.0155]])
     assert grid.distance(away) == pytest.approx([-0.0005, 0.0005], abs=1e-6), "flat faces are exact"
@@ -215,7 +216,7 @@ def test_exact_distance_and_winding_number():
     x = shell(400, 0.0, 0.05)[0]
     number = winding_number(v, f, x)
     assert np.abs(number - np.rint(number)).max() < 1e-9
-    distance = exact_distance(v, f, x)
+    distance = SurfaceDistance(v, f)(x)
     assert ((distance < 0) == (number > 0.5)).all()
     # brute force over corners, edges and faces is bounded by the corners alone
     corner = np.linalg.norm(x[:, None] - v[None], axis=2).min(axis=1)

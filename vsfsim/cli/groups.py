@@ -13,13 +13,9 @@ class WholeSentences(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""
-        rows = [(name, _first_sentence(command.help or "")) for name, command in self.commands.items()
-                if not command.hidden]
+        # up to the first full stop that ends a sentence, on one line
+        ends = re.compile(r"(?<=[a-z)`]\.) (?=[A-Z`])")
+        rows = [(name, ends.split(" ".join((command.help or "").split("\n\n")[0].split()))[0])
+                for name, command in self.commands.items() if not command.hidden]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
-
-
-def _first_sentence(text: str) -> str:
-    """Up to the first full stop that ends a sentence, on one line."""
-    paragraph = " ".join(text.split("\n\n")[0].split())
-    return re.split(r"(?<=[a-z)`]\.) (?=[A-Z`])", paragraph)[0]

@@ -24,28 +24,9 @@ from vsfsim.core.extras import missing
 app = typer.Typer(name="vsfsim", cls=WholeSentences, no_args_is_help=True, rich_markup_mode=None,
                   pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]},
                   help="""Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness
-estimators.
-
-\b
-A first look:
-  vsfsim press indent                 press a sphere into a soft block
-  vsfsim inspect shoes-v3-mini        draw a shoe of the small data set
-\b
-Make data, score two methods, see the table:
-  vsfsim generate shoes-v3-mini
-  vsfsim evaluate --method gaussian --task fewshot-shoes-v3-mini-v1
-  vsfsim evaluate --method point-vsf --task fewshot-shoes-v3-mini-v1
-  vsfsim leaderboard --task fewshot-shoes-v3-mini-v1
-\b
-A method of your own:
-  vsfsim new-method my-method         a package with its test, which passes `vsfsim check`
-  vsfsim inspect results/TASK/mine.json    where it errs, the worst first (evaluate --keep predictions)
-  vsfsim submit results/TASK/mine.json     its row and pull request
-\b
-What this machine has, and what is missing:
-  vsfsim info
-""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge, "
-                         "4 object views that failed twice were left out, 130 interrupted, 143 ended by SIGTERM.")
+estimators.""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not "
+                         "converge, 4 object views that failed twice were left out, 130 interrupted, 143 ended by "
+                         "SIGTERM.")
 
 for group in (simulate, generate, data, bench, board, study, info, stability, tradeoff):
     app.add_typer(group.app)  # without a name: its commands are the app's own

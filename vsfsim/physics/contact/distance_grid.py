@@ -151,7 +151,7 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     first = 0.5 * (low + high) - 0.5 * h * (nodes - 1)
     axes = [first[c] + h * np.arange(nodes[c]) for c in range(3)]
     at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    distance = exact_distance(vertices, faces, at).reshape(nodes)
+    distance = SurfaceDistance(vertices, faces)(at).reshape(nodes)
     still = np.abs(centre).max() < 1e-6 * (high - low).max()
     moved = "" if still else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
     note = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
@@ -162,11 +162,6 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
 def spline(distance: np.ndarray) -> np.ndarray:
     """Coefficients of the cubic B-spline through values (nx, ny, nz), less _RIM layers on every side."""
     return np.ascontiguousarray(ndimage.spline_filter(distance, order=3, mode="mirror")[(slice(_RIM, -_RIM),) * 3])
-
-
-def exact_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Signed distance (k,) [m] of ``points`` (k, 3) to a closed triangle mesh; negative inside."""
-    return SurfaceDistance(vertices, faces)(points)
 
 
 # ---------------------------------------------------------------------------------------------- the cache

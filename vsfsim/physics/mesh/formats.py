@@ -120,7 +120,12 @@ def _obj(content: bytes, path: Path) -> Facets:
                 raise _Bad(f"line {number} gives a vertex {len(words) - 1} numbers, and it needs three")
             vertices.append([_number(w, number, float) for w in words[1:]])
         elif words[0] in ("f", "fo"):
-            polygons.append([_obj_corner(word, len(vertices), number) for word in words[1:]])
+            given = [_number(word.split("/", 1)[0], number, int) for word in words[1:]]
+            # a negative index counts back from the last vertex before this line
+            polygons.append([index - 1 if index > 0 else len(vertices) + index for index in given])
+            if 0 in given or min(polygons[-1], default=0) < 0:
+                raise _Bad(f"line {number} names vertex {0 if 0 in given else min(given)}, and {len(vertices)} come "
+                           "before it")
         elif words[0] == "usemtl":
             materials.add(" ".join(words[1:]))
         textured = textured or words[0] == "vt"
@@ -141,15 +146,6 @@ def _obj(content: bytes, path: Path) -> Facets:
         notes.append(f"The file's points, lines and curved surfaces ({', '.join(sorted(others))}) are not used: a scan "
                      f"is its faces.")
     return Facets(points, _triangles(points, polygons), _unit(colours), tuple(notes))
-
-
-def _obj_corner(word: str, known: int, line: int) -> int:
-    index = _number(word.split("/", 1)[0], line, int)
-    # a negative index counts back from the last vertex before this line
-    found = index - 1 if index > 0 else known + index
-    if index == 0 or found < 0:
-        raise _Bad(f"line {line} names vertex {index}, and {known} come before it")
-    return found
 
 
 # ---------------------------------------------------------------------------------------------- PLY
