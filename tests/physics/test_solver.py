@@ -148,7 +148,7 @@ def test_a_body_that_ran_out_of_time_on_the_way_goes_on_from_there(model, line, 
 
     monkeypatch.setattr(Solver, "_reach", slow)
     monkeypatch.setattr(touches, "clock", SimpleNamespace(now=lambda: now[0]))
-    monkeypatch.setattr(touches.increments, "stride", lambda *given: 0.002)
+    monkeypatch.setattr(touches.increments, "stride", lambda *given, **more: 0.002)
     frames = Solver(model, PROBE, device=device, options=SolverOptions(seconds=1e9)).run(poses)
     assert frames.reason[:, 0].tolist() == [Reason.NONE, Reason.TIME, Reason.NONE]
     # of 8 mm in four pieces two were done; the third frame makes the other 5 mm in three

@@ -64,10 +64,10 @@ class SolverOptions:
     indentation_by_place: bool = False
     """Whether that is what the object's mesh lacks at the place of the touch, not the mean of places in an element."""
     cg_frame: int = 1500
-    """Conjugate-gradient iterations of one touch in one frame, halved steps included; a touch that needs more is
-    marked."""
+    """Conjugate-gradient iterations of one touch in one step of a frame's way, halves included; a touch that needs more
+    is marked."""
     newton_frame: int = 10_000
-    """Newton iterations of one touch in one frame, likewise."""
+    """Newton iterations of one touch, likewise."""
     halvings: int = 5
     """How often a failed step is halved."""
     seconds: float = 120.0

@@ -73,10 +73,12 @@ class Equilibrium:
     def reset_counts(self) -> None:
         """Count iterations from zero."""
         self.newton, self.cg, self.reason = (np.zeros(len(self.every), int) for _ in range(3))
+        self.begun = self.newton.copy(), self.cg.copy()  # where a step of the frame's way begins
 
     def exhausted(self, host: np.ndarray) -> np.ndarray:
-        """Which of the touches ``host`` (k,) have used all iterations of a frame (k,) bool."""
-        return (self.cg[host] >= self.options.cg_frame) | (self.newton[host] >= self.options.newton_frame)
+        """Which of the touches ``host`` (k,) have used all iterations of a frame's step (k,) bool."""
+        newton, cg = self.newton - self.begun[0], self.cg - self.begun[1]
+        return (cg[host] >= self.options.cg_frame) | (newton[host] >= self.options.newton_frame)
 
     # ------------------------------------------------------------------------------------------ state
 
@@ -129,10 +131,6 @@ class Equilibrium:
                 "energy": energy, "wrong_side": self.contact.wrong_side(columns),
                 "det": wp.to_torch(self.elasticity.least_det)[columns],
                 "measure": _size(residual) / acting}
-
-    def measure(self, residual: torch.Tensor, contact: torch.Tensor) -> torch.Tensor:
-        """Unbalanced over acting force (k,) [-]: sums of the lengths of nodal vectors (3 n, k) [N]."""
-        return _size(residual) / self._acting(contact)
 
     def _acting(self, contact: torch.Tensor) -> torch.Tensor:
         return torch.maximum(_size(contact), self._loaded)

@@ -139,6 +139,7 @@ class Solver:
         self._unknown = self._inside | increments.too_far(self._at, pose, self._stride, self.bodies)
         balance.reset_counts()
         for part in way:
+            balance.begun = balance.newton.copy(), balance.cg.copy()
             begin, friction = self._step(self._at, part, deadline)
             self._contact_force = balance.contact_force()
             if part is way[-1]:
