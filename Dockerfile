@@ -1,4 +1,4 @@
-# docker build -t vsfsim --build-arg COMMIT=$(git rev-parse HEAD) . && docker run --rm -v "$PWD/out:/out" vsfsim
+# docker build -t vsfsim --build-arg COMMIT=$(python -m vsfsim.data.provenance) . && docker run --rm -v "$PWD/out:/out" vsfsim
 FROM python:3.11-slim
 ENV OMP_NUM_THREADS=1 PIP_NO_CACHE_DIR=1
 WORKDIR /vsfsim

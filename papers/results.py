@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from papers.study import Study, Variant
@@ -15,8 +14,8 @@ from vsfsim.bench.board.named import EARLIER, listed, row_sha256
 from vsfsim.bench.board.same import SAME_READINGS
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.commands.presets import on_device
-from vsfsim.bench.commands.side_by_side import Evaluation, make
-from vsfsim.bench.evaluate import finish
+from vsfsim.bench.commands.side_by_side import make
+from vsfsim.bench.evaluate import Row
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task, load_task
@@ -139,7 +138,7 @@ def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | Non
                      if models and study.classes.get(models[k % len(models)]) == variant.only)
 
 
-def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Evaluation:
+def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Row:
     """What makes the result of a variant.
 
     Args:
@@ -159,17 +158,19 @@ def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> E
         path = MADE / task.name / f"{choice.stem}.json"
     else:
         path = MADE / "studies" / task.name / f"{study.stem(variant)}.json"
-    work = partial(_finish, choice.method, task, dataset, path, not row, parameters=choice.parameters,
-                   preset=choice.preset, training=training, check=False)
-    return Evaluation(path, choice.method, task, dataset, work, choice.parameters, None, training)
+    return Row.at(path, choice.method, task, dataset, parameters=choice.parameters, preset=choice.preset,
+                  training=training, after=_plain if row else _slim)
 
 
-def _finish(method: str, task: Task, dataset, path: Path, slim: bool, **options) -> None:
-    result = finish(method, task, dataset, path, **options)
-    if slim:  # tables and claims need no calibration and no maps
-        answers = {name: rows for name, rows in result.answers.items() if name != Answer.READING_STD.value}
-        slimmer = dataclasses.replace(result, answers=answers, maps={})
-        dataclasses.replace(slimmer, scores=slimmer.computed()).save(path)
+def _plain(result: Result) -> Result:
+    return result
+
+
+def _slim(result: Result) -> Result:
+    """Tables and claims need no calibration and no maps."""
+    answers = {name: rows for name, rows in result.answers.items() if name != Answer.READING_STD.value}
+    slimmer = dataclasses.replace(result, answers=answers, maps={})
+    return dataclasses.replace(slimmer, scores=slimmer.computed())
 
 
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
@@ -189,7 +190,7 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
     Raises:
         Interrupted: the user has stopped it.
     """
-    jobs: dict[Path, tuple[str, Evaluation]] = {}
+    jobs: dict[Path, tuple[str, Row]] = {}
     boards = {} if boards is None else boards
     for study, variant in wanted:
         known = stored(study, size, [variant], boards).get(variant.name)

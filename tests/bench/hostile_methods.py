@@ -10,20 +10,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
-from typing import ClassVar
 
 import numpy as np
 from toy_methods import Constant
 
-from vsfsim.bench.isolation import child
 from vsfsim.bench.method import Estimate
 
 
 class Hostile(Constant):
     def __init__(self, *, report="", value=1.5):
         super().__init__(value=value)
-        self.report = report
+        self.report = report and f"{report}.txt"  # a file that a parameter names is a part of the method
 
     def found(self, what):
         if self.report:
@@ -57,35 +54,45 @@ class ReadsMemory(Hostile):
 
 
 class Device(Hostile):
-    """Says whether GPUs are hidden from it, whether a trial is a fork of the process that learned, and whether a
-    gradient was taken before that fork, by something in PyTorch's place."""
+    """Says which GPUs it sees in its training and in each trial."""
 
-    learned: ClassVar[list[int]] = []
-    gradients: ClassVar[list[int]] = []
-
-    def __init__(self, *, device="auto", driver=False, report=""):
+    def __init__(self, *, device="auto", host=False, report=""):
         super().__init__(report=report)
-        if driver:
-            child._driver_is_loaded = lambda: True
-        number = SimpleNamespace(backward=lambda: self.gradients.append(1))
-        sys.modules["torch"] = SimpleNamespace(zeros=lambda *_, **__: number,
-                                               cuda=SimpleNamespace(is_initialized=lambda: False))
+        self.trials_on_host = host
 
     def meta_fit(self, specimens):
-        self.learned.append(1)
+        self.found(os.environ.get("CUDA_VISIBLE_DEVICES"))
 
     def adapt(self, view, support):
-        self.found([os.environ.get("CUDA_VISIBLE_DEVICES"), len(self.learned), len(self.gradients)])
+        self.found(os.environ.get("CUDA_VISIBLE_DEVICES"))
 
 
-class OpensFiles(Hostile):
-    """Looks for datasets where they are usually kept, and for their folder in the environment."""
+class Learns(Hostile):
+    """Says what it has learned, and changes it."""
 
-    def predict(self, touches):
-        self.found({"here": [str(p) for p in Path().rglob("*")], "below": [str(p) for p in Path("datasets").glob("*")],
-                    "environment": [k for k, v in os.environ.items() if "datasets" in v.lower() or k in (
-                        "VSFSIM_DATASETS", "PWD", "OLDPWD")]})
-        return super().predict(touches)
+    def meta_fit(self, specimens):
+        self.learned = len(specimens)
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        self.found([os.getpid(), self.learned])
+        self.learned += 1
+
+
+class LearnsUnpicklable(Learns):
+    def meta_fit(self, specimens):
+        super().meta_fit(specimens)
+        self.function = lambda: None
+
+    def save(self, folder):
+        (folder / "learned.json").write_text(json.dumps(self.learned))
+
+    def load(self, folder):
+        self.learned = json.loads((folder / "learned.json").read_text())
+
+
+class Unsaved(LearnsUnpicklable):
+    save = load = None
 
 
 class OpensPath(Hostile):
@@ -142,33 +149,6 @@ class ReplacesScorer(Hostile):
     def predict(self, touches):
         _replace_the_scorer()
         return super().predict(touches)
-
-
-class Remembers(Hostile):
-    """Keeps what it was given in every place that a process has, and says how much was there before."""
-
-    seen: ClassVar[list] = []
-
-    def adapt(self, view, support):
-        super().adapt(view, support)
-        import vsfsim
-
-        held = [len(Remembers.seen), len(getattr(self, "mine", [])), len(getattr(vsfsim, "_mine", [])),
-                int(os.environ.get("MINE", 0))]
-        self.found([len(support), *held])
-        Remembers.seen.append(support)
-        self.mine = vsfsim._mine = [support]
-        os.environ["MINE"] = "1"
-
-
-class Lingers(Hostile):
-    """Leaves a process behind that outlives its trial."""
-
-    def adapt(self, view, support):
-        super().adapt(view, support)
-        if self.report:
-            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-            self.found(child.pid)
 
 
 class Prints(Hostile):
@@ -268,50 +248,6 @@ class LeavesSession(Hostile):
         return open(self.report).read().count("\n") if os.path.exists(self.report) else 0
 
 
-class TalksOnSocket(Hostile):
-    """Asks a daemon on an abstract socket what the trial before said, and starts one if there is none."""
-
-    def adapt(self, view, support):
-        import socket
-
-        super().adapt(view, support)
-        with socket.socket(socket.AF_UNIX) as line:
-            try:
-                line.connect(f"\0vsfsim-notes-{self.report}")
-                self.value = 0.0
-                return
-            except OSError:
-                pass
-        if os.fork() == 0:
-            os.setsid()
-            with socket.socket(socket.AF_UNIX) as line:
-                line.bind(f"\0vsfsim-notes-{self.report}")
-                line.listen()
-                time.sleep(60.0)
-            os._exit(0)
-        time.sleep(0.2)
-
-
-class Peeks(Hostile):
-    """Looks for a dataset in the folders of all other processes, and tries to attach to them. ``path`` is the scorer's
-    dataset; its answer is 1.5 if it finds nothing."""
-
-    def __init__(self, *, looks_for="toy", value=1.5):
-        super().__init__(value=value)
-        self.name = looks_for
-
-    def adapt(self, view, support):
-        super().adapt(view, support)
-        libc = ctypes.CDLL(None, use_errno=True)
-        for pid in [name for name in os.listdir("/proc") if name.isdigit() and int(name) != os.getpid()]:
-            with contextlib.suppress(OSError):
-                if self.name in os.listdir(f"/proc/{pid}/cwd"):
-                    self.value = 7.0
-            command = Path(f"/proc/{pid}/cmdline").read_bytes() if os.path.exists(f"/proc/{pid}/cmdline") else b""
-            if b"pytest" in command and libc.ptrace(0x4206, int(pid), 0, 0) == 0:  # PTRACE_SEIZE does not stop it
-                self.value = 9.0
-
-
 class SleepsInCheck(Hostile):
     def adapt(self, view, support):
         time.sleep(1000.0)
@@ -322,11 +258,6 @@ class PrintsMuch(Hostile):
         for _ in range(1100):
             print("x" * 1_000_000)
         return super().predict(touches)
-
-
-class LeavesAndSleeps(LeavesSession):
-    def predict(self, touches):
-        time.sleep(1000.0)
 
 
 class NeedsFile(Hostile):

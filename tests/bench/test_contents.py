@@ -1,15 +1,19 @@
-"""Answers that were kept belong to the method's source and to the files that it names."""
-
-import dataclasses
+"""What a score is of: kept answers and digests belong to the method's source, the files that it opens, and the parts of
+vsfsim that its answers pass through."""
 
 import pytest
 import toy_methods  # noqa: F401  (the methods below extend one of it, in a process of their own)
 
-from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.evaluate import finish
+from vsfsim.bench.identity import _SCORES, contents_of, files_of, method_sha256, scorer_sha256, versions_of
 from vsfsim.bench.isolation.limits import Isolation
+from vsfsim.bench.trials.jobs import NOTE
 from vsfsim.core.errors import MethodError
+from vsfsim.core.system import content
 
+KEPT = "r.parts/*/*.npz"
 METHOD = """
+import os
 from toy_methods import Constant
 {imports}
 
@@ -19,6 +23,9 @@ class Mine(Constant):
         if weights:
             self.value = float(open(weights).read())
         self.seed = seed
+
+    def meta_fit(self, specimens):
+        {learns}
 
     def adapt(self, view, support):
         if self.seed == {crash}:
@@ -32,63 +39,94 @@ def author(tmp_path, monkeypatch, task, toy_dataset):
     """Writes a method and evaluates it with what was kept before."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "helper.py").write_text("VALUE = 5.0\n")
+    (tmp_path / "table.csv").write_text("5.0")
 
-    def run(value="5.6", crash="None", imports="", **parameters):
-        (tmp_path / "mine.py").write_text(METHOD.format(value=value, crash=crash, imports=imports))
-        return evaluate("mine:Mine", task, toy_dataset, check=False, part=tmp_path / "part", parameters=parameters,
-                        isolation=Isolation("process"))
+    def run(value="5.6", crash="None", imports="", learns="pass", progress=None, **parameters):
+        (tmp_path / "mine.py").write_text(METHOD.format(value=value, crash=crash, imports=imports, learns=learns))
+        return finish("mine:Mine", task, toy_dataset, tmp_path / "r.json", check=False, parameters=parameters,
+                      isolation=Isolation("process"), progress=progress)
 
     return run
 
 
-def levels(result, task):
-    """What was answered in each seed, from the largest errors: the truth is the same in every seed."""
-    return [round(v, 9) for v in result.scores["rmse"]["0"].per_seed]
-
-
-def test_a_mended_method_begins_again_and_says_so(author, task, tmp_path):
+def test_a_mended_method_begins_again_and_says_so(author, tmp_path):
     with pytest.raises(MethodError, match="a bug"):
         author(crash="2")
-    assert len(list((tmp_path / "part").glob("*.npz"))) == 2
+    assert len(list(tmp_path.glob(KEPT))) == 2
     mended = author(value="8.0")
-    assert len(set(levels(mended, task))) == 1, "all seeds are of the mended method"
-    assert mended.notes == (f"2 finished seeds of an earlier run are not used, because the method has another content "
-                            f"({mended.notes[0].partition('(')[2]}",)
+    assert len({round(v, 9) for v in mended.scores["rmse"]["0"].per_seed}) == 1, "all seeds are of the mended method"
+    assert mended.notes[0].startswith("2 finished trainings of an earlier run are not used, because the method has "
+                                      "another content (sha256 ")
 
 
-def test_the_same_method_goes_on(author, tmp_path):
-    with pytest.raises(MethodError):
-        author(crash="2")
-    before = (tmp_path / "part" / "seed-0000.npz").stat().st_mtime_ns
-    with pytest.raises(MethodError):
-        author(crash="2")
-    assert (tmp_path / "part" / "seed-0000.npz").stat().st_mtime_ns == before
+def test_each_version_keeps_its_own_answers_and_goes_on_with_them(author, tmp_path):
+    for crash in ("2", "1", "2"):
+        before = {path: path.stat().st_mtime_ns for path in list(tmp_path.glob(KEPT))}
+        with pytest.raises(MethodError, match="a bug"):
+            author(crash=crash)
+        assert all(path.stat().st_mtime_ns == time for path, time in before.items())
+    assert len(list(tmp_path.glob(KEPT))) == 3 and len(list(tmp_path.glob(f"r.parts/*/{NOTE}"))) == 2
 
 
-@pytest.mark.parametrize("what", ["helper", "weights"])
-def test_a_file_that_the_method_imports_or_is_given_counts(author, task, tmp_path, what):
+@pytest.mark.parametrize(("file", "words"), [
+    ("mine.py", {}), ("helper.py", {"imports": "import helper"}), ("w.txt", {"weights": "w.txt"}),
+    ("helper.py", {"learns": "import sys, importlib as i; sys.path.append({here!r}); i.import_module('help' + 'er')"}),
+    ("table.csv", {"learns": "self.value = float(open({here!r} + '/table.csv').read())"}),
+    ("helper.py", {"learns": "exec(open({here!r} + '/helper.py').read())"})])
+def test_a_file_that_is_edited_while_the_method_is_evaluated_is_refused(author, tmp_path, file, words):
+    """Also those that no import statement names: the process says which files it opened."""
     (tmp_path / "w.txt").write_text("5.0")
-    given = {"weights": str(tmp_path / "w.txt")} if what == "weights" else {}
-    words = {"value": "helper.VALUE", "imports": "import helper"} if what == "helper" else {}
-    with pytest.raises(MethodError):
-        author(crash="2", **words, **given)
-    source = (tmp_path / "mine.py").read_text()
-    (tmp_path / ("helper.py" if what == "helper" else "w.txt")).write_text("VALUE = 8.0\n" if what == "helper" else "8")
-    with pytest.raises(MethodError, match="a bug"):
-        author(crash="2", **words, **given)
-    assert (tmp_path / "mine.py").read_text() == source
-    first = (tmp_path / "part" / "seed-0000.npz").stat().st_mtime_ns
-    (tmp_path / ("helper.py" if what == "helper" else "w.txt")).write_text("VALUE = 9.0\n" if what == "helper" else "9")
-    with pytest.raises(MethodError):
-        author(crash="2", **words, **given)
-    assert (tmp_path / "part" / "seed-0000.npz").stat().st_mtime_ns != first
+    words = {key: value.format(here=str(tmp_path)) for key, value in words.items()}
+    if "weights" in words:
+        words["weights"] = str(tmp_path / "w.txt")
+
+    edited = tmp_path / file
+    with pytest.raises(MethodError, match=r"mine:Mine was changed while it was evaluated: .*has another content"):
+        author(progress=lambda done, *_: done == 5 and edited.write_text(edited.read_text() + " "), **words)
+    assert not (tmp_path / "r.json").exists() and not list(tmp_path.glob(KEPT))
 
 
 def test_a_result_says_what_decided_it(author, tmp_path):
     (tmp_path / "w.txt").write_text("5.0")
-    found = author(weights=str(tmp_path / "w.txt"))
-    assert set(found.contents) == {"the method", "the harness", str(tmp_path / "w.txt")}
-    found.save(tmp_path / "r.json")
-    again = type(found).load(tmp_path / "r.json")
-    assert again.contents == found.contents
-    assert dataclasses.asdict(again)["contents"] == dict(found.contents)
+    found = author(weights=str(tmp_path / "w.txt"), learns=f"open({str(tmp_path / 'table.csv')!r}).read()")
+    assert set(found.contents) == {"the method", "the harness", str(tmp_path / "w.txt"), "table.csv"}
+    assert type(found).load(tmp_path / "r.json").contents == found.contents
+    assert contents_of("mine:Mine", found.parameters, opened=found.contents) == found.contents
+
+
+def test_answers_pass_through_the_particle_model_and_ceilings_through_the_solver(monkeypatch):
+    sbml, ceiling = files_of("sbml"), files_of("resim")
+    assert {"vsfsim.vsf.displacements", "vsfsim.vsf.observe", "vsfsim.core.rotation"} <= set(sbml)
+    assert {"vsfsim.generate.resim", "vsfsim.physics.solve", "vsfsim.physics.contact"} <= set(ceiling)
+    for found in (sbml, ceiling):
+        assert not [name for name in found if name.startswith(("vsfsim.cli", "vsfsim.bench.leaderboard",
+                                                               "vsfsim.bench.result", "vsfsim.data"))]
+    assert len(_SCORES) < 15 and scorer_sha256() != method_sha256("sbml") != method_sha256("resim")
+
+
+def test_other_packages_count_by_their_version_wherever_they_lie(tmp_path, monkeypatch):
+    (tmp_path / "libs" / "thing").mkdir(parents=True)
+    (tmp_path / "libs" / "thing" / "__init__.py").write_text("A = 1\n")
+    info = tmp_path / "libs" / "thing-1.5.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thing\nVersion: 1.5\n")
+    (info / "top_level.txt").write_text("thing\n")
+    (tmp_path / "mine.py").write_text("import thing\nimport numpy\n\n\nclass Mine: ...\n")
+    monkeypatch.syspath_prepend(tmp_path / "libs")
+    content._installed.cache_clear()
+    try:
+        before = method_sha256("mine:Mine", tmp_path)
+        (tmp_path / "libs" / "thing" / "__init__.py").write_text("A = 2\n")
+        assert method_sha256("mine:Mine", tmp_path) == before
+        assert versions_of("mine:Mine", tmp_path)["thing"] == "1.5"
+    finally:
+        content._installed.cache_clear()
+
+
+def test_a_package_counts_with_every_file_in_it(tmp_path):
+    (tmp_path / "lab").mkdir()
+    for name, text in (("__init__.py", ""), ("mine.py", "class Mine: ...\n"), ("table.csv", "1\n")):
+        (tmp_path / "lab" / name).write_text(text)
+    before = method_sha256("lab.mine:Mine", tmp_path)
+    (tmp_path / "lab" / "table.csv").write_text("2\n")
+    assert method_sha256("lab.mine:Mine", tmp_path) != before

@@ -1,5 +1,6 @@
 """An evaluation that is stopped keeps its finished seeds and goes on; files are written whole or not at all."""
 
+import contextlib
 import errno
 import json
 import os
@@ -14,7 +15,7 @@ import pytest
 from conftest import TASK
 
 from vsfsim.bench.commands.evaluate import evaluate
-from vsfsim.bench.commands.own_result import own
+from vsfsim.bench.commands.side_by_side import own
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError
@@ -38,6 +39,7 @@ def folder(tmp_path, toy_dataset):
     (tmp_path / "toy").symlink_to(toy_dataset.path)
     (tmp_path / "slow_method.py").write_text(
         "import os, time\nfrom toy_methods import Constant\n\n\nclass Slow(Constant):\n"
+        "    def __init__(self, *, seed=0):\n        super().__init__()\n\n"
         "    def adapt(self, view, support):\n        super().adapt(view, support)\n"
         f"        if os.path.exists({str(tmp_path / 'slow')!r}):\n            time.sleep(0.2)\n")
     (tmp_path / "slow").touch()
@@ -45,27 +47,29 @@ def folder(tmp_path, toy_dataset):
 
 
 def test_a_stopped_evaluation_goes_on(folder):
-    part = folder / "results" / "toy-v1" / "slow_method.Slow.part"
+    parts = folder / "results" / "toy-v1" / "slow_method.Slow.parts"
     process = start(*WORDS, cwd=folder)
     until = time.monotonic() + 120.0
-    while not (part / "seed-0000.npz").exists() and process.poll() is None and time.monotonic() < until:
+    while not list(parts.glob("*/*00.npz")) and process.poll() is None and time.monotonic() < until:
         time.sleep(0.05)
     os.kill(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60.0)
     assert process.returncode == 130 and "Traceback" not in err, err
-    assert "of 3 seeds are finished and kept in" in err and "Run the same command again" in err
-    assert not out and sorted(p.name for p in part.parent.iterdir()) == [part.name], "no half-written result"
-    kept = (part / "seed-0000.npz").stat().st_mtime_ns
-    (part / "seed-0002.npz").write_bytes(b"half")  # as a crash of the disk could leave it
+    assert "of 3 trainings are finished and kept in" in err and "Run the same command again" in err
+    assert not out and sorted(p.name for p in parts.parent.iterdir()) == [parts.name], "no half-written result"
+    (first,) = parts.glob("*/*00.npz")
+    kept = first.stat().st_mtime_ns
+    first.with_name("fold-00-training-02.npz").write_bytes(b"half")  # as a crash of the disk could leave it
     (folder / "slow").unlink()
     process = start(*WORDS, cwd=folder)
-    while part.exists() and process.poll() is None:
-        assert not (part / "seed-0000.npz").exists() or (part / "seed-0000.npz").stat().st_mtime_ns == kept
+    while parts.exists() and process.poll() is None:
+        with contextlib.suppress(FileNotFoundError):
+            assert first.stat().st_mtime_ns == kept
         time.sleep(0.02)
     out, err = process.communicate(timeout=60.0)
     assert process.returncode == 0 and "written to" in out, err
-    found = Result.load(part.with_suffix(".json"))
-    assert not part.exists() and found.computed() == found.scores and found.seeds == (0, 1, 2)
+    found = Result.load(parts.with_suffix(".json"))
+    assert not parts.exists() and found.computed() == found.scores and found.seeds == (0, 1, 2)
     assert {row for row in found.queries["seed"]} == {0, 1, 2}
 
 

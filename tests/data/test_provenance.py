@@ -24,13 +24,27 @@ def test_a_copy_knows_its_commit_only_if_it_is_told(copy, monkeypatch):
     provenance.commit.cache_clear()
     monkeypatch.setenv(provenance.VARIABLE, "")  # as the Dockerfile sets it without --build-arg
     assert provenance.commit() is None
-    for said in (COMMIT, f"{COMMIT}+changes"):
+    (copy / "vsfsim").mkdir()
+    (copy / "vsfsim" / "a.py").write_text("A = 1\n")
+    monkeypatch.setenv(provenance.VARIABLE, f"{COMMIT}@{provenance.code_sha256(copy)}")
+    for text, said in (("A = 1\n", COMMIT), ("A = 2\n", f"{COMMIT}+changes")):
+        (copy / "vsfsim" / "a.py").write_text(text)
         provenance.commit.cache_clear()
-        monkeypatch.setenv(provenance.VARIABLE, said)
         assert provenance.made_by() == {"vsfsim": vsfsim.__version__, "commit": said}
 
 
-def test_what_is_no_commit_is_refused(copy, monkeypatch):
-    monkeypatch.setenv(provenance.VARIABLE, "main")
-    with pytest.raises(VsfsimError, match="VSFSIM_COMMIT is 'main', which is no commit"):
+@pytest.mark.parametrize("said", ["main", COMMIT, f"{COMMIT}+changes"])
+def test_what_is_no_commit_and_digest_is_refused(copy, monkeypatch, said):
+    monkeypatch.setenv(provenance.VARIABLE, said)
+    with pytest.raises(VsfsimError, match="which is no commit and digest"):
         provenance.commit()
+
+
+def test_an_installed_copy_has_the_digest_of_its_checkout(tmp_path):
+    for root, folders in ((tmp_path / "checkout", ("vsfsim", "scenes", "tasks")),
+                          (tmp_path / "wheel", ("vsfsim", "vsfsim/scenes", "vsfsim/tasks"))):
+        for name in folders:
+            (root / name).mkdir(parents=True)
+            (root / name / "x.py").write_text(name.rpartition("/")[2])
+        (root / "vsfsim" / "__pycache__").mkdir()
+    assert provenance.code_sha256(tmp_path / "checkout") == provenance.code_sha256(tmp_path / "wheel")

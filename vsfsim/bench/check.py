@@ -7,6 +7,7 @@ import copy
 import dataclasses
 import hashlib
 import json
+import pickle
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -58,6 +59,10 @@ class Finding:
     """What was observed."""
 
 
+_Clause = tuple[str, Callable[[], str | None]]
+_Extra = Callable[[Method, "_Mock"], None]
+
+
 @dataclass(frozen=True)
 class _Mock:
     specimens: tuple[Specimen, ...]
@@ -86,7 +91,7 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
 
     Args:
         name: an installed method, or module:attribute. parameters: of its constructor.
-        brief: only the clauses that four adaptations of one instance can test; `vsfsim evaluate` tests these first.
+        brief: only the clauses that a few adaptations of one instance can test; `vsfsim evaluate` tests these first.
         before: called with the name of each function of the method before it is called.
 
     Returns:
@@ -97,84 +102,48 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
     """
     factory = find_method(name)
     values = parameters_of(factory, parameters or {})
-    mock = _mock()
+    mock, learned = _mock(), list[Method]()
+    gap, untouched = _with_gap(mock.support), _digest(mock)
 
-    def learned() -> Method:
+    def learn() -> Method:
         before("its constructor")
         method = cast(Method, _Told(build_method(factory, values), before))
         method.meta_fit(mock.specimens)
         return method
 
-    before("its constructor")
-    build_method(factory, values)
-    if brief:
-        return _brief(learned, values, mock)
-    first: list[Method] = []
-
     def fitted() -> Method:
         """A copy of one instance that learned, where it can be copied; learning can take minutes."""
-        if not first:
-            first.append(learned())
+        if not learned:
+            learned.append(learn())
         try:
-            return copy.deepcopy(first[0])
+            return learned[0] if brief else copy.deepcopy(learned[0])
         except Exception:  # of what a method holds, anything may refuse to be copied
-            return learned()
+            return learn()
 
-    clauses: tuple[tuple[str, Callable[[], str | None]], ...] = (
+    before("its constructor")
+    build_method(factory, values)
+    extras = (_stiffness_here, _predict_std_here, _choose_here)
+    quick: tuple[_Clause, ...] = (
         ("parameters are plain values", lambda: _plain(values)),
         ("meta_fit learns from training objects", lambda: _nothing(fitted())),
-        ("predicts before any touch (0-shot)", lambda: _run(fitted(), mock, [])),
+        ("predicts before any touch (0-shot)", lambda: _run(fitted(), mock, [], extras if brief else ())),
+        ("copes with frames that have no reading", lambda: _run(fitted(), mock, gap, extras if brief else ())),
+        ("is deterministic", lambda: _deterministic(fitted(), fitted() if brief else learn(), mock, gap)),
+        ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
+        ("leaves its input alone", lambda: _unchanged(mock, untouched)))
+    thorough: tuple[_Clause, ...] = (
         ("adapts to touches and predicts (5-shot)", lambda: _run(fitted(), mock, mock.support)),
-        ("predicts an empty list of touches", lambda: _empty(fitted(), mock)),
-        ("is deterministic", lambda: _deterministic(fitted(), learned(), mock)),
         ("adapt forgets the object before", lambda: _forgets(fitted, mock)),
         ("predict can be called twice", lambda: _twice(fitted(), mock)),
-        ("leaves its input alone", lambda: _leaves_alone(build_method(factory, values), _mock())),
-        ("copes with frames that have no reading", lambda: _run(fitted(), mock, _with_gap(mock.support))),
-        ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
-        ("save and load keep what was learned",
-         lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
+        ("what it learned can be handed to a trial", lambda: _handed_on(fitted, lambda: build_method(factory, values),
+                                                                        mock)),
         ("stiffness is finite and not negative", lambda: _adapted(fitted(), mock, _stiffness_here)),
         ("predict_std is finite and not negative", lambda: _adapted(fitted(), mock, _predict_std_here)),
-        ("choose names one of the offered touches", lambda: _adapted(fitted(), mock, _choose_here)),
-    )
-    return tuple(_try(clause, test) for clause, test in clauses)
-
-
-def _brief(learned: Callable[[], Method], values: Mapping[str, Any], mock: _Mock) -> tuple[Finding, ...]:
-    """The clauses that need one instance and four adaptations of it."""
-    before, instance, answers = _digest(mock), list[Method](), list[list[np.ndarray]]()
-    gap = _with_gap(mock.support)
-
-    def adapts(support: Sequence[Reading]) -> None:
-        answers.append(_answer(instance[0], mock, support))
-        checked_prediction(instance[0].predict([]), [], [])
-        for extra in (_stiffness_here, _predict_std_here, _choose_here):
-            with contextlib.suppress(_NotOffered):
-                extra(instance[0], mock)
-
-    def again() -> None:
-        if not _same(_answer(instance[0], mock, gap), answers[-1]):
-            raise MethodError("the same touches gave another answer the second time. Draw random numbers from a "
-                              "generator with a fixed seed, and begin every adapt with what meta_fit learned.")
-
-    def unchanged() -> None:
-        if _digest(mock) != before:
-            raise MethodError("the arrays it was given have changed. Work on copies.")
-
-    clauses: tuple[tuple[str, Callable[[], object]], ...] = (
-        ("parameters are plain values", lambda: _plain(values)),
-        ("meta_fit learns from training objects", lambda: instance.append(learned())),
-        ("predicts before any touch (0-shot)", lambda: adapts([])),
-        ("copes with frames that have no reading", lambda: adapts(gap)),
-        ("is deterministic", again),
-        ("refuses a reading that is not a number", lambda: _refuses_nan(instance[0], mock)),
-        ("leaves its input alone", unchanged),
-    )
+        ("choose names one of the offered touches", lambda: _adapted(fitted(), mock, _choose_here)))
     out: list[Finding] = []
-    for clause, test in clauses:
-        out.append(_try(clause, lambda test=test: _nothing(test())))  # type: ignore[misc]
-        if out[-1].outcome == "failed":
+    for clause, test in quick if brief else (*quick[:-1], *thorough, quick[-1]):
+        out.append(_try(clause, test))
+        if brief and out[-1].outcome == "failed":
             break  # the next clause would fail for the same reason
     return tuple(out)
 
@@ -199,12 +168,12 @@ class _Told:
     """A method that says which of its functions is called next."""
 
     def __init__(self, method: Method, before: Callable[[str], None]):
-        self._method, self._before = method, before
+        self.method, self._before = method, before
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # while a copy is made, which has nothing yet
             raise AttributeError(name)
-        found = getattr(self._method, name)
+        found = getattr(self.method, name)
         if callable(found):
             self._before(name)
         return found
@@ -260,22 +229,27 @@ def _plain(values: Mapping[str, Any]) -> None:
                           f"text, lists.") from error
 
 
-def _run(method: Method, mock: _Mock, support: Sequence[Reading]) -> str:
+def _run(method: Method, mock: _Mock, support: Sequence[Reading], extras: Sequence[_Extra] = ()) -> str:
     answer = _answer(method, mock, support)
+    checked_prediction(method.predict([]), [], [])
+    for extra in extras:
+        with contextlib.suppress(_NotOffered):
+            extra(method, mock)
     rows = [touch_errors(p, y, r.valid) for p, y, r in zip(answer, mock.clean[5:], mock.readings[5:])]
     zero = [touch_errors(np.zeros_like(y), y, r.valid) for y, r in zip(mock.clean[5:], mock.readings[5:])]
     return f"rmse {rmse(rows):.3f} N (always answering 0: {rmse(zero):.3f} N)"
 
 
-def _empty(method: Method, mock: _Mock) -> None:
-    method.adapt(mock.view, mock.support)
-    checked_prediction(method.predict([]), [], [])
+def _deterministic(one: Method, other: Method, mock: _Mock, support: Sequence[Reading]) -> None:
+    if not _same(_answer(one, mock, support), _answer(other, mock, support)):
+        raise MethodError("the same touches gave another answer the second time. Draw random numbers from a generator "
+                          "with a fixed seed, or take a constructor argument `seed`, and begin every adapt with what "
+                          "meta_fit learned.")
 
 
-def _deterministic(one: Method, other: Method, mock: _Mock) -> None:
-    if not _same(_answer(one, mock, mock.support), _answer(other, mock, mock.support)):
-        raise MethodError("two fresh instances answered the same question differently. Draw random numbers from a "
-                          "generator with a fixed seed, or take a constructor argument `seed`.")
+def _unchanged(mock: _Mock, before: str) -> None:
+    if _digest(mock) != before:
+        raise MethodError("the arrays it was given have changed. Work on copies.")
 
 
 def _forgets(fitted: Callable[[], Method], mock: _Mock) -> None:
@@ -291,17 +265,6 @@ def _twice(method: Method, mock: _Mock) -> None:
     first = _answer(method, mock, mock.support)
     if not _same(first, _predict(method, mock)):
         raise MethodError("the second call of predict answers differently. predict must not change the method.")
-
-
-def _leaves_alone(method: Method, mock: _Mock) -> None:
-    before = _digest(mock)
-    method.meta_fit(mock.specimens)
-    support = mock.support
-    method.adapt(mock.view, support)
-    actions = mock.actions
-    method.predict(actions)
-    if _digest(mock) != before or len(support) != len(mock.support) or len(actions) != len(mock.actions):
-        raise MethodError("the arrays or lists it was given have changed. Work on copies.")
 
 
 def _with_gap(support: Sequence[Reading]) -> list[Reading]:
@@ -325,20 +288,30 @@ def _refuses_nan(method: Method, mock: _Mock) -> None:
                       "names the touch.")
 
 
-def _save_load(fitted: Callable[[], Method], fresh: Callable[[], Method], mock: _Mock) -> None:
+def _handed_on(fitted: Callable[[], Method], fresh: Callable[[], Method], mock: _Mock) -> str:
+    """By save and load if there are any, and by pickle."""
     method = fitted()
-    if not (hasattr(method, "save") and hasattr(method, "load")):
-        raise _NotOffered("no save() and load()")
-    straight = _answer(method, mock, mock.support)
-    with tempfile.TemporaryDirectory() as folder:
-        method.save(Path(folder))
-        again = fresh()
-        again.load(Path(folder))  # type: ignore[attr-defined]
-    if not _same(_answer(again, mock, mock.support), straight):
-        raise MethodError("a loaded method answers differently from the one that was saved.")
+    straight, saved = _answer(method, mock, mock.support), hasattr(method, "save") and hasattr(method, "load")
+    ways = []
+    if saved:
+        with tempfile.TemporaryDirectory() as folder:
+            method.save(Path(folder))  # type: ignore[attr-defined]
+            ways.append(("a loaded method", fresh()))
+            ways[-1][1].load(Path(folder))  # type: ignore[attr-defined]
+    try:
+        ways.append(("an unpickled method", pickle.loads(pickle.dumps(getattr(fitted(), "method", fitted())))))
+    except Exception as error:  # of what a method holds, anything may refuse to be pickled
+        if not saved:
+            raise MethodError(f"it cannot be pickled ({error}) and has no save() and load(). Give it both: what it "
+                              f"learned reaches its trials by one of them.") from error
+    for what, again in ways:
+        if not _same(_answer(again, mock, mock.support), straight):
+            raise MethodError(f"{what} answers differently from the one that learned. What it learned must belong to "
+                              f"the object.")
+    return " and ".join(what for what, _ in ways)
 
 
-def _adapted(method: Method, mock: _Mock, here: Callable[[Method, _Mock], None]) -> None:
+def _adapted(method: Method, mock: _Mock, here: _Extra) -> None:
     """Test an optional function without a touch and after some."""
     for support in ([], mock.support):
         method.adapt(mock.view, support)

@@ -22,8 +22,7 @@ from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import ProbeShape
-from vsfsim.core.shelf import METHOD_GROUP, ceilings, methods
-from vsfsim.core.system.content import file_sha256, files_sha256, named_files, source_files
+from vsfsim.core.shelf import METHOD_GROUP, methods
 from vsfsim.data.records import View
 
 
@@ -186,30 +185,6 @@ def check_name(name: str) -> None:
     if ":" not in name and name not in shelf:
         raise MethodError(f"unknown method '{plain(name)}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; "
                           f"module:attribute works too.")
-
-
-HARNESS = "vsfsim.bench.evaluate"
-"""The module that asks and scores every method."""
-
-
-def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path = "") -> dict[str, str]:
-    """What decides a method's answers, each a sha256 by name: "the method", its source without that of the harness;
-    "the harness"; and every file that a parameter names. Nothing of the method is imported.
-
-    Args:
-        name: as `find_method` takes it, or of a ceiling; it exists. parameters: all of them, as JSON values. folder: in
-        which modules and files are looked for; default: the working folder.
-    """
-    folder = folder or os.getcwd()
-    out = {"the method": method_sha256(name, folder), "the harness": files_sha256(source_files(HARNESS))}
-    return out | {text: file_sha256(path) for text, path in named_files(dict(parameters), folder).items()}
-
-
-def method_sha256(name: str, folder: str | Path = "") -> str:
-    """sha256 of a method's source without that of the harness; operands as of `contents_of`."""
-    module = (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]
-    harness = source_files(HARNESS)
-    return files_sha256({key: path for key, path in source_files(module, folder).items() if key not in harness})
 
 
 def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:

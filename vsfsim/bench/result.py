@@ -78,7 +78,7 @@ class Result:
     """``name`` and ``version`` of the installed package that the method is from, "" for a file that is not
     installed."""
     isolation: str = ""
-    """The sandbox in which the method ran, a name of `vsfsim.bench.isolation.container.SANDBOXES`; "" where the scorer
+    """The sandbox in which the method ran, a name of `vsfsim.bench.isolation.limits.SANDBOXES`; "" where the scorer
     did not run it."""
     data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Fingerprints of the dataset (`vsfsim.bench.admission.fingerprint.Record.table`) where its bits are not those of
@@ -87,7 +87,7 @@ class Result:
     """As `queries`, by the name of what else was answered (`vsfsim.bench.metrics.Answer`): columns with one row a
     query touch, or one an object with its metrics."""
     contents: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """sha256 of everything that decided the answers, by name (`vsfsim.bench.method.contents_of`); {} in results that
+    """sha256 of everything that decided the answers, by name (`vsfsim.bench.identity.contents_of`); {} in results that
     are older than this field, and where the scorer did not run the method."""
     preset: str = ""
     """Name of the settings that were asked for (`vsfsim.bench.commands.presets`), "" for none."""

@@ -134,16 +134,16 @@ def evaluate(task: TaskName,
              timeout: Annotated[float | None, typer.Option(help="Seconds that one call of the method may take; "
                                                                 "default: no limit.")] = None,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
-                                                               "[GiB]; default: no limit.")] = None,
+                                                               "[GiB]; default: what the machine has.")] = None,
              on: On = None,
              shard: ShardOf = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
              printed: Printed = False,
              keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
                                                     "RESULT.predictions.npz, which `vsfsim inspect RESULT` draws.")
                              ] = "",
-             sandbox: Annotated[str, typer.Option(help="bubblewrap or namespaces: in a container, which hides your "
-                                                       "files and the network; process: in a process of its own; "
-                                                       "default: $VSFSIM_SANDBOX, or the strongest that works here.")
+             sandbox: Annotated[str, typer.Option(help="namespaces: in a container, which hides your files and the "
+                                                       "network; process: in a process of its own; default: "
+                                                       "$VSFSIM_SANDBOX, or the strongest that works here.")
                                 ] = "", json: JsonFile = None) -> None:
     """Score methods on a task.
 
@@ -188,8 +188,9 @@ def evaluate(task: TaskName,
         rows = [row for row in every_row if preset in ("", row.preset)]
         rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
     if every or fan != HERE:
-        folder = out or Path("results") / wanted.name
-        result_path(folder / "row.json", wanted.name, "row")
+        folder = (out or Path("results") / wanted.name) if every else result_path(out, wanted.name, rows[0].stem) if (
+            len(rows) == 1) else Path("results") / wanted.name
+        result_path(folder if folder.suffix == ".json" else folder / "row.json", wanted.name, "row")
         show = str(json) != "-"
         made = []
         with Progress("evaluate") as progress:

@@ -11,35 +11,47 @@ from pathlib import Path
 
 import vsfsim
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.system.content import files_sha256
 
 VARIABLE = "VSFSIM_COMMIT"
-"""Environment variable that names the commit of a copy without .git, as on a machine that is borrowed for a while."""
+"""Environment variable that says, of a copy without .git, COMMIT@SHA256: its commit, and the digest of that commit's
+code. `python -m vsfsim.data.provenance` prints both in a checkout."""
+_CODE = ("vsfsim", "scenes", "baselines", "tasks")
 
 
 @functools.cache
 def commit() -> str | None:
-    """The git commit of this checkout, with "+changes" if tracked files differ from it; of a copy without .git what
-    `VARIABLE` says, or None.
+    """The git commit of this checkout, with "+changes" if tracked files differ from it. Of a copy without .git what
+    `VARIABLE` says, with "+changes" if the code here has not the digest that it names; None if it says nothing.
 
     Raises:
-        VsfsimError: `VARIABLE` is not the name of a commit.
+        VsfsimError: `VARIABLE` is not a commit and a digest.
     """
     root = Path(vsfsim.__file__).resolve().parent.parent
     if not (root / ".git").exists():
         said = os.environ.get(VARIABLE) or None  # an image that was built without its commit has it empty
-        if said is not None and not re.fullmatch(r"[0-9a-f]{40}(\+changes)?", said):
-            raise VsfsimError(f"{VARIABLE} is '{said}', which is no commit. Give the 40 hexadecimal digits that `git "
-                              f"rev-parse HEAD` prints where the copy was made, or unset it.")
-        return said
+        if said is not None and not re.fullmatch(r"[0-9a-f]{40}@[0-9a-f]{64}", said):
+            raise VsfsimError(f"{VARIABLE} is '{said}', which is no commit and digest. Give what `python -m "
+                              f"vsfsim.data.provenance` prints where the copy was made, or unset it.")
+        return None if said is None else said[:40] + ("" if said[41:] == code_sha256(root) else "+changes")
     try:
         head = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10,
                               check=True).stdout.strip()
         changes = subprocess.run(["git", "-C", str(root), "status", "--porcelain", "--untracked-files=no", "--",
-                                  "vsfsim", "scenes", "baselines", "tasks"],
+                                  *_CODE],
                                  capture_output=True, text=True, timeout=10, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
     return head + ("+changes" if changes else "")
+
+
+def code_sha256(root: Path) -> str:
+    """sha256 of the names and contents of the Python and TOML files of a checkout's code, or of an installed copy's."""
+    places = {name: path for name in _CODE for path in (root / name, root / "vsfsim" / name) if path.is_dir()}
+    files = {f"{name}/{path.relative_to(folder)}": path for name, folder in places.items()
+             for path in folder.rglob("*") if path.suffix in (".py", ".toml")
+             and (name != "vsfsim" or path.relative_to(folder).parts[0] not in (*_CODE, "leaderboard"))}
+    return files_sha256(files)
 
 
 def made_by() -> dict[str, str | None]:
@@ -76,3 +88,7 @@ def machine_kind(accelerator: str = "") -> str:
         accelerator: name of the GPU that took part, "" for none.
     """
     return "; ".join(filter(None, [accelerator, processor()]))
+
+
+if __name__ == "__main__":
+    print(f"{commit()}@{code_sha256(Path(vsfsim.__file__).resolve().parent.parent)}")

@@ -16,7 +16,7 @@ from vsfsim.bench.board import named
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.method import contents_of
+from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
 from vsfsim.bench.result_file import as_rows, beside_zero
 from vsfsim.bench.task import load_task

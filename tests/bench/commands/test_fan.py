@@ -33,11 +33,25 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
     for k in range(2):
         found = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan((k, 2)))
         assert list(found) == [] and not list(tmp_path.glob("*.json"))
-    parts = sorted(p.name for p in (tmp_path / "toy_methods:Constant.parts").iterdir() if p.is_dir())
+    parts = list((tmp_path / "toy_methods:Constant.parts").glob("*/*.npz"))
     assert len(parts) == 3, "the trainings of three folds"
     (last,) = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, processes=2)
     assert last.state == "made" and rows_of(Result.load(last.path)) == rows_of(made)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["toy_methods:Constant.json"]
+
+
+def test_a_shard_of_a_row_with_a_file_of_its_own_can_be_finished(folded, toy_dataset, tmp_path):
+    """The file that --out names, and answers of another version of the method beside it."""
+    for value in (3.0, 2.0):
+        row = [Choice("toy_methods:Constant", "", {"value": value})]
+        for k in range(2):
+            assert not list(evaluate_all(folded, row, tmp_path / "mine.json", dataset=toy_dataset.path,
+                                         fan=Fan((k, 2))))
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("mine.parts/*/*.npz")}
+    assert len(before) == 6, "three trainings of each"
+    made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0}, out=tmp_path / "mine.json")
+    assert made.parameters == {"value": 2.0} and made.timing["fits"] == 3
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.json"]
 
 
 def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):

@@ -2,16 +2,14 @@
 
 import dataclasses
 import os
-from functools import partial
 
-import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.commands.evaluate import evaluate_all
 from vsfsim.bench.commands.presets import Choice
-from vsfsim.bench.commands.side_by_side import Evaluation, make
-from vsfsim.bench.evaluate import evaluate, finish
+from vsfsim.bench.commands.side_by_side import make
+from vsfsim.bench.evaluate import Row, evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record
 from vsfsim.bench.result import Result
@@ -110,9 +108,8 @@ def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch, tm
         assert result.timing["fits"] == 4, "two folds, two trainings"
     else:
         path = tmp_path / "seeded.json"
-        job = Evaluation(path, "toy_methods:Seeded", task, dataset,
-                         partial(finish, "toy_methods:Seeded", task, dataset, path, check=False))
-        assert [message for _, message in make([job], processes, check=False)] == [""] and path.is_file()
+        row = Row.at(path, "toy_methods:Seeded", task, dataset)
+        assert [message for _, message in make([row], processes, check=False)] == [""] and path.is_file()
     assert sorted(read.read_text().split()) == sorted(dataset.names())
 
 
@@ -122,20 +119,15 @@ def test_trainings_side_by_side_have_a_gpu_each_unless_told_which(dataset, task,
     path, report = tmp_path / "shown.json", tmp_path / "shown"
     report.mkdir()
     name, given = "toy_methods:ShownGpus", {"report": str(report), "device": device}
-    score = partial(finish, name, task, dataset, path, parameters=given, check=False)
-    job = Evaluation(path, name, task, dataset, score, given)
-    assert [message for _, message in make([job], 4, check=False)] == [""]
+    row = Row.at(path, name, task, dataset, parameters=given)
+    assert [message for _, message in make([row], 4, check=False)] == [""]
     assert sorted(file.read_text() for file in report.iterdir()) == seen
 
 
 def test_trainings_side_by_side_end_where_the_last_method_fails(dataset, task, tmp_path):
-    """What was left of the queue was of an evaluation that had failed, and nothing was waited for, for ever."""
-    path = tmp_path / "crash.json"
-    job = Evaluation(path, "toy_methods:Crashes", task, dataset,
-                     partial(finish, "toy_methods:Crashes", task, dataset, path, check=False))
-    assert len(job.stage_names(seeded=False)) > 1
-    ((_, message),) = make([job], 1, check=False)
-    assert "toe" in message
+    row = Row.at(tmp_path / "crash.json", "toy_methods:Crashes", task, dataset)
+    ((_, message),) = make([row], 1, check=False)
+    assert "toe" in message and len(row.of.jobs) > 1
 
 
 def test_a_broken_contract_is_found_before_trainings_side_by_side(dataset, task, tmp_path):
@@ -185,11 +177,10 @@ def test_such_a_result_is_never_ranked(dataset, task, plain, tmp_path):
 
 def test_processes_change_nothing_and_a_failure_does_not_end_the_rest(dataset, task, plain, tmp_path, monkeypatch):
     path = tmp_path / "several.json"
-    jobs = [Evaluation(tmp_path / "crash.json", "toy_methods:Crashes", task, dataset, lambda: None),
-            Evaluation(path, "toy_methods:Constant", task, dataset,
-                       partial(finish, "toy_methods:Constant", task, dataset, path, check=False))]
+    rows = [Row.at(tmp_path / "crash.json", "toy_methods:Crashes", task, dataset),
+            Row.at(path, "toy_methods:Constant", task, dataset)]
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    found = {one.path.stem: message for one, message in make(jobs, 3, check=False)}
+    found = {one.path.stem: message for one, message in make(rows, 3, check=False)}
     assert "OMP_NUM_THREADS" not in os.environ, "the caller's threads are its own"
     assert found["several"] == "" and "toe" in found["crash"] and len(found) == 2
     several = Result.load(path)
@@ -208,29 +199,3 @@ def test_a_reader_tells_protocols_and_noises_apart(dataset, task):
     assert read.subject(task, dataset, name) is first
     quiet, other = (read.specimen(t, dataset, name).touches[0].value for t in (task, loud))
     assert (quiet != other).any() and read.specimen(fewer, dataset, name) is read.specimen(task, dataset, name)
-
-
-def test_several_processes_read_what_one_does(dataset, task, monkeypatch):
-    names, reads = dataset.names(), [answers.Reader(), answers.Reader()]
-    for processes, read in zip((1, 3), reads):
-        read.read(task, dataset, test=names, train=names, processes=processes)
-    monkeypatch.setattr(answers, "record", None)  # nothing is left to read
-    for name in names:
-        (one, first), (other, second) = ((r.subject(task, dataset, name), r.specimen(task, dataset, name))
-                                         for r in reads)
-        assert one.draw == other.draw and one.pool.keys() == other.pool.keys() and one.name == other.name == name
-        np.testing.assert_array_equal(one.view.depth, other.view.depth)
-        np.testing.assert_array_equal(one.points, other.points)
-        for given, again in zip(first.touches, second.touches, strict=True):
-            np.testing.assert_array_equal(given.value, again.value)
-            np.testing.assert_array_equal(given.action.poses, again.action.poses)
-            assert not again.value.flags.writeable
-
-
-def test_a_view_that_cannot_be_read_is_told_by_several_processes(dataset, task, monkeypatch):
-    asked = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, query=1000))
-    with pytest.raises(TaskError, match="touches"):
-        answers.Reader().read(asked, dataset, test=dataset.names(), train=(), processes=2)
-    monkeypatch.setattr(answers, "record", lambda *_: os.kill(os.getpid(), 9))  # as the system does without memory
-    with pytest.raises(TaskError, match="ended from outside"):
-        answers.Reader().read(task, dataset, test=dataset.names(), train=(), processes=2)

@@ -2,7 +2,7 @@
 
 import os
 
-from vsfsim.core.system.content import differences, named_files, source_files, source_sha256
+from vsfsim.core.system.content import differences, files_sha256, named_files, source_files, source_sha256
 
 
 def write(folder, **files):
@@ -18,12 +18,12 @@ def test_the_source_is_all_that_is_imported_at_any_depth(tmp_path):
           stranger="B = 2\n")
     (tmp_path / "parts" / "__init__.py").write_text("")
     assert sorted(source_files("mine", tmp_path)) == ["helper", "mine", "parts", "parts.deep", "parts.other"]
-    before = source_sha256("mine", tmp_path)
+    before = files_sha256(source_files("mine", tmp_path))
     write(tmp_path, stranger="B = 3\n")
-    assert source_sha256("mine", tmp_path) == before
+    assert files_sha256(source_files("mine", tmp_path)) == before
     write(tmp_path, parts__other="A = 2\n")
-    assert source_sha256("mine", tmp_path) != before
-    assert source_sha256("there_is_none_of_this_name", tmp_path) == ""
+    assert files_sha256(source_files("mine", tmp_path)) != before
+    assert source_sha256("there_is_none_of_this_name") == ""
 
 
 def test_a_module_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_path):

@@ -20,7 +20,7 @@ import msgspec
 
 from vsfsim.bench.board.shipped import shipped_form
 from vsfsim.bench.commands.presets import PRESETS, preset
-from vsfsim.bench.method import method_sha256
+from vsfsim.bench.identity import method_sha256
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError, TaskError

@@ -23,10 +23,10 @@ import numpy as np
 
 from vsfsim.bench.board.compare import ByObject, by_object, interval, paired
 from vsfsim.bench.board.named import labels_of
-from vsfsim.bench.commands.own_result import own
+from vsfsim.bench.commands.side_by_side import own
 from vsfsim.bench.evaluate import finish
+from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import collect, over_objects
-from vsfsim.bench.method import contents_of
 from vsfsim.bench.metric_functions import spearman
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset

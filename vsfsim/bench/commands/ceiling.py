@@ -28,7 +28,8 @@ from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.folds import test_names
-from vsfsim.bench.method import Action, Reading, contents_of
+from vsfsim.bench.identity import contents_of
+from vsfsim.bench.method import Action, Reading
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.protocol import Trial, divide, record, support

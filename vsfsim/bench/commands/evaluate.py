@@ -6,23 +6,20 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.commands.ceiling import evaluate_ceiling
-from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
-from vsfsim.bench.commands.side_by_side import Evaluation, make
+from vsfsim.bench.commands.side_by_side import make, own
 from vsfsim.bench.curves import beside
-from vsfsim.bench.evaluate import evaluate as run
-from vsfsim.bench.evaluate import finish
+from vsfsim.bench.evaluate import Row, finish
+from vsfsim.bench.identity import SCORER, contents_of
 from vsfsim.bench.isolation.limits import Isolation
-from vsfsim.bench.method import check_name, contents_of
+from vsfsim.bench.method import check_name
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
-from vsfsim.bench.trials.training import Training
 from vsfsim.core.engines.shard import HERE, Fan
 from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
 from vsfsim.core.shelf import ceilings
@@ -47,8 +44,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         workers: trials that run at the same time.
         timeout: seconds that one call of the method may take, None for no limit.
         memory: memory that a process of the method may allocate [GiB], None for no limit.
-        sandbox: "bubblewrap" or "namespaces", which hide files and network, or "process"; "" for the strongest one that
-        works here.
+        sandbox: "namespaces", a container, which hides files and network, or "process"; "" for the strongest one that
+            works here.
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
             are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
@@ -75,27 +72,19 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     if preset:
         parameters = {**chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters,
                       **(parameters or {})}
-    options: dict[str, Any] = {"parameters": parameters, "preset": preset,
-                               "seeds": seeds, "progress": progress, "isolation": isolation}
-    if processes > 1 and out is None:
-        with tempfile.TemporaryDirectory() as folder:
-            return evaluate(name, wanted, data, parameters=parameters, seeds=seeds, workers=workers, timeout=timeout,
-                            memory=memory, sandbox=sandbox, out=Path(folder) / "result.json", preset=preset,
-                            processes=processes, progress=progress)
-    if out is None:
-        return run(name, wanted, data, **options)
-    path = Path(out)
-    if keep:
-        options["curves"] = beside(path)
-    if processes > 1:
-        one = Evaluation(path, name, wanted, data, lambda: finish(name, wanted, data, path, **options),
-                         parameters or {}, seeds, Training(), isolation)
-        for _, message in make([one], processes, progress=progress or (lambda *_: None)):
-            if message:
-                raise MethodError(message)
-        return Result.load(path)
-    with own(path):
-        return finish(name, wanted, data, path, **options)
+    options: dict[str, Any] = {"parameters": parameters, "preset": preset, "seeds": seeds, "isolation": isolation}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "result.json" if out is None else Path(out)
+        if keep:
+            options["curves"] = beside(path)
+        if processes > 1:
+            for _, message in make([Row.at(path, name, wanted, data, **options)], processes,
+                                   progress=progress or (lambda *_: None)):
+                if message:
+                    raise MethodError(message)
+            return Result.load(path)
+        with own(path):
+            return finish(name, wanted, data, path, progress=progress, **options)
 
 
 def name_of(method: type) -> str:
@@ -137,10 +126,10 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
     and the next one runs.
 
     Args:
-        task: the task. rows: what to evaluate. folder: of the result files. dataset: as of `evaluate`. seeds: as of
-        `evaluate`. before: called before a row is made. processes: trainings of all rows that run at the same time.
-        progress: of them, called with (done, of how many, what). keep: as of `evaluate`; a row whose predictions are
-        missing is made again. fan: where the trainings run. options: further ones of `evaluate`.
+        task: the task. rows: what to evaluate. folder: of the result files; of one row the file itself. dataset,
+        seeds: as of `evaluate`. before: called before a row is made. processes: trainings of all rows that run at the
+        same time. progress: of them, called with (done, of how many, what). keep: as of `evaluate`; a row whose
+        predictions are missing is made again. fan: where the trainings run. options: further ones of `evaluate`.
 
     Yields:
         Every row in its order; with several processes or machines those that are there already, then the others as they
@@ -152,7 +141,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
     data = open_dataset(task, dataset)
     to_do: dict[Path, Choice] = {}
     for choice in rows:
-        path = folder / f"{choice.stem}.json"
+        path = folder if folder.suffix == ".json" and len(rows) == 1 else folder / f"{choice.stem}.json"
         known = _kept(path, task, data.sha256, choice, seeds)
         if known is not None and (not keep or beside(path).is_file()):
             yield Made(choice, path, known, "kept")
@@ -176,13 +165,10 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
     if to_do:
         isolation = Isolation(options.get("sandbox", ""), options.get("timeout"), options.get("memory"),
                               options.get("workers", 1))
-        jobs = [Evaluation(path, c.method, task, data,
-                           partial(finish, c.method, task, data, path, parameters=c.parameters, seeds=seeds,
-                                   preset=c.preset, isolation=isolation, curves=beside(path) if keep else None),
-                           c.parameters, seeds, Training(), isolation)
-                for path, c in to_do.items()]
-        for one, message in make(jobs, processes, fan=fan, progress=progress):
-            yield Made(to_do[one.path], one.path, None if message else Result.load(one.path), message or "made")
+        wanted = [Row.at(path, c.method, task, data, parameters=c.parameters, seeds=seeds, preset=c.preset,
+                         isolation=isolation, curves=beside(path) if keep else None) for path, c in to_do.items()]
+        for row, message in make(wanted, processes, fan=fan, progress=progress):
+            yield Made(to_do[row.path], row.path, None if message else Result.load(row.path), message or "made")
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
@@ -198,6 +184,7 @@ def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: in
     asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items() if key != "device")
     if not (same and asked and len(result.seeds) == runs):
         return None
-    here = contents_of(choice.method, result.parameters)
-    # of the harness, what it makes of the same answers is computed again by the board
-    return result if all(result.contents.get(key) == here[key] for key in here if key != "the harness") else None
+    here = contents_of(choice.method, result.parameters, opened=result.contents)
+    # what the scorer makes of the same answers is computed again by the board
+    return result if all(result.contents.get(key) == here.get(key) for key in {*here, *result.contents} - {SCORER}
+                         ) else None

@@ -13,8 +13,8 @@ from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import interval, paired
 from vsfsim.bench.board.named import PREDICTIONS, claimed, command_of
+from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import Board, Row, collect, score_table
-from vsfsim.bench.method import contents_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import OTHERS, Task, load_task
 from vsfsim.core.errors import TaskError
@@ -106,7 +106,7 @@ def _findings(result: Result, task: Task, row: Row | None) -> Iterator[Finding]:
     yield ok("others can run it again", "" if package else "the method is a file, not an installed package. `vsfsim "
              "new-method NAME` begins one; install it and evaluate again")
     yield ok("its source is the one that is here", _other_source(result))
-    yield told("it ran in a container", "" if result.isolation in ("bubblewrap", "namespaces") else
+    yield told("it ran in a container", "" if result.isolation not in ("", "process") else
                f"its sandbox was '{result.isolation or 'none'}', in which a method can see files of yours")
     commit = str(result.made_by.get("commit") or "")
     yield told("it was scored by committed code", f"vsfsim had changes over {commit[:7]}" if "+" in commit else "")
@@ -123,7 +123,7 @@ def _other_source(result: Result) -> str:
         return "the result does not say of which source it is; evaluate again"
     if result.method not in methods():
         return f"'{result.method}' is not installed here, so that its source cannot be compared; submit where it is"
-    here = contents_of(result.method, result.parameters)
+    here = contents_of(result.method, result.parameters, opened=result.contents)
     odd = [key for key, value in result.contents.items() if key != "the harness" and here.get(key) != value]
     return f"{' and '.join(odd)} changed since; evaluate again" if odd else ""
 

@@ -1,25 +1,30 @@
-"""What the operating system enforces on a method's process: memory, file sizes, and an end with its parent."""
+"""How a method is kept from what it may not see, and what the operating system enforces on its processes."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
+import functools
 import os
-import signal
+import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vsfsim.bench.isolation import container
+from vsfsim.bench.isolation import box
 from vsfsim.core.errors import MethodError
 
 GIB = 1 << 30
-LARGEST_FILE = 8 * GIB
-"""A method may write no larger file [bytes]."""
+SANDBOXES = ("namespaces", "process")
+"""The strongest first: a container (`box`), and a process without one."""
 VARIABLE = "VSFSIM_SANDBOX"
 """Environment variable that names the sandbox where none is asked for."""
 LARGEST_LOG = 64 << 20
 """A method may print no more in one evaluation [bytes]."""
+LARGEST_FOLDER = 2 * GIB
+"""A process may write no more into its folder in memory, nor a larger file [bytes]."""
+_KEPT = ("PATH", "LANG", "TZ", "LD_LIBRARY_PATH", "VSFSIM_DINOV2", "TORCH_HOME", "HF_HOME")
+_KEPT_PREFIXES = ("LC_", "OMP_", "MKL_", "OPENBLAS_", "KMP_", "GOMP_", "CUDA_", "NVIDIA_", "ATEN_", "NPY_", "NUMBA_")
+"""Variables that a method's process has from the user's environment: threads, GPUs, rounding, weights."""
 
 
 @dataclass(frozen=True)
@@ -27,22 +32,24 @@ class Isolation:
     """How a method is kept from what it may not see."""
 
     sandbox: str = ""
-    """One of `container.SANDBOXES`: "bubblewrap" and "namespaces" are containers that show it no file of the user's and
-    no network, "process" is a process of its own; "" becomes what `VARIABLE` says, or the strongest one that
-    works here."""
+    """One of `SANDBOXES`: "namespaces" is a container that shows it no file of the user's and no network, "process" is
+    a process without one; "" becomes what `VARIABLE` says, or the strongest one that works here."""
     timeout: float | None = None
     """Seconds that one call of the method may take, None for no limit."""
     memory: float | None = None
-    """Memory that each of its processes may allocate [GiB], None for no limit."""
+    """Memory that each of its processes may allocate [GiB], None for what the machine has."""
     workers: int = 1
     """Trials that run at the same time."""
 
     def __post_init__(self) -> None:
         if self.sandbox == "":
-            object.__setattr__(self, "sandbox", os.environ.get(VARIABLE) or container.strongest())
-        if self.sandbox not in container.SANDBOXES:
-            raise MethodError(f"--sandbox is '{self.sandbox}'. Allowed: {', '.join(container.SANDBOXES)}.")
-        container.require(self.sandbox)
+            object.__setattr__(self, "sandbox", os.environ.get(VARIABLE) or strongest())
+        if self.sandbox not in SANDBOXES:
+            raise MethodError(f"--sandbox is '{self.sandbox}'. Allowed: {', '.join(SANDBOXES)}.")
+        if not works(self.sandbox):
+            raise MethodError(f"--sandbox {self.sandbox} does not work here: it needs Linux 5.12 or later and the "
+                              f"right to make namespaces. Leave --sandbox away for the strongest one that works: "
+                              f"{strongest()}.")
         for name, value in (("--timeout", self.timeout), ("--memory", self.memory)):
             if value is not None and not 0.0 < value < 1e9:
                 raise MethodError(f"{name} is {value}; it must be greater than 0.")
@@ -50,22 +57,44 @@ class Isolation:
             raise MethodError(f"--workers is {self.workers}; it must be at least 1.")
 
 
-def apply(memory: float | None) -> None:
+def strongest() -> str:
+    """The first of `SANDBOXES` that works here."""
+    return next(name for name in SANDBOXES if works(name))
+
+
+@functools.cache
+def works(sandbox: str) -> bool:
+    """Whether a sandbox works here; it is tried."""
+    if sandbox == "process":
+        return True
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        return sys.platform == "linux" and subprocess.run([sys.executable, "-I", "-S", box.__file__],
+                                                          capture_output=True, timeout=20.0).returncode == 0
+    return False
+
+
+def of(isolation: Isolation) -> dict[str, int]:
+    """The operands of `apply`."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return {"memory": memory if isolation.memory is None else int(isolation.memory * GIB),
+            "processes": 512 + 32 * (os.cpu_count() or 1)}
+
+
+def apply(memory: int, processes: int) -> None:
     """Lower this process's limits for good; processes that it starts inherit them.
 
     Memory is RLIMIT_DATA on Linux, which counts what was allocated and not address space that a GPU driver only
-    reserves, and RLIMIT_AS elsewhere. Nothing happens on a system without `resource`.
+    reserves, and RLIMIT_AS elsewhere. The number of processes counts in a container, where they are a user's of their
+    own.
 
     Args:
-        memory: most memory [GiB], or None.
+        memory: most memory [bytes]. processes: most processes and threads; 0 for no limit.
     """
-    try:
-        import resource
-    except ImportError:
-        return
-    limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: LARGEST_FILE}
-    if memory is not None:
-        limits[resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS] = int(memory * GIB)
+    import resource
+
+    limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: LARGEST_FOLDER,
+              resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS: memory,
+              **({resource.RLIMIT_NPROC: processes} if processes else {})}
     for kind, value in limits.items():
         hard = resource.getrlimit(kind)[1]
         value = value if hard == resource.RLIM_INFINITY else min(value, hard)
@@ -73,28 +102,8 @@ def apply(memory: float | None) -> None:
             resource.setrlimit(kind, (value, value))
 
 
-def end_with_parent() -> None:
-    """Have the kernel kill this process when its parent ends (Linux); elsewhere it ends when its pipe closes."""
-    if sys.platform != "linux":
-        return
-    parent = os.getppid()
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL, 0, 0, 0)  # 1: PR_SET_PDEATHSIG
-    if os.getppid() != parent:
-        os._exit(1)  # the parent ended before the kernel knew
-
-
-def peak_memory_mib(of_children: bool = False) -> float:
-    """Largest resident size so far of this process, or of those that it has started [MiB]; 0 where the system does not
-    report it."""
-    try:
-        import resource
-    except ImportError:
-        return 0.0
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN if of_children else resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1024.0 if sys.platform == "linux" else peak / 1024.0**2
-
-
 def environment(given: Mapping[str, str]) -> dict[str, str]:
-    """The environment of the process: the scorer's, without the folder of the datasets."""
-    return {key: value for key, value in given.items() if key not in ("VSFSIM_DATASETS", "OLDPWD", "PWD")}
+    """What of the scorer's environment a method's process has, and where it finds weights."""
+    cache = given.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    weights = {"TORCH_HOME": os.path.join(cache, "torch"), "HF_HOME": os.path.join(cache, "huggingface")}
+    return weights | {key: value for key, value in given.items() if key in _KEPT or key.startswith(_KEPT_PREFIXES)}

@@ -1,60 +1,55 @@
-"""The scorer's side of a method's process: it starts it, asks it, times it and ends it."""
+"""The scorer's side of a method's processes: it starts them, asks them, times them and ends them."""
 
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
 import os
+import pickle
+import select
 import shutil
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.isolation import container, keeper, namespaces
-from vsfsim.bench.isolation.limits import LARGEST_LOG, Isolation, environment
-from vsfsim.bench.isolation.wire import Channel, Closed, Garbled, Reply
+from vsfsim.bench.identity import named_by
+from vsfsim.bench.isolation import limits
+from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment
+from vsfsim.bench.isolation.places import kernels, places
+from vsfsim.bench.isolation.wire import Description, Garbled, Learned, Reply, receive_reply
 from vsfsim.bench.method import Specimen
 from vsfsim.core.errors import MethodError
-from vsfsim.core.extras import MissingPackage
+from vsfsim.core.extras import EXTRA_OF, MissingPackage
 from vsfsim.core.plain_text import plain
+from vsfsim.core.shelf import methods
+from vsfsim.core.system.content import named_files
 
-_START = "import sys, json; sys.path[:] = json.loads(sys.argv[1])['search']; " \
-         "from vsfsim.bench.isolation.child import main; main(sys.argv[1:])"
+_START = ("import sys, json; sys.path[:] = json.loads(sys.argv[1])['search']; "
+          "from vsfsim.bench.isolation.host import main; main(sys.argv[1:])")
 _IMPORT = 120.0
-"""Seconds that starting Python and importing a method's packages may take besides --timeout."""
+"""Seconds that the import of a method's packages may take besides --timeout."""
 _STATE = 1 << 34
 """Most bytes of what a method learned."""
+_WARM = {"vsfsim", "numpy", "scipy", "h5py", *EXTRA_OF}
+"""Packages that may be imported before a method's process is forked."""
 
 
-@dataclass(frozen=True)
-class Description:
-    """What a method says of itself before it is built."""
+class MethodHost:
+    """Runs the processes of one method.
 
-    entry: str
-    """Its module:attribute."""
-    parameters: Mapping[str, Any]
-    """Of the constructor, all of them."""
-    seeded: bool
-    """Its constructor takes a ``seed``."""
-    package: str
-    """The installed package that it is from, "" for a file that is not installed."""
-    version: str
-    """Of that package."""
-
-
-class MethodProcess:
-    """A process with one method.
-
-    Use it as a context manager. The module of the method is imported in the process, never here.
+    Use it as a context manager. The module of the method is imported in these processes, never here.
 
     Args:
         name: of the method, as `vsfsim.bench.method.find_method` takes it.
@@ -66,286 +61,164 @@ class MethodProcess:
 
     def __init__(self, name: str, parameters: Mapping[str, Any], isolation: Isolation, log: Path, *,
                  hidden: Sequence[Path] = ()):
-        self.name, self.parameters, self.isolation, self.log, self.hidden = name, parameters, isolation, log, hidden
-        self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
-        for name in ("work", "root"):
-            (self._folder / name).mkdir()
-        self._state: bytes | None = None  # what the method learned, where it cannot be forked
-        self._copy: MethodProcess | None = None  # which received that state and can be forked
-        self._seed: int | None = None
-        self._process: subprocess.Popen[bytes] | None = None
         if os.name == "nt":
             raise MethodError("`vsfsim evaluate` runs a method in a process of its own in ways that Windows does not "
                               "have. Use it under WSL, or write predictions to a file and use `vsfsim score`.")
-        self._channels: list[Channel] = []
-        self._free: list[Channel] = []
-        self._waiting = threading.Condition()
-        self._timed_out = ""
+        self.name, self.parameters, self.isolation, self.log = name, dict(parameters), isolation, log.absolute()
+        self.ships = name in methods() and methods()[name].value.startswith("vsfsim.")
+        device = self.parameters.get("device", "cpu" if self.ships else None)  # of those that ship, a cpu if none given
+        self._on_gpu = device != "cpu" and bool(glob.glob("/dev/nvidia[0-9]*") + glob.glob("/dev/kfd"))
+        self.hides = device == "cpu"
+        """No process sees a GPU."""
+        self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
+        self._search = [path for path in dict.fromkeys(map(os.path.abspath, filter(None, sys.path)))
+                        if path != os.getcwd()]
+        self._places = {"size": LARGEST_FOLDER, **places(name, self.parameters, search=self._search, hidden=hidden,
+                                                         given=environment(os.environ))}
+        self._lock, self._hosts = threading.Lock(), dict[bool, tuple[subprocess.Popen[bytes], socket.socket]]()
+        self.processes, self._warmed = set[_Process](), set[str]()
         self.peak_memory_mib = 0.0
-        """Largest resident size that the process, or a trial, has reported [MiB]."""
-        try:
-            self._start(1 + (isolation.workers if hasattr(os, "fork") else 0))
-            self.description = self._find()
-        except BaseException:
-            self.close()
-            raise
+        """Largest resident size that a process has had [MiB]."""
 
-    def __enter__(self) -> MethodProcess:
+    def __enter__(self) -> MethodHost:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """End the process, whatever it does. Safe to call twice."""
-        if self._copy is not None:
-            self._copy.close()
-        self._kill()
-        if self._process is not None:
+        """End all processes, whatever they do. Safe to call twice."""
+        for process in list(self.processes):
+            process.end()
+        for host, control in self._hosts.values():
+            control.close()
             try:
-                self._process.wait(timeout=30.0)
+                host.wait(timeout=30.0)
             except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-        for channel in self._channels:
-            with contextlib.suppress(OSError):
-                channel.close()
-        self._channels = []
+                host.kill()
+                host.wait()
+        self._hosts.clear()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    # ------------------------------------------------------------------ before the trials
+    # ------------------------------------------------------------------ what is asked of a method
 
-    def check(self) -> list[tuple[str, str]]:
-        """The clauses of the contract that the method breaks on mock objects, each with what was observed."""
-        reply = self._ask(self._channels[0], "check", None, "the check of its contract")
-        return [(plain(clause), plain(detail)) for clause, detail in reply.head.get("failed", [])]
-
-    def require(self) -> None:
-        """Refuse a method that breaks its contract on mock objects.
+    def look(self, *, check: bool) -> Description:
+        """Import the method, and test on mock objects whether it keeps its contract.
 
         Raises:
-            MethodError: with every clause that it breaks.
+            MethodError: it is unknown, or breaks its contract; with every clause that it breaks.
         """
-        failed = self.check()
+        with self._process(self.hides, {}) as process:
+            head = process.find(look=True).head
+            try:
+                package, version = (plain(word) for word in head["package"])
+                said = Description(plain(head["entry"]), dict(head["parameters"]), bool(head["seeded"]), package,
+                                   version)
+            except (KeyError, TypeError, ValueError) as error:
+                raise MethodError(f"the process of {self.name} described itself with something unreadable.") from error
+            failed = [] if not check else process.ask("check", self.name, "the check of its contract").head["failed"]
         if failed:
             raise MethodError(f"{self.name} does not keep the contract of a method: "
-                              + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
+                              + "; ".join(f"{plain(clause)}: {plain(detail)}" for clause, detail in failed)
                               + f" `vsfsim check {self.name}` tests all of it.")
+        return said
 
-    def meta_fit(self, specimens: Sequence[Specimen], *, seed: int | None) -> float:
-        """Build the method, let it learn, and make ready for trials.
+    def learn(self, specimens: Sequence[Specimen], *, seed: int | None,
+              environment: Mapping[str, str] | None = None) -> Learned:
+        """Build the method in a process of its own and let it learn.
 
         Args:
-            specimens: training objects. seed: for a method that takes one.
-
-        Returns:
-            Seconds that `meta_fit` took.
+            specimens: training objects. seed: for a method that takes one. environment: further variables.
         """
-        control, self._seed = self._channels[0], seed
-        self._ask(control, "build", seed, "its constructor")
-        start = time.perf_counter()
-        reply = self._ask(control, "meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
-        took = time.perf_counter() - start
-        if not self._serves(reply):
-            self._state = self._ask(control, "state", None, "a copy of what it learned", most=_STATE).blob
-            copy = self._restored(self.isolation.workers)
-            if copy._free:
-                self._copy = copy
-            else:
-                copy.close()
-        return took
-
-    def _serves(self, learned: Reply) -> bool:
-        """Have the process fork for trials, if it says in its answer that it can."""
-        if learned.head.get("fork") is not True or len(self._channels) < 2:
-            return False
-        self._ask(self._channels[0], "serve", None, "the start of its trials")
-        self._free = self._channels[1:]
-        return True
-
-    def _restored(self, workers: int) -> MethodProcess:
-        """A new process with what the method learned; it serves trials if it can be forked."""
-        process = MethodProcess(self.name, self.parameters, replace(self.isolation, workers=workers), self.log,
-                                hidden=self.hidden)
-        try:
-            control = process._channels[0]
-            process._ask(control, "build", self._seed, "its constructor")
-            process._serves(process._ask(control, "restore", self._state, "the copy of what it learned"))
-        except BaseException:
-            process.close()
-            raise
-        return process
-
-    # ------------------------------------------------------------------ trials
+        given = environment or {}
+        with self._process(self.hides, given) as process:
+            process.find()
+            process.ask("build", seed, "its constructor")
+            start = time.perf_counter()
+            process.ask("meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
+            took = time.perf_counter() - start
+            reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
+        opened = tuple(str(path) for path in reply.head.get("opened", ()))
+        return Learned(reply.blob, reply.head.get("host") is True, opened, took, seed, given)
 
     @contextmanager
-    def trial(self, view: Any, support: Sequence[Any], where: str) -> Iterator[MethodCopy]:
+    def trial(self, learned: Learned, view: Any, support: Sequence[Any], where: str) -> Iterator[MethodCopy]:
         """A fresh copy of the method that learned, which holds one view and one support set.
 
         Args:
-            view: of the object. support: the touches that were made. where: for messages.
+            learned: by the method. view: of the object. support: the touches that were made. where: for messages.
         """
-        if self._copy is not None:
-            with self._copy.trial(view, support, where) as one:
-                yield one
-            self.peak_memory_mib = max(self.peak_memory_mib, self._copy.peak_memory_mib)
-            return
-        if self._state is not None:
-            with self._restored(1) as process:
-                yield from process._one_trial(process._channels[0], view, support, where)
-            return
-        with self._waiting:
-            while not self._free:
-                self._waiting.wait()
-            channel = self._free.pop()
+        hide = self.hides or learned.on_host
+        with self._process(hide, learned.environment) as process:
+            process.find()
+            process.ask("restore", (learned.seed, learned.state), "the copy of what it learned")
+            process.ask("object", (view, list(support)), where)
+            yield MethodCopy(process, where)
+            self.warm(map(str, process.ask("end", None, where).head.get("modules", ())), hide)
+
+    # ------------------------------------------------------------------ processes
+
+    @contextmanager
+    def _process(self, hide: bool, environment: Mapping[str, str]) -> Iterator[_Process]:
+        process = self._start(hide, environment)
+        self.processes.add(process)
         try:
-            yield from self._one_trial(channel, view, support, where)
+            yield process
         finally:
-            with self._waiting:
-                self._free.append(channel)
-                self._waiting.notify()
+            self.processes.discard(process)
+            process.end()
+            self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
 
-    def _one_trial(self, channel: Channel, view: Any, support: Sequence[Any], where: str) -> Iterator[MethodCopy]:
-        self._ask(channel, "object", (view, list(support)), where)
-        yield MethodCopy(self, channel, where)
-        self._ask(channel, "end", None, where)
-
-    # ------------------------------------------------------------------ the process
-
-    def _start(self, channels: int) -> None:
-        pairs, theirs = [], []
-        for _ in range(channels):
-            ask, answer = os.pipe(), os.pipe()
-            self._channels.append(Channel(answer[0], ask[1]))
-            pairs.append((ask[0], answer[1]))
-            theirs += [ask[0], answer[1]]
-        search = list(dict.fromkeys(os.path.abspath(path) for path in sys.path))
-        given = {"channels": pairs, "search": search, "memory": self.isolation.memory}
-        words, enter = [sys.executable, "-c", _START, json.dumps(given)], None
-        if self.isolation.sandbox == "process":
-            keeper.hide_memory()  # of the scorer, which a process of the same user could else attach to
-        else:
-            where = container.places(self.name, self.parameters, search=search, hidden=self.hidden,
-                                     folder=self._folder / "work")
-            if self.isolation.sandbox == "bubblewrap":
-                words = container.bubblewrap(words, where)
-            else:
-                enter = container.entry(where, self._folder / "root")
-        kept = {"words": words, "enter": enter, "namespaces": namespaces.__file__, "handles": theirs,
-                "log": str(Path(self.log).absolute()), "most": LARGEST_LOG, "parent": os.getpid(),
-                "inside": self.isolation.sandbox != "process"}
+    def _start(self, hide: bool, environment: Mapping[str, str]) -> _Process:
+        boxed = self.isolation.sandbox != "process"
+        (line, theirs), (end, watcher) = socket.socketpair(), socket.socketpair()
+        given = {"box": self._places if boxed else None, "folder": str(self._folder), "most": LARGEST_LOG,
+                 "limits": {**limits.of(self.isolation), **({} if boxed else {"processes": 0})}, "cache": kernels(),
+                 "environment": dict(environment)}
         try:
-            with open(self.log, "ab") as log:
-                self._process = subprocess.Popen([sys.executable, "-I", "-S", keeper.__file__, json.dumps(kept)],
-                                                 stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                                 cwd=self._folder / "work", env=environment(os.environ),
-                                                 pass_fds=theirs, start_new_session=True)
+            with self._lock, open(self.log, "ab") as log:
+                control = self._host(hide)
+                Connection(os.dup(control.fileno())).send_bytes(json.dumps(given).encode())
+                socket.send_fds(control, [b"f"], [theirs.fileno(), watcher.fileno(), log.fileno()])
         except OSError as error:
-            raise MethodError(f"the process of {self.name} cannot be started: {error}.") from error
+            raise MethodError(f"a process of {self.name} cannot be started: {error}. {self.tail(3)}") from error
         finally:
-            for handle in theirs:
-                os.close(handle)
+            theirs.close()
+            watcher.close()
+        return _Process(self, line, end)
 
-    def _find(self) -> Description:
-        reply = self._ask(self._channels[0], "find", {"name": self.name, "parameters": dict(self.parameters),
-                                                      "folder": os.getcwd()}, "its import",
-                          limit=None if self.isolation.timeout is None else self.isolation.timeout + _IMPORT)
-        try:
-            head = reply.head
-            package, version = (plain(word) for word in head["package"])
-            return Description(plain(head["entry"]), dict(head["parameters"]), bool(head["seeded"]), package, version)
-        except (KeyError, TypeError, ValueError) as error:
-            raise MethodError(f"the process of {self.name} described itself with something unreadable.") from error
+    def _host(self, hide: bool) -> socket.socket:
+        """The line of the process that others are forked from, with or without the machine's GPUs."""
+        if hide not in self._hosts:
+            ours, theirs = socket.socketpair()
+            warm = self._trusted(named_by(self.name), hide)
+            # Of one that ships, the contract's check loads its kernels, and compiles them for the user's own folder.
+            check = {"name": self.name, "parameters": self.parameters} if (
+                self.ships and self.hides and not named_files(self.parameters, "")) else None
+            words = json.dumps({"search": self._search, "control": theirs.fileno(), "warm": warm, "check": check})
+            given = {**environment(os.environ), **({"CUDA_VISIBLE_DEVICES": ""} if hide else {}),
+                     "WARP_CACHE_PATH": kernels()}
+            with open(self.log, "ab") as log:
+                host = subprocess.Popen([sys.executable, "-c", _START, words], stdin=subprocess.DEVNULL, stdout=log,
+                                        stderr=log, cwd=self._folder, env=given, pass_fds=[theirs.fileno()],
+                                        start_new_session=True)
+            theirs.close()
+            self._hosts[hide] = host, ours
+        return self._hosts[hide][1]
 
-    def _ask(self, channel: Channel, operation: str, payload: Any, what: str, *, most: int = 1 << 20,
-             limit: float | None = -1.0) -> Reply:
-        """The answer to a request.
+    def _trusted(self, modules: Iterable[str], hide: bool) -> list[str]:
+        """The modules that may be imported before a process is forked: none of the method's, and none that starts a
+        GPU's driver, which is of no use after a fork."""
+        tops = {"numpy", "scipy"} if self._on_gpu and not hide else _WARM
+        return [name for name in modules if name.partition(".")[0] in tops and "__" not in name]
 
-        Raises:
-            MethodError: the method raised, refused, took too long, or its process ended; ``what`` says in which part.
-        """
-        limit = self.isolation.timeout if limit == -1.0 else limit
-        timer, part = self._timer(limit, what), what
-        try:
-            channel.send_request(operation, payload)
-            reply = channel.receive_reply(most=most)
-            while "calls" in reply.head and operation == "check":  # each call of the check has the whole limit
-                if timer is not None:
-                    timer.cancel()
-                part = f"{plain(reply.head['calls'], longest=60)} in {what}"
-                timer = self._timer(limit, part)
-                reply = channel.receive_reply(most=most)
-        except Closed:
-            raise MethodError(self._ended(part)) from None
-        except Garbled as error:
-            raise MethodError(f"the method's process gave no answer in {what}: {error}.") from error
-        finally:
-            if timer is not None:
-                timer.cancel()
-        kind, peak = reply.head.get("error"), reply.head.get("peak_mib", 0.0)
-        if isinstance(peak, (int, float)) and self.peak_memory_mib < peak < 1e9:
-            self.peak_memory_mib = float(peak)
-        if "over" in reply.head and operation != "end":
-            kind, reply.head["text"] = "died", reply.head["over"]
-        if kind is None:
-            return reply
-        text, said = plain(reply.head.get("text", "")), ""
-        if kind == "missing":
-            raise MissingPackage(text)
-        if kind == "refused":
-            raise MethodError(text)
-        if kind == "died":
-            said = f"the method's process ended in {what} ({text})"
-        else:
-            said = f"the method raised {plain(reply.head.get('type', 'an error'))} in {what}: {text}"
-        failure = MethodError(f"{said.rstrip('.')}.{self._memory_note(reply.head)}{self._box_note(reply.head)} --debug "
-                              f"shows where.")
-        failure.add_note(self.tail())
-        raise failure
-
-    def _timer(self, limit: float | None, what: str) -> threading.Timer | None:
-        if limit is None:
-            return None
-        timer = threading.Timer(limit, self._stop, (f"{what} took longer than the {limit:g} s of --timeout",))
-        timer.daemon = True
-        timer.start()
-        return timer
-
-    def _box_note(self, head: Mapping[str, Any]) -> str:
-        if self.isolation.sandbox == "process" or head.get("type") not in ("FileNotFoundError", "OSError",
-                                                                           "PermissionError"):
-            return ""
-        return (f" It runs in a container (--sandbox {self.isolation.sandbox}), which shows the installed packages and "
-                f"what its parameters name, and can be written in its working folder only.")
-
-    def _memory_note(self, head: Mapping[str, Any]) -> str:
-        short = self.isolation.memory is not None and head.get("type") in ("MemoryError", None)
-        return f" It may allocate {self.isolation.memory:g} GiB (--memory)." if short else ""
-
-    def _ended(self, what: str) -> str:
-        if self._timed_out:
-            return f"{self._timed_out}. Give more time, or make it faster."
-        with contextlib.suppress(OSError):
-            if self.log.stat().st_size >= LARGEST_LOG:
-                return (f"the method has printed more than {LARGEST_LOG >> 20} MiB, the last of it in {what}. Print "
-                        f"less.")
-        code = None
-        if self._process is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                code = self._process.wait(timeout=5.0)
-        lines = self.tail(3)
-        how = "" if code is None else f" (signal {-code})" if code < 0 else f" (exit code {code})"
-        return (f"the method's process ended in {what}{how}.{self._memory_note({})}"
-                + (f" Its last words: {plain(lines)}" if lines.strip() else ""))
-
-    def _stop(self, why: str) -> None:
-        self._timed_out = why
-        self._kill()
-
-    def _kill(self) -> None:
-        if self._process is not None and self._process.poll() is None:
-            with contextlib.suppress(OSError):
-                self._process.terminate()  # it ends all that runs below it
+    def warm(self, modules: Iterable[str], hide: bool) -> None:
+        """Import what a process had to import by itself, so that the next one finds it there."""
+        found = [name for name in self._trusted(modules, hide) if name not in self._warmed]
+        if found:
+            self._warmed.update(found)
+            with self._lock:
+                Connection(os.dup(self._hosts[hide][1].fileno())).send_bytes(json.dumps({"warm": found}).encode())
 
     def tail(self, lines: int = 30) -> str:
         """The last lines of what the method printed."""
@@ -357,11 +230,118 @@ class MethodProcess:
             return ""
 
 
+class _Process:
+    """One process of a method's."""
+
+    def __init__(self, host: MethodHost, line: socket.socket, end: socket.socket):
+        self._host, self._end = host, end
+        self._line = Connection(line.detach())
+        self._timed_out = ""
+        self._said: dict[str, Any] = {}
+        self.peak_memory_mib = 0.0
+        """Largest resident size that it has had, once it has ended [MiB]."""
+
+    def find(self, *, look: bool = False) -> Reply:
+        """Import the method; ``look`` asks for its package, too."""
+        limit, name = self._host.isolation.timeout, self._host.name
+        found = name if look or ":" in name else methods()[name].value
+        return self.ask("find", {"name": found, "parameters": self._host.parameters, "folder": os.getcwd(),
+                                 "look": look}, "its import", limit=None if limit is None else limit + _IMPORT)
+
+    def ask(self, operation: str, payload: Any, what: str, *, most: int = 1 << 20,
+            limit: float | None = -1.0) -> Reply:
+        """The answer to a request.
+
+        Raises:
+            MethodError: the method raised, refused, took too long, or its process ended; ``what`` says in which part.
+        """
+        limit, part = self._host.isolation.timeout if limit == -1.0 else limit, what
+        try:
+            with self._at_most(limit, part):
+                self._line.send_bytes(pickle.dumps((operation, payload), protocol=5))
+                reply = receive_reply(self._line, most=most)
+            while "calls" in reply.head and operation == "check":  # each call of the check has the whole limit
+                part = f"{plain(reply.head['calls'], longest=60)} in {what}"
+                with self._at_most(limit, part):
+                    reply = receive_reply(self._line, most=most)
+        except (EOFError, OSError):
+            raise MethodError(self._ended(part)) from None
+        except Garbled as error:
+            raise MethodError(f"the method's process gave no answer in {what}: {error}.") from error
+        kind = reply.head.get("error")
+        if kind is None:
+            return reply
+        text = plain(reply.head.get("text", ""))
+        if kind == "missing":
+            raise MissingPackage(text)
+        if kind == "refused":
+            raise MethodError(text)
+        failure = MethodError(f"the method raised {plain(reply.head.get('type', 'an error'))} in {what}: "
+                              f"{text.rstrip('.')}.{self._notes(reply.head.get('type'))} --debug shows where.")
+        failure.add_note(self._host.tail())
+        raise failure
+
+    @contextmanager
+    def _at_most(self, limit: float | None, what: str) -> Iterator[None]:
+        """End the process if what is done takes longer than ``limit`` [s]."""
+        if limit is None:
+            yield
+            return
+        timer = threading.Timer(limit, self._stop, (limit, what))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+
+    def _stop(self, limit: float, what: str) -> None:
+        self._timed_out = f"{what} took longer than the {limit:g} s of --timeout. Give more time, or make it faster."
+        self._finish()
+
+    def _notes(self, kind: str | None) -> str:
+        isolation = self._host.isolation
+        if isolation.sandbox != "process" and kind in ("FileNotFoundError", "OSError", "PermissionError",
+                                                       "ModuleNotFoundError"):
+            return (f" It runs in a container (--sandbox {isolation.sandbox}), which shows the installed packages, its "
+                    f"source and what its parameters name, and can be written in its working folder only. Name the "
+                    f"file by a parameter, or put it into the method's package.")
+        short = kind in ("MemoryError", None) and isolation.memory is not None
+        return f" It may allocate {isolation.memory:g} GiB (--memory)." if short else ""
+
+    def _ended(self, what: str) -> str:
+        self._finish()
+        if self._timed_out:
+            return self._timed_out
+        if self._said.get("much"):
+            return f"the method has printed more than {LARGEST_LOG >> 20} MiB, the last of it in {what}. Print less."
+        if "why" in self._said:
+            return f"the container of {self._host.name} cannot be made: {self._said['why']}."
+        code, lines = int(self._said.get("code", 1)), self._host.tail(3)
+        how = f"exit code {code}" if code >= 0 else signal.strsignal(-code) or f"signal {-code}"
+        return (f"the method's process ended in {what} ({how}).{self._notes(None)}"
+                + (f" Its last words: {plain(lines)}" if lines.strip() else ""))
+
+    def end(self) -> None:
+        """End the process and all that it started."""
+        self._finish()
+        self._line.close()
+        self._end.close()
+
+    def _finish(self) -> None:
+        """Have the process ended, and note what is said of its end."""
+        with contextlib.suppress(OSError, ValueError):
+            self._end.shutdown(socket.SHUT_WR)
+            if not self._said and select.select([self._end], [], [], 30.0)[0]:
+                self._said = json.loads(self._end.recv(1 << 12))
+                self.peak_memory_mib = float(self._said["peak_mib"])
+
+
 class MethodCopy:
     """One adaptation of a fresh copy of the method."""
 
-    def __init__(self, process: MethodProcess, channel: Channel, where: str):
-        self._process, self._channel, self._where = process, channel, where
+    def __init__(self, process: _Process, where: str):
+        self._process, self._where = process, where
         self.offers: frozenset[str] = frozenset()
         """The optional functions that the method has."""
         self.adapt_s = 0.0
@@ -372,13 +352,13 @@ class MethodCopy:
     def adapt(self) -> None:
         """Adapt to the view and the support set of the trial."""
         start = time.perf_counter()
-        reply = self._process._ask(self._channel, "adapt", None, f"adapt to {self._where}")
+        reply = self._process.ask("adapt", None, f"adapt to {self._where}")
         self.adapt_s += time.perf_counter() - start
         self.offers = frozenset(str(name) for name in reply.head.get("offers", ()))
 
     def made(self, reading: Any) -> None:
         """Give one more touch to the support set, for the next `adapt`."""
-        self._process._ask(self._channel, "made", reading, f"a touch for {self._where}")
+        self._process.ask("made", reading, f"a touch for {self._where}")
 
     def ask(self, function: str, payload: Any, shapes: Sequence[tuple[int, ...]] | None) -> tuple[np.ndarray, ...]:
         """What a function of the method answers.
@@ -393,7 +373,7 @@ class MethodCopy:
         what = f"{function} for {self._where}"
         most = 1 << 26 if shapes is None else 8 * sum(int(np.prod(shape)) for shape in shapes)
         start = time.perf_counter()
-        reply = self._process._ask(self._channel, function, payload, what, most=most)
+        reply = self._process.ask(function, payload, what, most=most)
         self.predict_s += time.perf_counter() - start
         if shapes is not None and [array.shape for array in reply.arrays] != list(shapes):
             raise MethodError(f"the method's process gave no answer in {what}: arrays of other shapes.")

@@ -8,12 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-import multiprocessing
-import pickle
-import signal
-from collections.abc import Hashable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -21,14 +16,15 @@ from zipfile import BadZipFile
 import numpy as np
 
 from vsfsim.bench.inclusions import Columns, Inclusions
-from vsfsim.bench.isolation.process import MethodCopy, MethodProcess
+from vsfsim.bench.isolation.process import MethodCopy, MethodHost
+from vsfsim.bench.isolation.wire import Learned
 from vsfsim.bench.method import LARGEST_READING, Action, Reading, Specimen, checked_choice, frozen_view
 from vsfsim.bench.metric_functions import FEWEST_POINTS
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.protocol import Draw, Recording, Trial, divide, record, specimen_of, support
 from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import Protocol, Task
-from vsfsim.core.errors import MethodError, TaskError
+from vsfsim.core.errors import MethodError
 from vsfsim.core.plain_text import from_json
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -109,8 +105,8 @@ class Reader:
     """Reads the object views that methods learn from and are asked about, without their truth but for the places of the
     probed points.
 
-    A view of 60 touches takes a second to read, and every fold learns from most of the others' views. Trainings that
-    are forks of one process share what was read before (`vsfsim.bench.commands.side_by_side`).
+    A view of 60 touches takes a second to read, and every fold learns from most of the others' views. All trainings of
+    an evaluation share a reader.
     """
 
     def __init__(self) -> None:
@@ -149,64 +145,25 @@ class Reader:
             self._specimens.setdefault(readings, specimen_of(view, recording))
         return self._subjects[key]
 
-    def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str],
-             processes: int = 1) -> None:
+    def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str]) -> None:
         """Read views in advance.
 
         Args:
             task, dataset: as for `subject`. test: names of the views that are asked about. train: of those to learn
-            from. processes: that read at the same time.
+            from.
 
         Raises:
             TaskError: as `subject`.
         """
-        test = [name for name in dict.fromkeys(test) if self._key(task, dataset, name) not in self._subjects]
-        if processes > 1 and len(test) > 1:
-            self._read_beside(task, dataset, test, min(processes, len(test)))
         for name in test:
             self.subject(task, dataset, name)
         for name in train:
             self.specimen(task, dataset, name)
 
-    def _read_beside(self, task: Task, dataset: Dataset, names: Sequence[str], processes: int) -> None:
-        pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _Reading.begin, (task, dataset))
-        try:
-            for name, (content, buffers) in zip(names, pool.map(_Reading.subject, names)):
-                specimen, subject = pickle.loads(content, buffers=buffers)
-                self._subjects[self._key(task, dataset, name)] = subject
-                self._specimens.setdefault(_readings(task, dataset, name), specimen)
-        except BrokenProcessPool as error:
-            raise TaskError(f"a process that read the dataset in {dataset.path} was ended from outside; often memory "
-                            f"was short. Ask for fewer processes.") from error
-        finally:
-            pool.shutdown(cancel_futures=True)
-
     @staticmethod
     def _key(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
         # a study asks a task by a protocol of its own
         return (*_readings(task, dataset, name), task.protocol, task.primary)
-
-
-class _Reading:
-    """A process of a pool, which has the task and the dataset from its parent: a task cannot be pickled."""
-
-    of: tuple[Task, Dataset]
-
-    @classmethod
-    def begin(cls, task: Task, dataset: Dataset) -> None:
-        """In a new process."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted, and ends its pool
-        cls.of = task, dataset
-
-    @classmethod
-    def subject(cls, name: str) -> tuple[bytes, list[bytes]]:
-        """A view as training and as test object, pickled. Its arrays are buffers of their own, from which they come
-        back read-only, as they were."""
-        read = Reader()
-        buffers: list[pickle.PickleBuffer] = []
-        found = read.subject(*cls.of, name)
-        content = pickle.dumps((read.specimen(*cls.of, name), found), protocol=5, buffer_callback=buffers.append)
-        return content, [bytes(b) for b in buffers]
 
 
 def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
@@ -237,9 +194,27 @@ class Answers:
     predict_s: float
     """Seconds of all other functions."""
 
+    def of(self, trial: Trial) -> Answers:
+        """The same answers as those of another trial, which took no time."""
+        return replace(self, trial=trial, adapt_s=0.0, predict_s=0.0)
 
-def run_trial(process: MethodProcess, subject: Subject, trial: Trial) -> Answers:
-    """Ask a fresh copy of the method everything that the task scores.
+
+@dataclass(frozen=True)
+class Done:
+    """What came of one training and its trials."""
+
+    answers: tuple[Answers, ...]
+    """Of its trials."""
+    meta_fit_s: float
+    """Seconds of `meta_fit`."""
+    peak_memory_mib: float
+    """Largest resident size of the method's processes [MiB]."""
+    opened: tuple[str, ...]
+    """Files that the method opened besides its source."""
+
+
+def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial) -> Answers:
+    """Ask a fresh copy of the method that learned everything that the task scores.
 
     Raises:
         MethodError: it raises, or answers with something that cannot be scored.
@@ -248,7 +223,8 @@ def run_trial(process: MethodProcess, subject: Subject, trial: Trial) -> Answers
     names = [f"{name} of {where}" for name in subject.names]
     shapes = [(len(action.time), action.size) for action in subject.actions]
     mean = std = column_mean = pose = readings_std = None
-    with process.trial(subject.view, [subject.pool[i] for i in trial.support if not trial.offered], where) as asked:
+    support = [subject.pool[i] for i in trial.support if not trial.offered]
+    with host.trial(learned, subject.view, support, where) as asked:
         asked.adapt()
         if trial.offered:
             trial = replace(trial, support=_choose(asked, subject, trial))
@@ -328,11 +304,11 @@ def _pose(asked: MethodCopy, hidden: tuple[np.ndarray, np.ndarray], where: str) 
 _OPTIONAL = ("mean", "std", "column_mean", "pose")
 
 
-def save(path: Path, answers: Iterable[Answers]) -> None:
-    """Keep the answers of one seed; the file appears whole or not at all."""
+def save(path: Path, done: Done) -> None:
+    """Keep what came of a training; the file appears whole or not at all."""
     arrays: dict[str, np.ndarray] = {}
-    heads = []
-    for index, one in enumerate(answers):
+    heads: list[list] = [[done.meta_fit_s, done.peak_memory_mib, done.opened]]
+    for index, one in enumerate(done.answers):
         trial = one.trial
         heads.append([trial.subject, trial.shot, trial.seed, list(trial.support), one.adapt_s, one.predict_s,
                       len(one.readings)])
@@ -350,12 +326,13 @@ def save(path: Path, answers: Iterable[Answers]) -> None:
     write_atomic(path, out.getvalue(), error=MethodError)
 
 
-def load(path: Path) -> list[Answers] | None:
-    """The answers that `save` kept; None if the file is not whole."""
+def load(path: Path) -> Done | None:
+    """What `save` kept; None if the file is not whole."""
     try:
         with np.load(path, allow_pickle=False) as file:
             out = []
-            for index, head in enumerate(from_json(file["heads"].tobytes())):
+            (seconds, peak, opened), *heads = from_json(file["heads"].tobytes())
+            for index, head in enumerate(heads):
                 subject, shot, seed, support, adapt_s, predict_s, count = head
                 readings = tuple(file[f"{index}/readings/{k}"] for k in range(count))
                 stds = tuple(file[f"{index}/readings_std/{k}"] for k in range(count)
@@ -363,6 +340,6 @@ def load(path: Path) -> list[Answers] | None:
                 rest = {name: file[f"{index}/{name}"] if f"{index}/{name}" in file else None for name in _OPTIONAL}
                 out.append(Answers(Trial(subject, shot, seed, tuple(support)), readings, stds or None,
                                    adapt_s=adapt_s, predict_s=predict_s, **rest))
-            return out
+            return Done(tuple(out), float(seconds), float(peak), tuple(opened))
     except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError):
         return None

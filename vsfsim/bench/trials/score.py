@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.inclusions import Inclusions, Mask
-from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.metric_functions import can_be_scored, touch_errors, touch_uncertainty
 from vsfsim.bench.metrics import Answer, record_scores, scores_of
 from vsfsim.bench.protocol import Recording, divide, record
@@ -41,12 +40,12 @@ def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: t
     asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings, task.observation.size)}
     scores = {metric: by_shot for answer in Answer
               for metric, by_shot in scores_of(answer, asked[answer], task.protocol.labels, seeds).items()}
-    fields: dict[str, Any] = {"parameters": {}, "timing": {}, "peak_memory_mib": round(peak_memory_mib(), 1), **said}
+    fields: dict[str, Any] = {"parameters": {}, "timing": {}, "peak_memory_mib": 0.0, "versions": versions(), **said}
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
         observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
         scores=scores, queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), readings=readings,
-        machine=machine(), made_by=made_by(), versions=versions(),
+        machine=machine(), made_by=made_by(),
         answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
                  if answer is not Answer.READINGS and rows[answer]}, **fields)
 

@@ -12,8 +12,9 @@ import functools
 import hashlib
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.machinery import ModuleSpec, PathFinder
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ _INSTALLED = {"site-packages", "dist-packages"}
 """Folders of installed packages."""
 
 
-def source_files(module: str, folder: str | Path = "") -> dict[str, Path]:
+def source_files(module: str, folder: str | Path = "", *, of_vsfsim: Callable[[str], bool] = lambda name: True,
+                 others: dict[str, Path] | None = None) -> dict[str, Path]:
     """The files of the source of a module, by the names of their modules; {} if there is none of this name.
 
     Args:
-        module: its dotted name. folder: where modules are looked for besides ``sys.path``.
+        module: its dotted name. folder: where modules are looked for besides ``sys.path``. of_vsfsim: which modules of
+        vsfsim belong to it, by name. others: filled with the modules of other packages that it names, and their files.
     """
     found: dict[str, Path] = {}
     waiting, top = [module], module.partition(".")[0]
@@ -35,7 +38,9 @@ def source_files(module: str, folder: str | Path = "") -> dict[str, Path]:
         first = name.partition(".")[0]
         look = _own_file if first == "vsfsim" else _file
         file = None if first in sys.stdlib_module_names else look(name, str(folder))
-        if file is None or not _counts(file, first, top):
+        if file is None or not _counts(file, first, top) or (first == "vsfsim" and not of_vsfsim(name)):
+            if file is not None and others is not None:
+                others[name] = file
             continue
         found[name] = file
         for used in _imports(file.read_bytes(), name, file.name == "__init__.py"):
@@ -47,9 +52,9 @@ def source_files(module: str, folder: str | Path = "") -> dict[str, Path]:
     return found
 
 
-def source_sha256(module: str, folder: str | Path = "") -> str:
-    """sha256 of the source of a module, "" if there is none of this name; operands as of `source_files`."""
-    files = source_files(module, folder)
+def source_sha256(module: str) -> str:
+    """sha256 of the source of a module, "" if there is none of this name."""
+    files = source_files(module)
     return files_sha256(files) if files else ""
 
 
@@ -141,7 +146,14 @@ def _spec(name: str, path: Iterable[str] | None, folder: str) -> ModuleSpec | No
 
 
 def _counts(file: Path, package: str, top: str) -> bool:
-    return package in (top, "vsfsim") or not _INSTALLED & set(file.parts)
+    """Whether a file counts by its content; one of another installed package counts by the package's version."""
+    return package in (top, "vsfsim") or not (_INSTALLED & set(file.parts) or package in _installed())
+
+
+@functools.cache
+def _installed() -> frozenset[str]:
+    """Names that installed packages are imported by, wherever they lie."""
+    return frozenset(packages_distributions())
 
 
 _NAMED = re.compile(rb"""["']vsfsim\.""")
@@ -160,7 +172,7 @@ def _statements(tree: ast.AST) -> Iterator[ast.AST]:
 
 @functools.lru_cache(maxsize=4096)
 def _imports(text: bytes, name: str, is_package: bool) -> tuple[str, ...]:
-    """Names of what a module imports; of ``from a import b`` both a and a.b, of which one may be no module."""
+    """Names of what a source imports; of ``from a import b`` both a and a.b, of which one may be no module."""
     try:
         tree = ast.parse(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError):

@@ -1,0 +1,108 @@
+"""What a score is of, by content: the method's files, the parts of vsfsim that its answers pass through, and the
+scorer."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.shelf import ceilings, methods
+from vsfsim.core.system.content import file_sha256, files_sha256, named_files, source_files
+
+METHOD, SCORER = "the method", "the harness"
+"""Names of the two digests in `contents_of`."""
+_ANSWERS = ("vsfsim.baselines", "vsfsim.vsf", "vsfsim.physics", "vsfsim.generate", "vsfsim.robot", "vsfsim.sensing",
+            "vsfsim.active", "vsfsim.core", "vsfsim.bench.observations")
+_PLUMBING = ("vsfsim.core.shelf", "vsfsim.core.system", "vsfsim.core.engines", "vsfsim.core.interactive",
+             "vsfsim.core.errors", "vsfsim.core.extras", "vsfsim.core.plain_text", "vsfsim.core.text_table")
+"""Modules of vsfsim, with all below them, that a method's answers pass through, and those of them that answer nothing:
+the particle model and the solver count, a message does not."""
+_SCORES = ("folds", "inclusions", "metric_functions", "metrics", "noise", "observations", "protocol", "reached_points",
+           "task", "trials.answers", "trials.score", "trials.training")
+"""Modules of `vsfsim.bench` that decide what is asked and what an answer scores."""
+
+
+def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path = "",
+                opened: Iterable[str] = ()) -> dict[str, str]:
+    """What decides a method's answers, each a sha256 by name: `METHOD`, its source; `SCORER`; every file that a
+    parameter names; and every other file that its process opened. Nothing of the method is imported.
+
+    Args:
+        name: as `vsfsim.bench.method.find_method` takes it, or of a ceiling; it exists. parameters: all of them, as
+        JSON values. folder: in which modules and files are looked for; default: the working folder. opened: names of
+        files, relative to ``folder`` or absolute; what is no file is left out.
+    """
+    folder = folder or os.getcwd()
+    out = {METHOD: method_sha256(name, folder), SCORER: scorer_sha256()}
+    named = named_files(dict(parameters), folder)
+    seen = {path.resolve() for path in (*named.values(), *files_of(name, folder).values())}
+    for text in opened:
+        path = Path(folder, text).resolve()
+        if path not in seen and path.is_file():
+            named[str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)] = path
+    return out | {text: file_sha256(path) for text, path in named.items()}
+
+
+def method_sha256(name: str, folder: str | Path = "") -> str:
+    """sha256 of a method's source with the parts of vsfsim that its answers pass through; operands as of
+    `contents_of`."""
+    return files_sha256(files_of(name, folder))
+
+
+def scorer_sha256() -> str:
+    """sha256 of the modules that decide what is asked and what an answer scores."""
+    return files_sha256({name: Path(__file__).parent / f"{name.replace('.', '/')}.py" for name in _SCORES})
+
+
+def files_of(name: str, folder: str | Path = "") -> dict[str, Path]:
+    """The files that `method_sha256` is of: modules by their names, and all other files of the method's packages."""
+    files = source_files(_module(name), folder or os.getcwd(), of_vsfsim=_passes)
+    for package in packages_of(files):
+        files |= {f"{package.name}/{path.relative_to(package)}": path for path in sorted(package.rglob("*"))
+                  if path.is_file() and path.suffix != ".pyc"}
+    return files
+
+
+def packages_of(files: Mapping[str, Path]) -> list[Path]:
+    """The folders of the packages, besides vsfsim, that modules by name belong to."""
+    tops = [path.parents[name.count(".") - 1 + (path.name == "__init__.py")] for name, path in files.items()
+            if name.partition(".")[0] != "vsfsim" and ("." in name or path.name == "__init__.py")]
+    return list(dict.fromkeys(tops))
+
+
+def imports_of(name: str, folder: str | Path = "") -> dict[str, Path]:
+    """The modules of vsfsim and of installed packages that a method's source names, and their files."""
+    others: dict[str, Path] = {}
+    found = source_files(_module(name), folder or os.getcwd(), of_vsfsim=_passes, others=others)
+    return others | {module: path for module, path in found.items() if module.startswith("vsfsim.")}
+
+
+def named_by(name: str, folder: str | Path = "") -> list[str]:
+    """The modules of vsfsim and of installed packages that the files of a method name themselves; of one that ships,
+    its own module."""
+    others: dict[str, Path] = {}
+    module = _module(name)
+    source_files(module, folder or os.getcwd(), of_vsfsim=lambda _: False, others=others)
+    return [module] if module.startswith("vsfsim.") else list(others)
+
+
+def versions_of(name: str, folder: str | Path = "") -> dict[str, str]:
+    """Versions of the installed packages that a method's source names; they count by these."""
+    out = {}
+    for top in dict.fromkeys(module.partition(".")[0] for module in imports_of(name, folder)):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            out[top] = metadata.version({"warp": "warp-lang", "sklearn": "scikit-learn", "PIL": "pillow"}.get(top, top))
+    return out
+
+
+def _module(name: str) -> str:
+    return (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]
+
+
+def _passes(module: str) -> bool:
+    return any(module == part or module.startswith(f"{part}.") for part in _ANSWERS) and not any(
+        module == part or module.startswith(f"{part}.") for part in _PLUMBING)

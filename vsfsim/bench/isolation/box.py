@@ -1,0 +1,171 @@
+"""The container of a method's process: namespaces of the kernel's own, entered by its system calls.
+
+A process in it has files, processes, shared memory, users' names and network of its own (namespaces(7)). It sees the
+system's libraries, Python, the installed packages, the method's source and what its parameters name, all of them
+read-only, and one writable folder in memory, /tmp. When its first process ends, the kernel ends all others and forgets
+everything that they wrote. Root becomes the user nobody; anyone else needs a user namespace.
+
+This file runs as a script, too, to see whether a container works here. It imports nothing of vsfsim.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import platform
+import sys
+import tempfile
+from typing import Any
+
+_MOUNTS, _HOSTS, _IPC, _USER, _PIDS, _NET = 0x20000, 0x4000000, 0x8000000, 0x10000000, 0x20000000, 0x40000000
+_BIND, _REC, _PRIVATE, _DETACH = 4096, 16384, 1 << 18, 2
+_MOUNT_SETATTR, _RECURSIVE, _RDONLY, _NOSUID = 442, 0x8000, 1, 2
+_DUMPABLE, _SECCOMP, _NO_NEW_PRIVILEGES = 4, 22, 38
+_NOBODY = 65534
+_KEYS = {"x86_64": (0xC000003E, (248, 249, 250)), "aarch64": (0xC00000B7, (217, 218, 219))}
+"""Of a machine, the number of its system calls' table, and add_key, request_key and keyctl in it: the kernel's keyrings
+are in no namespace of root's."""
+
+
+def leave() -> None:
+    """Leave the namespaces of this process; the next process that it forks is the first of the new ones.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    uid, gid, libc = os.getuid(), os.getgid(), ctypes.CDLL(None, use_errno=True)
+    own = _HOSTS | _IPC | _PIDS | _NET
+    if uid != 0 or libc.unshare(own) != 0:
+        _check(libc.unshare(own | _USER), "unshare")
+        for file, text in (("setgroups", "deny"), ("uid_map", f"{uid} {uid} 1"), ("gid_map", f"{gid} {gid} 1")):
+            with open(f"/proc/self/{file}", "w") as out:
+                out.write(text)
+
+
+def enter(given: dict[str, Any]) -> None:
+    """In that first process: see only what is given, work in /tmp/work, and lose every privilege.
+
+    Args:
+        given: ``root``, an empty folder; ``shown``, files and folders by absolute path; ``links``, pairs of a path and
+        what it points to; ``hidden``, folders that appear empty; ``size``, the most bytes in /tmp.
+
+    Raises:
+        OSError: the system refuses; the message says which step.
+    """
+    root, libc = given["root"], ctypes.CDLL(None, use_errno=True)
+    os.umask(0o022)
+    _check(libc.unshare(_MOUNTS), "unshare")
+    _mount(None, "/", None, _REC | _PRIVATE)
+    _mount("tmpfs", root, "tmpfs", 0, "mode=755")
+    for name in ("proc", "tmp", "dev", "dev/shm"):
+        os.mkdir(f"{root}/{name}")
+    _mount("tmpfs", f"{root}/tmp", "tmpfs", _NOSUID, f"mode=1777,size={given['size']}")
+    _mount("proc", f"{root}/proc", "proc", _NOSUID)
+    for path, target in (*given["links"], ("/dev/fd", "/proc/self/fd"), ("/dev/stdin", "/proc/self/fd/0"),
+                         ("/dev/stdout", "/proc/self/fd/1"), ("/dev/stderr", "/proc/self/fd/2")):
+        os.makedirs(os.path.dirname(root + path), exist_ok=True)
+        os.symlink(target, root + path)
+    for path in sorted(given["shown"]):
+        with contextlib.suppress(FileExistsError):  # it lies in a folder that is shown
+            _show(path, root + path)
+    for path in given["hidden"]:
+        if os.path.isdir(root + path):
+            _mount("tmpfs", root + path, "tmpfs", 0, "mode=755,size=64k")
+    _set(root, _RDONLY, 0, _RECURSIVE)
+    _set(f"{root}/tmp", 0, _RDONLY)
+    for name in ("shm", "work"):
+        os.mkdir(f"{root}/tmp/{name}")
+        os.chmod(f"{root}/tmp/{name}", 0o1777)
+    _mount(f"{root}/tmp/shm", f"{root}/dev/shm", None, _BIND)
+    os.chdir(root)
+    _check(libc.pivot_root(b".", b"."), "pivot_root")
+    _check(libc.umount2(b".", _DETACH), "umount")
+    os.chdir("/tmp/work")
+    _lose_privileges(libc)
+
+
+def _show(path: str, target: str) -> None:
+    """Bind a file or folder into the new root.
+
+    Raises:
+        FileExistsError: it is there already.
+    """
+    if os.path.isdir(path):
+        if os.path.isdir(target) and os.listdir(target):
+            raise FileExistsError(target)
+        os.makedirs(target, exist_ok=True)
+    else:
+        os.makedirs(os.path.dirname(target), exist_ok=True)
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL))
+    _mount(path, target, None, _BIND | _REC)
+
+
+def _lose_privileges(libc: ctypes.CDLL) -> None:
+    """For good: no capability, no way to gain one, no keyring."""
+    libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+    if os.getuid() == 0:
+        with contextlib.suppress(OSError):  # a user namespace of one user knows no other
+            os.setgroups([])
+            os.setresgid(_NOBODY, _NOBODY, _NOBODY)
+            os.setresuid(_NOBODY, _NOBODY, _NOBODY)
+            libc.prctl(_DUMPABLE, 1, 0, 0, 0)
+    _check(libc.capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()), "capset")
+    if platform.machine() in _KEYS:
+        table, calls = _KEYS[platform.machine()]
+        # load the table's number; if it is another one, refuse; load the call's number; compare; refuse (EPERM); allow
+        steps = [(0x20, 0, 0, 4), (0x15, 0, len(calls) + 1, table), (0x20, 0, 0, 0),
+                 *((0x15, len(calls) - 1 - k, int(k == len(calls) - 1), call) for k, call in enumerate(calls)),
+                 (0x06, 0, 0, 0x50001), (0x06, 0, 0, 0x7FFF0000)]
+        _check(_filter(libc, steps), "seccomp")
+
+
+def _filter(libc: ctypes.CDLL, steps: list[tuple[int, int, int, int]]) -> int:
+    """A filter of system calls from steps (code, jump if true, jump if false, operand), see seccomp(2)."""
+    content = b"".join(code.to_bytes(2, sys.byteorder) + bytes((yes, no)) + operand.to_bytes(4, sys.byteorder)
+                       for code, yes, no, operand in steps)
+    buffer = ctypes.create_string_buffer(content, len(content))
+    program = (ctypes.c_uint64 * 2)(len(steps), ctypes.addressof(buffer))
+    return libc.prctl(_SECCOMP, 2, program, 0, 0)
+
+
+def _set(path: str, on: int, off: int, flags: int = 0) -> None:
+    """Change the attributes of a mount, see mount_setattr(2)."""
+    attributes = (ctypes.c_uint64 * 4)(on, off, 0, 0)
+    _check(ctypes.CDLL(None, use_errno=True).syscall(
+        ctypes.c_long(_MOUNT_SETATTR), ctypes.c_long(-100), path.encode(), ctypes.c_ulong(flags), attributes,
+        ctypes.c_ulong(32)), f"mount_setattr of {path}")
+
+
+def _mount(source: str | None, target: str, kind: str | None, flags: int, data: str | None = None) -> None:
+    words = [None if text is None else text.encode() for text in (source, target, kind, data)]
+    libc = ctypes.CDLL(None, use_errno=True)
+    _check(libc.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3]), f"mount of {target}")
+
+
+def _check(code: int, what: str) -> None:
+    if code != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, f"{what}: {os.strerror(number)}")
+
+
+def main() -> int:
+    """Whether a container works here: 0 if it does."""
+    with tempfile.TemporaryDirectory() as root:
+        if os.fork() == 0:
+            try:
+                leave()
+                first = os.fork()
+                if first != 0:
+                    os._exit(os.waitstatus_to_exitcode(os.waitpid(first, 0)[1]))
+                enter({"root": root, "shown": ["/usr"], "links": [], "hidden": [], "size": "1m"})
+                os._exit(0 if os.getpid() == 1 and os.path.isdir("/proc/self") else 1)
+            except BaseException as error:
+                print(error, file=sys.stderr)
+            finally:
+                os._exit(1)
+        return os.waitstatus_to_exitcode(os.wait()[1])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,289 @@
+"""An evaluation is a list of jobs: one training, and all trials after it. What a job answered is kept by what decided
+it, so that an evaluation goes on where it was stopped, whoever made which job."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from vsfsim.bench.identity import contents_of
+from vsfsim.bench.isolation.limits import Isolation
+from vsfsim.bench.isolation.process import MethodHost
+from vsfsim.bench.isolation.wire import Description
+from vsfsim.bench.protocol import Trial
+from vsfsim.bench.task import ALL, Task
+from vsfsim.bench.trials.answers import Answers, Done, Reader, asked_of, load, run_trial, save
+from vsfsim.bench.trials.training import PLAIN, Training
+from vsfsim.core.errors import MethodError, TaskError
+from vsfsim.core.plain_text import from_json
+from vsfsim.core.system.content import differences
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
+
+Progress = Callable[[int, int, str], None]
+NOTE = "evaluation.json"
+"""File in a folder of kept answers that says what decided them."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training, and the runs that use it."""
+
+    name: str
+    """Of the file in which its answers are kept."""
+    fold: int
+    """Number of the fold."""
+    train: tuple[str, ...]
+    """Names of the views that the method learns from."""
+    test: tuple[str, ...]
+    """Names of the views that are scored."""
+    seed: int | None
+    """That the method is built with; None for a method without one."""
+    runs: tuple[int, ...]
+    """Numbers of the runs."""
+
+    def asked(self, labels: Iterable[str]) -> list[tuple[int, str, str]]:
+        """Run, view and shot of each trial. The support set of 0 touches and that of all of them are the same in every
+        run, so that they are asked in the first."""
+        return [(run, name, label) for run in self.runs for name in self.test for label in labels
+                if run == self.runs[0] or label not in ("0", ALL)]
+
+
+@dataclass
+class Evaluation:
+    """One method on one task.
+
+    Until its answers are scored, nothing of the truth but the places of the probed points is read.
+    """
+
+    method: str
+    """Name of an installed method, or module:attribute."""
+    task: Task
+    """The task."""
+    dataset: Dataset
+    """Its dataset."""
+    parts: Path
+    """Folder of what its jobs answered, in a folder for each thing that decides answers."""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Of the method's constructor, over its defaults."""
+    draws: int | None = None
+    """Draws of the support set, None for the task's own number; with cross-validation, of one training."""
+    isolation: Isolation = field(default_factory=Isolation)
+    """How the method is run."""
+    training: Training = PLAIN
+    """What the method learns from, and which objects are scored."""
+    notes: list[str] = field(default_factory=list)
+    """For the user, one sentence each."""
+    description: Description | None = None
+    """What the method said of itself, once `look` was called."""
+    contents: Mapping[str, str] = field(default_factory=dict)
+    """What decides its answers (`vsfsim.bench.identity.contents_of`), once `look` was called."""
+
+    def __enter__(self) -> Evaluation:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @functools.cached_property
+    def host(self) -> MethodHost:
+        """What runs the method's processes, of all jobs that are made here; they print into one log."""
+        hidden = [self.dataset.path.resolve(), self.task.dataset.path().parent.resolve(), Path("results").resolve(),
+                  self.parts.resolve()]
+        self.parts.mkdir(parents=True, exist_ok=True)
+        return MethodHost(self.method, self.parameters, self.isolation,
+                          self.parts / f"{platform.node()}-{os.getpid()}.log", hidden=hidden)
+
+    def stop(self) -> None:
+        """End the method's processes; jobs that other threads make fail."""
+        if "host" in self.__dict__:
+            self.host.close()
+            del self.host
+
+    def look(self, *, check: bool) -> None:
+        """Import the method in a process of its own, and test its contract if ``check``.
+
+        Raises:
+            MethodError: it is unknown, or breaks its contract.
+        """
+        self.description = self.host.look(check=check and not any(self.parts.glob("*/*.npz")))
+        self.contents = contents_of(self.method, self.said.parameters)
+        self._tell_what_differs()
+
+    @property
+    def said(self) -> Description:
+        """What the method said of itself."""
+        assert self.description is not None
+        return self.description
+
+    @property
+    def runs(self) -> tuple[int, ...]:
+        """Numbers of the runs (`vsfsim.bench.task.Protocol`).
+
+        Raises:
+            TaskError: more draws are asked for than the task has.
+        """
+        protocol = self.task.protocol
+        if self.draws is None:
+            return protocol.runs(seeded=self.said.seeded)
+        if protocol.folds and self.draws > protocol.draws:
+            raise TaskError(f"{self.draws} draws of the support set were asked for; task {self.task.name} has "
+                            f"{protocol.draws} of each training.")
+        return tuple(range(self.draws))
+
+    @functools.cached_property
+    def jobs(self) -> tuple[Job, ...]:
+        """All of them, in the order of their trainings.
+
+        Raises:
+            TaskError: the dataset does not fit the task or the training.
+        """
+        protocol, seeded, runs = self.task.protocol, self.said.seeded, self.runs
+        of = protocol.training_of if protocol.folds else (lambda run: run if seeded else 0)
+        folds = self.training.folds(self.dataset, protocol)
+        return tuple(Job(f"fold-{fold.number:02d}-training-{k:02d}", fold.number, fold.train, fold.test,
+                         k if seeded else None, tuple(run for run in runs if of(run) == k))
+                     for k in sorted(set(map(of, runs))) for fold in folds)
+
+    @property
+    def left(self) -> list[Job]:
+        """The jobs that are not kept."""
+        return [job for job in self.jobs if load(self._file(job)) is None]
+
+    def read(self, jobs: Sequence[Job], reader: Reader) -> None:
+        """Read in advance what some jobs need.
+
+        Raises:
+            TaskError: the dataset does not hold what the task reads.
+        """
+        # a smaller share of the training objects is drawn for each training by itself
+        train = [name for job in jobs for name in job.train] if self.training.objects == 1.0 else []
+        reader.read(self.task, self.dataset, test=[name for job in jobs for name in job.test], train=train)
+
+    # ------------------------------------------------------------------ one job
+
+    def make(self, job: Job, reader: Reader, progress: Progress = lambda *_: None,
+             environment: Mapping[str, str] | None = None) -> None:
+        """Train, run the trials, and keep the answers.
+
+        Args:
+            job: the job. reader: what reads the object views, or has read them. progress: called with (trials done, of
+            how many, what is going on). environment: further variables of the method's processes.
+
+        Raises:
+            MethodError: the method raises, answers with something that cannot be scored, or was changed meanwhile.
+            TaskError: the dataset has too few touches.
+        """
+        subjects = {name: reader.subject(self.task, self.dataset, name) for name in job.test}
+        specimens = self.training.specimens(self.task, self.dataset, job.fold, job.train, job.seed or 0,
+                                            reader.specimen)
+        asked, answers = job.asked(self.task.protocol.labels), dict[int, Answers]()
+        self._check_contents()
+        progress(0, len(asked), "meta-fit")
+        learned = self.host.learn(specimens, seed=job.seed, environment=environment)
+        opened = contents_of(self.method, self.said.parameters, opened=learned.opened)
+
+        def one(number: int) -> int:
+            run, name, label = asked[number]
+            answers[number] = run_trial(self.host, learned, subjects[name],
+                                        asked_of(subjects[name], label, run, self.task.protocol))
+            return number
+
+        with ThreadPoolExecutor(self.isolation.workers) as pool:
+            try:
+                waiting = [pool.submit(one, number) for number in range(len(asked))]
+                for count, ready in enumerate(as_completed(waiting), start=1):
+                    progress(count, len(asked), answers[ready.result()].trial.where)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                self.stop()  # so that the threads end as well
+                raise
+        self._check_contents(opened)
+        new = tuple(name for name in opened if name not in self.contents)
+        self._keep(job, Done(tuple(answers[k] for k in range(len(asked))), learned.seconds, self.host.peak_memory_mib,
+                             new))
+
+    def _check_contents(self, known: Mapping[str, str] | None = None) -> None:
+        """Raises:
+            MethodError: what decides the answers is no longer what it was when the evaluation began.
+        """
+        known = self.contents if known is None else known
+        odd = differences(known, contents_of(self.method, self.said.parameters,
+                                             opened=[name for name in known if name not in self.contents]))
+        if odd:
+            raise MethodError(f"{self.method} was changed while it was evaluated: {'; '.join(odd)}. Its answers would "
+                              f"be of two methods; run the same command again, and what the change touches is made "
+                              f"again.")
+
+    # ------------------------------------------------------------------ all jobs
+
+    def answers(self) -> tuple[list[Answers], list[Done]]:
+        """The answers of all trials in the task's order, those of a support set that is the same in several runs
+        repeated; and the jobs.
+
+        Raises:
+            MethodError: an answer is missing.
+        """
+        done = [one for one in (load(self._file(job)) for job in self.jobs) if one is not None]
+        if len(done) < len(self.jobs):
+            raise MethodError(f"{len(self.jobs) - len(done)} of {len(self.jobs)} trainings of {self.method} are not in "
+                              f"{self._folder}. Run the command without --shard to make them.")
+        known = {(a.trial.subject, a.trial.shot, a.trial.seed): a for one in done for a in one.answers}
+        first = {run: job.runs[0] for job in self.jobs for run in job.runs}
+        out = []
+        for run in self.runs:
+            for name in dict.fromkeys(n for job in self.jobs for n in job.test):
+                for label in self.task.protocol.labels:
+                    same = known.get((name, label, run)) or known[name, label, first[run]]
+                    out.append(same if same.trial.seed == run else same.of(Trial(name, label, run, same.trial.support)))
+        return out, done
+
+    @property
+    def _decided(self) -> dict[str, Any]:
+        """What decides the answers of its jobs."""
+        return {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.method,
+                "entry": self.said.entry, "parameters": dict(self.said.parameters),
+                "package": [self.said.package, self.said.version], "sandbox": self.isolation.sandbox,
+                "contents": dict(self.contents), "training": self.training.table(),
+                "shots": list(self.task.protocol.labels), "runs": len(self.runs)}
+
+    @property
+    def _folder(self) -> Path:
+        key = hashlib.sha256(json.dumps(self._decided, sort_keys=True).encode()).hexdigest()
+        return self.parts / key[:16]
+
+    def _file(self, job: Job) -> Path:
+        return self._folder / f"{job.name}.npz"
+
+    def _keep(self, job: Job, done: Done) -> None:
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise MethodError(f"folder {self._folder} cannot be made: {error.strerror}. Choose another "
+                              f"--out.") from error
+        write_atomic(self._folder / NOTE, json.dumps(self._decided).encode(), error=MethodError)
+        save(self._file(job), done)
+
+    def _tell_what_differs(self) -> None:
+        """Say why trainings that are kept are not used."""
+        for note in sorted(self.parts.glob(f"*/{NOTE}")):
+            count = len(list(note.parent.glob("*.npz")))
+            if note.parent == self._folder or not count:
+                continue
+            try:
+                before = from_json(note.read_bytes())
+                why = [f"the {key} is another one" for key, value in self._decided.items()
+                       if key != "contents" and before.get(key) != value]
+                why += differences(before.get("contents", {}), self.contents)
+            except (OSError, ValueError, TypeError, AttributeError):
+                why = [f"{note.name} cannot be read"]
+            self.notes.append(f"{count} finished training{'s' * (count > 1)} of an earlier run "
+                              f"{'are' if count > 1 else 'is'} not used, because {'; '.join(why)}")
