@@ -54,7 +54,7 @@ BY_NAME = {"physics": {"scenes"}}
 HEAVY = {
     "core": {"numpy", "scipy", "filelock"},
     "data": {"numpy", "h5py", "filelock"},
-    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh"},
+    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import disk_cache
-from vsfsim.physics.mesh import scan
+from vsfsim.physics.mesh import scan, tetwild
 from vsfsim.physics.mesh.manifold import pinched_vertices
 from vsfsim.physics.mesh.scan import fill_mesh_file
 
@@ -162,6 +163,23 @@ def test_the_first_writer_of_a_cache_file_wins(tmp_path: Path) -> None:
         disk_cache.write(path, vertices=np.full((4, 3), value))
     assert (disk_cache.read(path)["vertices"] == 1.0).all()
     assert [p.name for p in path.parent.iterdir()] == ["tets.npz"]
+
+
+@pytest.mark.parametrize(("filler", "words"), [
+    ("raise RuntimeError('out of luck')", "out of luck"),
+    ("import resource\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\nwhile True: pass", "60 s of processor time")])
+def test_a_filler_that_dies_or_does_not_end_is_an_error(
+        filler: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tetwild, "_FILLER", filler)
+    with pytest.raises(MeshError, match=f"x.stl.*{words}"):
+        tetwild.run(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3))), 0.01, 0.01, Path("x.stl"))
+
+
+@pytest.mark.slow
+def test_walls_thinner_than_any_lattice_are_filled_by_ftetwild(tmp_path: Path) -> None:
+    solid = filled(hollow(0.0008), tmp_path)
+    check_filled(solid, float(hollow(0.0008).volume), within=0.05)
+    assert any("fTetWild" in note for note in solid.notes)
 
 
 def test_everything_wrong_at_once(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """A user's own surface mesh, checked, repaired and filled with tetrahedra: the same body from the same surface.
 
 `repair` reads the surface, `lattice` fills it, `account` compares the two. Where a wall is thinner than the lattice
-resolves, finer ones are tried. A lock lets one worker fill a mesh while the others wait.
+resolves, finer ones are tried, and where none of them is near the surface, fTetWild (`tetwild`) fills it. A lock lets
+one worker fill a mesh while the others wait.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Appearance, Solid, tet_volumes
 from vsfsim.physics import disk_cache
+from vsfsim.physics.mesh import tetwild
 from vsfsim.physics.mesh.account import TOLD, Account, account, inside, refuse, scan_volume
 from vsfsim.physics.mesh.foot import BASE
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
@@ -28,11 +30,13 @@ MAX_TETS = 2_000_000
 """Largest estimated number of tetrahedra in the bounding box."""
 _FINER = tuple(0.5 ** (k / 2) for k in range(9))
 """Sizes of lattices that are tried, over the size asked for; the first is kept whose box and volume are within 2 %."""
+_ENOUGH = 0.05  # difference up to which a lattice is preferred to fTetWild, whose mesh differs from run to run [-]
+_ENVELOPE = 1 / 100  # distance that fTetWild may move the surface, in units of the element size [-]
 _MOST_TETS = 60_000  # tetrahedra of a lattice that is finer than asked for, at most
 _SHARP = np.radians(35.0)  # between the normals of two faces whose common edge the filling shall keep
 _DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL file has seven
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
-_RECIPE = 6
+_RECIPE = 7
 """Part of the cache key, to be raised when the repairs or the filling change."""
 
 
@@ -128,10 +132,27 @@ def _best(surface: Surface, volume: float, resolution: float,
         tried.append((vertices, tets, account(surface, volume, vertices, tets), notes))
         if _misses(tried[-1][2]) <= TOLD:
             break
-    if not tried:
-        raise problem or MeshError(f"mesh file '{path}' is thinner everywhere than a lattice of {_MOST_TETS:,} "
-                                   f"tetrahedra holds; give its walls thickness.")
+    if not tried and problem is not None and surface.parts > 1:
+        raise problem  # of separate bodies
+    if not tried or min(_misses(one[2]) for one in tried) > _ENOUGH:
+        try:
+            tried.append(_tetwild(surface, volume, resolution, path))
+        except MeshError as error:
+            if not tried:
+                raise problem or error from error
     return min(tried, key=lambda one: _misses(one[2]))
+
+
+def _tetwild(surface: Surface, volume: float, resolution: float,
+             path: Path) -> tuple[np.ndarray, np.ndarray, Account, list[str]]:
+    envelope = _ENVELOPE * resolution / float(np.linalg.norm(surface.extents))
+    vertices, tets = tetwild.run(surface, resolution, envelope, path)
+    volumes = tet_volumes(vertices, tets)
+    tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
+    vertices, tets, notes = _one_body(vertices, tets[np.abs(volumes) > 1e-9 * resolution**3], resolution, path)
+    notes.append("Filled by fTetWild, because parts are thinner than a lattice of this resolution holds; its mesh "
+                 "differs from run to run, and the first one is kept.")
+    return vertices, tets, account(surface, volume, vertices, tets), notes
 
 
 def _misses(found: Account) -> float:
