@@ -211,6 +211,10 @@ def test_a_filling_of_another_size_is_refused_with_its_account(tmp_path: Path, m
         vertices, tets = fill(*given)
         return 0.95 * vertices, tets
 
+    def broken(*given: object) -> None:
+        raise MeshError("out of luck")
+
+    monkeypatch.setattr(tetwild, "run", broken)
     monkeypatch.setattr(scan, "fill_lattice", shrunk)
     monkeypatch.setattr(scan, "pull_to_features", lambda vertices, *more: vertices)
     with pytest.raises(MeshError, match=r"within 10 % of the scan.*volume .* \(-1\d.*%\).*finer resolution"):
