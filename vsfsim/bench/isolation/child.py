@@ -172,6 +172,7 @@ def private_caches(folder: Path, kernels: str) -> None:
     os.environ.update(HOME=str(folder), TMPDIR=str(folder), XDG_CACHE_HOME=str(cache), WARP_CACHE_PATH=str(private))
     tempfile.tempdir = None
     sys.dont_write_bytecode = True
+    private.mkdir(parents=True, exist_ok=True)
     warp = sys.modules.get("warp")
     for part, _, names in os.walk(kernels) if warp is not None else ():
         here = os.path.normpath(os.path.join(private, os.path.relpath(part, kernels)))
