@@ -17,7 +17,7 @@ from measurements.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.presses.probe import tip
-from vsfsim.generate.presses.verdict import direction
+from vsfsim.generate.presses.report import direction
 from vsfsim.physics import clock, tiers
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.model import Model

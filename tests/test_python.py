@@ -1,5 +1,6 @@
 """`import vsfsim`: six functions, imported at their first use, which do what the commands do."""
 
+import dataclasses
 import inspect
 import json
 import pickle
@@ -12,6 +13,7 @@ import pytest
 import vsfsim
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError, MethodError, VsfsimError
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
@@ -90,14 +92,16 @@ def test_the_functions_have_signatures_for_help(name, first):
 
 
 def test_python_takes_every_option_of_the_command():
-    """`vsfsim press`, `generate` and `evaluate` have no option that the functions lack. Files of pictures are methods,
-    --all is a loop over `vsfsim.methods()`, and what concerns a cluster is `share` (`vsfsim.generate.run.Share`)."""
+    """`vsfsim press`, `generate` and `evaluate` have no option that the functions or their request lack. Files of
+    pictures are methods, --all is a loop over `vsfsim.methods()`, and what concerns a cluster is `share`
+    (`vsfsim.generate.run.Share`)."""
     from vsfsim.cli import bench, generate, simulate
 
     for command, function in ((simulate.press, vsfsim.press), (generate.generate, vsfsim.generate),
                               (bench.evaluate, vsfsim.evaluate)):
         options = set(inspect.signature(command).parameters) - FILES - CLUSTER
-        assert options <= set(inspect.signature(function).parameters), command.__name__
+        fields = {field.name for field in dataclasses.fields(Request)} if command is not bench.evaluate else set()
+        assert options <= set(inspect.signature(function).parameters) | fields, command.__name__
 
 
 def test_tasks_and_methods_are_those_of_the_commands(vsfsim_command, tmp_path):

@@ -96,7 +96,7 @@ def test_the_refinement_of_the_readme_shows_an_order():
     """Of the plate on a pad: clamped edges are singular, so the order lies below that of the elements."""
     import vsfsim as package
 
-    found = package.press("pad", refine=3, keep=False)
+    found = package.press("pad", refine=3)
     (force,) = found.convergence.values()
     print(force.statement)
     assert found.converged and 0.5 < force.order < 4.0

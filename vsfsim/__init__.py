@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from vsfsim.bench.commands.catalogue import methods, tasks
     from vsfsim.bench.commands.evaluate import evaluate
     from vsfsim.data.dataset import load
-    from vsfsim.generate.command import generate
+    from vsfsim.generate.run import generate
     from vsfsim.press.command import press
 
 

@@ -19,8 +19,9 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.checks.same import compare
+from vsfsim.generate.effector import kernels_of
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.run import generate, kernels_of
+from vsfsim.generate.run import generate
 from vsfsim.generate.workers import sharing
 from vsfsim.physics.runtime import compile_kernels
 

@@ -34,7 +34,7 @@ def measure(scenes: Sequence[str] = (), *, card: bool = True, progress: Progress
     """
     import warp as wp
 
-    from vsfsim.generate.run import kernels_of
+    from vsfsim.generate.effector import kernels_of
     from vsfsim.physics.runtime import ON_THE_HOST
 
     rows, sums = [], []

@@ -16,9 +16,9 @@ import numpy as np
 from measurements.stability.design import KINDS, Cell, Level
 from measurements.stability.scene import bubble_scene, solid_scene
 from vsfsim.core.scene import SceneFile, load_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.press_result import PressRequest
 from vsfsim.physics.solve.frames import Frames, Reason
 from vsfsim.physics.solve.touches import Solver
 
@@ -145,7 +145,7 @@ def press(cell: GateCell) -> Run:
     """Press a cell; frames end by their limits of iterations, so that the load of the machine has no say."""
     with tempfile.TemporaryDirectory() as name, _recorded() as runs:
         loaded, tier = cell.load(Path(name))
-        request = PressRequest(tier=tier, seed=cell.seed, cache=Path(name))
+        request = Request(tier=tier, seed=cell.seed, cache=Path(name))
         effector_of(loaded.sample(cell.seed)).press(loaded, request)
     frames = runs[-1][0]
     good = frames.converged[:, 0]

@@ -23,9 +23,9 @@ from measurements.indent.pressing import key_of
 from measurements.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import load_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.probe import prepare
 from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
@@ -109,7 +109,7 @@ def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dic
     """The press by this solver, as it is and without the local indentation, on the mesh that it leaves in the first of
     two files for the others, cut into eight in the second."""
     scene = load_scene(find_scene(name)).sample(0)
-    model = prepare(scene, PressRequest(tier=tier)).model
+    model = prepare(scene, Request(tier=tier)).model
     assert isinstance(scene.probe, Sphere)
     mesh, corners = model.mesh, int(model.mesh.tets[:, :4].max()) + 1
     eight = mesh.tets[:, EIGHT].reshape(-1, 4)

@@ -14,9 +14,10 @@ from measurements.stability.elastica import elastica
 from measurements.stability.scene import bubble_scene, solid_scene
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import SceneFile
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Capsule, ProbeShape
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.press_result import PressRequest, PressResult
+from vsfsim.generate.press_result import PressResult
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.physics.rods.model import build
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
@@ -105,7 +106,7 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
 def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float, device: str) -> Evidence:
     from vsfsim.generate.presses.boundary import deformed_surface
 
-    request = PressRequest(tier=tier, device=device, keep=True, seconds=limit, cache=folder)
+    request = Request(tier=tier, device=device, limit=limit, cache=folder)
     scene = loaded.sample(0)
     result = effector_of(scene).press(loaded, request)
     arrays = {name: value for name, (value, _) in result.arrays.items()}
@@ -124,21 +125,20 @@ def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float,
 
 def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
     from vsfsim.generate.presses.boundary import deformed_surface
-    from vsfsim.generate.presses.bubble import result_of
-    from vsfsim.generate.presses.bubble_solve import solve
+    from vsfsim.generate.presses.bubble import result_of, solve
 
-    request = PressRequest(device=device, seconds=limit)
-    solved = solve(loaded.sample(0), request)
-    result = result_of(solved, request)
+    request = Request(device=device, limit=limit)
+    made = solve(loaded.sample(0), request)
+    solved, result = made.solved, result_of(made, request)
     surface, membrane = [], []
     if solved.object is not None and solved.moved is not None:
-        surface = [deformed_surface(solved.object.mesh, u)[:2] for u in solved.moved]
-        membrane = [(x @ pose[:3, :3].T + pose[:3, 3], solved.model.mesh.faces)
-                    for x, pose in zip(solved.position, solved.mount, strict=True)]
+        surface = [deformed_surface(solved.object.mesh, u[..., 0])[:2] for u in solved.moved]
+        membrane = [(x[..., 0], solved.sensor.mesh.faces) for x in solved.position]
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
         np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged, _resolved(result),
-        tuple(result.more["reason"]), result.more["seconds"], solved.path.frames[0], False, float(result.more["edge"]),
+        tuple(result.more["reason"]), result.more["seconds"], solved.scene.press.frames[0], False,
+        float(result.more["edge"]),
         surface=surface, membrane=membrane)
 
 

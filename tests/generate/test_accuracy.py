@@ -10,11 +10,10 @@ from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
-from vsfsim.core.scene import load_scene, parse_scene
-from vsfsim.core.shelf import find_scene
+from vsfsim.core.scene import parse_scene
 from vsfsim.data.checks.kept import audit_error, broken, observed
 from vsfsim.data.verify import verify
-from vsfsim.generate import command
+from vsfsim.generate import run
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
 from vsfsim.generate.trade.curve import Curve
@@ -114,13 +113,13 @@ def test_accuracies_that_nobody_can_keep_are_refused(given, said):
 
 def test_what_has_no_accuracy_is_refused(tmp_path):
     with pytest.raises(SceneError, match=r"there is no \[touches\]"):
-        command.make("indent", tmp_path / "a", accuracy=0.05)
+        run.planned("indent", tmp_path / "a", accuracy=0.05)
     with pytest.raises(VsfsimError, match="--tier is 'fem' and --accuracy is 5 %"):
-        command.make("shoes-mini", tmp_path / "a", accuracy=0.05, tier="fem")
+        run.planned("shoes-mini", tmp_path / "a", accuracy=0.05, tier="fem")
     with pytest.raises(SceneError, match=r"\[arm\] touches cannot be touched again"):
-        command.make("plants-v4-mini", tmp_path / "a", accuracy=0.05)
+        run.generate("plants-v4-mini", tmp_path / "a", accuracy=0.05)
     assert not (tmp_path / "a").exists()
-    assert str(command.folder_of(load_scene(find_scene("shoes-mini")), None, accuracy=0.05)).endswith("-accuracy-5")
+    assert str(run.planned("shoes-mini", accuracy=0.05).folder).endswith("-accuracy-5")
 
 
 def test_a_promise_is_kept_by_19_of_20():
@@ -135,9 +134,9 @@ def test_a_promise_is_kept_by_19_of_20():
 def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(buy, "DatasetTouches", Imagined)
     monkeypatch.setattr("vsfsim.generate.effectors.probe.make_each", _in_this_process)
-    made = command.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
+    made = run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
     monkeypatch.setattr(buy, "DatasetTouches", None)  # a second pilot would fail
-    command.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
+    run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
     stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
     assert stored["accuracy"]["asked"] == 0.1 and stored["accuracy"]["observed"]["audits"] == 1
     report = verify(tmp_path / "data")
@@ -148,9 +147,9 @@ def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path,
     lost = dataclasses.replace(touch, audit={**touch.audit, "finer_converged": np.zeros(2, bool)})
     assert audit_error(lost) == np.inf
     # the same touches under a promise that they break
-    monkeypatch.setattr(command, "bought", lambda *_, **__: ("fem-coarse", {
+    monkeypatch.setattr(run, "bought", lambda *_, **__: ("fem-coarse", {
         "resolution": 0.03, "accuracy": {"asked": 0.001, "expected": 0.001, "limit": 0.0, "touches": 1}}))
-    command.generate(scene, tmp_path / "worse", accuracy=0.001, objects=1)
+    run.generate(scene, tmp_path / "worse", accuracy=0.001, objects=1)
     (problem,) = verify(tmp_path / "worse").problems
     assert "promises an accuracy of 0.1 %, and 0 % of 1 audited touches keep it" in problem.what
 
@@ -158,9 +157,9 @@ def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path,
 @pytest.mark.slow
 def test_touches_that_are_made_on_meshes_of_their_own_are_near_their_audits(scene, tmp_path, monkeypatch):
     monkeypatch.setattr("vsfsim.generate.effectors.probe.make_each", _in_this_process)
-    monkeypatch.setattr(command, "bought", lambda *_, **__: ("fem", {
+    monkeypatch.setattr(run, "bought", lambda *_, **__: ("fem", {
         "resolution": 0.026, "contact": 0, "accuracy": {"asked": 0.02, "expected": 0.01, "limit": 0.0, "touches": 1}}))
-    made = command.generate(scene, tmp_path / "data", accuracy=0.02, objects=1)
+    made = run.generate(scene, tmp_path / "data", accuracy=0.02, objects=1)
     stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
     assert stored["accuracy"]["chosen"] == {"tier": "fem", "resolution": 0.026, "contact": 0}
     assert verify(tmp_path / "data").ok, stored["accuracy"]

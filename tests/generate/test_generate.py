@@ -16,14 +16,13 @@ from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import load_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.streams import Stream, stream
 from vsfsim.data.verify import verify
 from vsfsim.generate.effector import find_effector
-from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.recipe import splits_for
 from vsfsim.generate.run import generate
-from vsfsim.press.text import text
 
 SCENE = """
 name = "tiny"
@@ -211,7 +210,7 @@ def test_splits_keep_their_proportions(scene):
 
 # ------------------------------------------------------------------------------------------ the press
 
-KEYS = {"depth", "force", "reaction", "pressure", "converged", "residual", "iterations", "seconds", "tets", "nodes",
+KEYS = {"depth", "force", "reaction", "converged", "residual", "iterations", "seconds", "tets", "nodes",
         "tier", "device", "precision"}
 
 
@@ -223,14 +222,14 @@ def check_press(table):
     force = np.array(table["force"])
     # 8 mm in four frames of 2 mm: the first two clear the block, the third is 1 mm inside
     assert not force[:2].any() and force[3, 2] > force[2, 2] > 0.0 and not force[4:].any()
-    assert all(table["converged"]) and table["pressure"] is None
+    assert all(table["converged"])
     assert (table["tier"], table["device"], table["precision"]) == ("fem-coarse", "cpu", "float64")
     assert table["tets"] > 0 and table["nodes"] > table["tets"] and min(table["seconds"]) > 0.0
     assert np.abs(force - table["reaction"]).max() <= 1e-3 * force.max()
 
 
 def test_press_gives_all_that_the_design_promises(scene):
-    check_press(find_effector("probe").press(scene, PressRequest()).table())
+    check_press(find_effector("probe").press(scene, Request()).table())
 
 
 def test_press_prints_one_json_object(scene, tmp_path):
@@ -239,18 +238,9 @@ def test_press_prints_one_json_object(scene, tmp_path):
     assert out.returncode == 0, out.stderr
     table = json.loads(out.stdout)
     check_press(table)
-    here = find_effector("probe").press(scene, PressRequest()).table()
+    here = find_effector("probe").press(scene, Request()).table()
     assert table["force"] == here["force"], "the same seed gives the same bits in another process"
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_text_table_for_people(scene):
-    lines = text(find_effector("probe").press(scene, PressRequest())).splitlines()
-    assert (len(lines) == 11 and "normal N" in lines[0] and "|force| N" in lines[0]
-            and lines[7].startswith("normal N is the component")
-            and lines[8].startswith("All 6 frames converged.")
-            and lines[9].startswith("The mesh does NOT resolve the contact in 2 of 6 frames")
-            and lines[10].startswith("Tier fem-coarse"))
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):

@@ -26,7 +26,7 @@ from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate import costs, workers
 from vsfsim.generate.effector import find_effector
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.run import Share, generate, make
+from vsfsim.generate.run import Share, generate, make, planned
 
 RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2, splits={"test": 2},
                 device="cpu", tier="vsf", precision="float64", renderer="warp")
@@ -65,7 +65,7 @@ def contents(folder):
 def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp_path, here):
     out = tmp_path / "d"
     for k in (2, 0, 3, 1):
-        found = make(scene, out, share=Share(shard=(k, 4)), objects=4)
+        found = make(planned(scene, out, objects=4), share=Share(shard=(k, 4)))
         assert len(found.names) == 1 and found.dataset is None
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(out)
@@ -74,26 +74,26 @@ def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp
     content = (out / "tiny-0000-v0.h5").read_bytes()
     assert line["sha256"] == hashlib.sha256(content).hexdigest() and line["bytes"] == len(content)
     assert line["seed"] == 0 and line["made_on"]
-    assert make(scene, out, share=Share(finish=True), objects=4).dataset.sha256 == made.sha256
+    assert make(planned(scene, out, objects=4), share=Share(finish=True)).dataset.sha256 == made.sha256
     assert contents(out) == contents(made.path) and verify(out).ok
     assert "4 object views" in (out / "README.md").read_text()
 
 
 def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp_path, here):
     out = tmp_path / "d"
-    make(scene, out, share=Share(shard=(0, 2)), objects=2)
+    make(planned(scene, out, objects=2), share=Share(shard=(0, 2)))
     (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
     with pytest.raises(DatasetError, match=r"'tiny-0001-v0' is missing; .*`vsfsim generate` again"):
-        make(scene, out, share=Share(finish=True), objects=2)
+        make(planned(scene, out, objects=2), share=Share(finish=True))
     assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
 
 
 def test_another_number_of_shards_and_another_recipe_are_refused(scene, tmp_path, here):
-    make(scene, tmp_path, share=Share(shard=(0, 2)), objects=2)
+    make(planned(scene, tmp_path, objects=2), share=Share(shard=(0, 2)))
     with pytest.raises(DatasetError, match="is being made in 2 shards, and --shard asks for 3"):
-        make(scene, tmp_path, share=Share(shard=(1, 3)), objects=2)
+        make(planned(scene, tmp_path, objects=2), share=Share(shard=(1, 3)))
     with pytest.raises(DatasetError, match="holds another dataset: seed 0 there, 1 asked for"):
-        make(scene, tmp_path, share=Share(shard=(1, 2)), objects=2, seed=1)
+        make(planned(scene, tmp_path, objects=2, seed=1), share=Share(shard=(1, 2)))
 
 
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
@@ -107,14 +107,14 @@ def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, 
 
 
 def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path, here, monkeypatch):
-    make(scene, tmp_path, share=Share(shard=(0, 2)), objects=4)
+    make(planned(scene, tmp_path, objects=4), share=Share(shard=(0, 2)))
     monkeypatch.setattr(workers, "machine_kind", lambda *_: "another CPU")
     with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--mixed"):
-        make(scene, tmp_path, share=Share(shard=(1, 2)), objects=4)
-    make(scene, tmp_path, share=Share(shard=(1, 2), mixed=True), objects=4)
+        make(planned(scene, tmp_path, objects=4), share=Share(shard=(1, 2)))
+    make(planned(scene, tmp_path, objects=4), share=Share(shard=(1, 2), mixed=True))
     with pytest.raises(DatasetError, match="machines of 2 kinds"):
-        make(scene, tmp_path, share=Share(finish=True), objects=4)
-    found = make(scene, tmp_path, share=Share(finish=True, mixed=True), objects=4).dataset
+        make(planned(scene, tmp_path, objects=4), share=Share(finish=True))
+    found = make(planned(scene, tmp_path, objects=4), share=Share(finish=True, mixed=True)).dataset
     assert {e.made_on for e in found.entries} == {made.entries[0].made_on, "another CPU"}
     assert found.sha256 == made.sha256 and verify(tmp_path).ok
 
@@ -130,11 +130,11 @@ def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made
         return real(self, job, **options)
 
     monkeypatch.setattr(type(probe), "make_view", make_view)
-    found = make(scene, tmp_path / "d", share=Share(poison=True), objects=4)
+    found = make(planned(scene, tmp_path / "d", objects=4), share=Share(poison=True))
     assert calls.count("tiny-0001-v0") == 2 and len(found.dataset) == 3 and verify(tmp_path / "d").ok
     assert found.left_out == {"tiny-0001-v0": "RuntimeError: no luck"}
     assert "no luck" in (tmp_path / "d" / "README.md").read_text()
-    again = make(scene, tmp_path / "d", share=Share(poison=True), objects=4)
+    again = make(planned(scene, tmp_path / "d", objects=4), share=Share(poison=True))
     assert again.left_out == found.left_out and len(calls) == 5, "what is finished is left"
 
 
@@ -143,10 +143,10 @@ def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, mon
     monkeypatch.setenv("VSFSIM_FETCHED", str(tmp_path))
     url = f"memory://{tmp_path.name}/d"
     for k in range(2):
-        make(scene, url, share=Share(shard=(k, 2)), objects=4)
+        make(planned(scene, url, objects=4), share=Share(shard=(k, 2)))
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(url)
-    found = make(scene, url, share=Share(finish=True), objects=4).dataset
+    found = make(planned(scene, url, objects=4), share=Share(finish=True)).dataset
     assert found.sha256 == made.sha256 and found.origin == url
     assert found[1].touches[0].force.tobytes() == made[1].touches[0].force.tobytes()
     assert sorted(open_store(url).sizes()) == sorted(contents(made.path))
@@ -263,7 +263,7 @@ def test_slurm_by_processes_of_this_machine(scene, made, tmp_path):
     out = tmp_path / "d"
     words = [str(w) for w in command("generate", scene.path, "--out", out, "--objects", 4, "--workers", 1)]
     assert scheduler.submit(words, 2, tmp_path / "logs", cluster="local") == []
-    assert make(scene, out, share=Share(finish=True), objects=4).dataset.sha256 == made.sha256
+    assert make(planned(scene, out, objects=4), share=Share(finish=True)).dataset.sha256 == made.sha256
     assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()
 
 

@@ -12,8 +12,7 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Sphere
-from vsfsim.generate.aim import _over_depth, aim_probe, clearance, probe_pose, surface_samples
-from vsfsim.generate.cloud import voxel_sample
+from vsfsim.generate.aim import aim_probe, clearance, probe_pose, surface_samples
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.solve.touches import Solver, SolverOptions
@@ -156,12 +155,6 @@ def test_a_response_that_was_not_found_tells_no_depth(model, monkeypatch):
         aims(model, view(), force_limit=0.4)
 
 
-def test_past_the_last_frame_found_the_force_rises_as_before_it():
-    found = _over_depth(np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([9.0, 1.0, np.nan, 7.0, np.nan]),
-                        np.array([False, True, False, True, False]))
-    assert found == pytest.approx([0.0, 1.0, 4.0, 7.0, 10.0])
-
-
 def test_force_limit_cuts_the_depth(model):
     limit = 0.4
     whole, cut = aims(model, view(), force_limit=1e6), aims(model, view(), force_limit=limit)
@@ -216,14 +209,6 @@ def test_probe_stiffness_grows_with_the_modulus_under_it(block):
     assert 5.0 < k[1] / k[0] < 10.0
     # on what is held there is no compliance
     assert probe_stiffness(soft_left, np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]]))[0] == np.inf
-
-
-def test_voxel_sample_takes_one_point_a_voxel():
-    cloud = np.random.default_rng(0).uniform(0.0, 0.05, (2000, 3))
-    found = voxel_sample(cloud, 0.01)
-    assert len(found) == len(np.unique(np.floor(cloud / 0.01),
-                                       axis=0)) == len(np.unique(np.floor(found / 0.01), axis=0))
-    assert all((cloud == p).all(axis=1).any() for p in found)
 
 
 def test_a_corner_of_a_box_meets_a_tilted_plane_where_geometry_says():

@@ -10,10 +10,10 @@ from frame_checks import from_above
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.press_result import PressRequest
-from vsfsim.generate.presses.bubble_solve import solve as solve_bubble
+from vsfsim.generate.presses.bubble import solve as solve_bubble
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -240,7 +240,7 @@ def test_a_plane_has_no_samples_and_presses_a_whole_face(model, device, line):
 def test_a_ball_that_went_through_a_membrane_is_never_in_silence(frames):
     """A ball of 3 mm goes 20 mm into a bubble of 390 nodes, too fast for it: every frame has a push or is marked."""
     scene = parse_scene(BUBBLE.format(frames=frames), "bubble.toml").sample(0)
-    found = solve_bubble(scene, PressRequest(seconds=2.0)).frames
+    found = solve_bubble(scene, Request(limit=2.0)).solved.frames
     good = found.converged[:, 0]
     assert (np.linalg.norm(found.force[good, 0], axis=1) > 0.1).all()
     assert np.isnan(found.force[~good, 0]).all()

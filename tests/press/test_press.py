@@ -1,19 +1,23 @@
 """Around a press: what is assumed, observed order of convergence, pressures, pictures' triangles."""
 
-from types import SimpleNamespace
+import dataclasses
+import errno
 
 import numpy as np
 import pytest
 
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import parse_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.assume import with_probe
 from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
 from vsfsim.generate.presses.probe import prepare, solve
+from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.convergence import convergence
-from vsfsim.press.command import Press
+from vsfsim.physics.solve.frames import Reason
+from vsfsim.press.command import Press, press
 from vsfsim.sensing.tessellate import tessellate
 
 BOX = '[object]\nshape = { box = [0.06, 0.05, 0.03] }\nyoung_modulus = 1e5\nresolution = 0.015\ntier = "linear"\n'
@@ -51,7 +55,7 @@ def test_an_order_that_quadratic_elements_cannot_have_is_not_used():
 
 
 def test_what_is_left_out_is_assumed_and_said():
-    prepared = prepare(parse_scene(BOX, "s.toml").sample(), PressRequest())
+    prepared = prepare(parse_scene(BOX, "s.toml").sample(), Request())
     scene, notes = prepared.scene, prepared.notes
     assert prepared.tier == "linear" and scene.probe == Sphere(0.006)
     assert "20 % of the object's smallest edge" in notes[0]
@@ -70,7 +74,7 @@ def test_what_is_left_out_is_assumed_and_said():
 def pressed():
     text = (BOX + "[probe]\nshape = { plane = true }\n[press]\nfrom = [0, 0, 0.031]\nto = [0, 0, 0.0297]\nframes = "
                   "2\nhold = 1\nretract = 2\n")
-    request = PressRequest(keep=True)
+    request = Request()
     prepared = prepare(parse_scene(text, "s.toml").sample(), request)
     return prepared.model.mesh, solve(prepared, request)
 
@@ -126,7 +130,24 @@ def test_drawn_probes_lie_on_their_surface_and_are_wound_outwards(shape):
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0) > 0.0).all()
 
 
-@pytest.mark.parametrize(("measured", "said"), [(None, True), ([True, True], True), ([True, False], False)])
-def test_a_press_is_resolved_if_its_finest_mesh_is_or_nobody_measures_it(measured, said):
-    coarse, fine = (SimpleNamespace(resolved=None if one is None else np.array(one)) for one in ([False], measured))
-    assert Press("scene", (coarse, fine), "cpu").resolved is said
+@pytest.mark.parametrize("way", ["picture", "plot", "gif", "save"])
+def test_a_full_disk_is_named(pressed, tmp_path, monkeypatch, way):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("vsfsim.data.disk.os.fsync", full)
+    file = tmp_path / f"out.{'npz' if way == 'save' else 'gif' if way == 'gif' else 'png'}"
+    with pytest.raises(VsfsimError, match=f"(?s){file}.*(full|space)"):
+        getattr(Press("small", (pressed[1],), "cpu"), way)(file)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stated_time_limit_is_the_only_one_of_a_frame(monkeypatch):
+    """Two conjugate gradients a frame are not enough here. Who states a time limit gets that time for the frame."""
+    own = tiers.options
+    monkeypatch.setattr(tiers, "options", lambda tier: dataclasses.replace(own(tier), cg_frame=2))
+    path = "[press]\nfrom = [0, 0, 0.05]\nto = [0, 0, 0.047]\nframes = 1\n"
+    loaded = parse_scene(BOX.replace("linear", "fem-coarse") + path, "s.toml")
+    few, timed = (press(loaded, limit=limit).result for limit in (None, 60.0))
+    assert Reason.ITERATIONS.text in few.more["reason"]
+    assert set(timed.more["reason"]) == {Reason.NONE.text}

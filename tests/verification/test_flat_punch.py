@@ -5,7 +5,7 @@ import pytest
 
 import references
 from vsfsim.core.scene import parse_scene
-from vsfsim.generate.press_result import PressRequest
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.presses.probe import prepare, solve
 
 REFERENCE = references.load("flat_punch")
@@ -33,7 +33,7 @@ frames = 1
 def test_a_flat_punch_is_as_stiff_as_it_should_be(tier, side, spot, most):
     depth = 0.04 * side
     text = SCENE.format(side=side, x=spot[0], y=spot[1], above=0.05 + 0.5 * side + 1e-4, low=0.05 + 0.5 * side - depth)
-    request = PressRequest(tier=tier)
+    request = Request(tier=tier)
     prepared = prepare(parse_scene(text, "punch.toml").sample(0), request)
     made = solve(prepared, request)
     assert made.converged.all() and any("smaller along the probe's edges" in note for note in made.notes)

@@ -10,9 +10,9 @@ import pytest
 
 import references
 from vsfsim.core.scene import load_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.probe import prepare
 from vsfsim.generate.presses.probe import solve as solve_press
 from vsfsim.physics import tiers
@@ -25,7 +25,7 @@ S1_CURVE = np.array(references.load("s1")["force_N"])  # every 0.5 mm
 def run(name, tier, device, frames=10):
     scene = load_scene(find_scene(name)).sample(0)
     scene = dataclasses.replace(scene, press=dataclasses.replace(scene.press, frames=(frames,)))
-    request = PressRequest(tier=tier, device=device)
+    request = Request(tier=tier, device=device)
     result = solve_press(prepare(scene, request), request)
     assert result.converged.all()
     # the probe's force is what the supports give back; the solver's tolerance bounds the difference

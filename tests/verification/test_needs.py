@@ -27,7 +27,7 @@ NEEDS = ("normal-force", "bulging")
 
 
 def force(stuff, *needs):
-    made = press(parse_scene(f"needs = {list(needs)!r}\n{SCENE}{stuff}", "small.toml"), keep=False)
+    made = press(parse_scene(f"needs = {list(needs)!r}\n{SCENE}{stuff}", "small.toml"))
     return made.normal_force[made.result.deepest]
 
 

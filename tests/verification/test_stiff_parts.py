@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.scene import parse_scene
-from vsfsim.generate.press_result import PressRequest
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.presses.probe import press
 
 SCENE = """
@@ -29,7 +29,7 @@ PLATE = "{ box = [-0.015, -0.015, 0.016, 0.015, 0.015, 0.0175], value = 1e8 }"
 
 def pressed(box, part, *, more=""):
     text = SCENE.format(box=list(box), part=part, more=more, begin=box[2] + 0.01, end=box[2] + 0.007)
-    return press(parse_scene(text, "s.toml"), PressRequest(tier="fem-coarse"))
+    return press(parse_scene(text, "s.toml").sample(0), Request(tier="fem-coarse"))
 
 
 @pytest.mark.slow

@@ -12,10 +12,10 @@ from element_body import Body
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.generate.press_result import PressRequest
-from vsfsim.generate.presses.bubble_solve import solve
+from vsfsim.generate.presses.bubble import solve
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.elements import stop
 from vsfsim.physics.mesh.membrane import TriangleMesh
@@ -83,7 +83,7 @@ to = [0.0, 0.0, 0.008]
 frames = 3
 """
     with pytest.raises(SceneError, match=r"in frame 2 of .press. obstacle 1 is .* mm behind the plane"):
-        solve(parse_scene(text, "deep.toml").sample(0), PressRequest(cache=tmp_path))
+        solve(parse_scene(text, "deep.toml").sample(0), Request(cache=tmp_path))
 
 
 DRUM = """
@@ -107,13 +107,13 @@ frames = 3
 def test_a_flat_drum_is_pressed_into_its_chamber(tmp_path):
     """A membrane without a dome, 3 mm deep in its middle; a plane wider than the rim meets the rim."""
     def press(**text):
-        return solve(parse_scene(DRUM.format(**text), "drum.toml").sample(0), PressRequest(cache=tmp_path))
+        return solve(parse_scene(DRUM.format(**text), "drum.toml").sample(0), Request(cache=tmp_path)).solved
 
     ball = {"shape": "sphere = 0.012", "more": "", "start": 0.013, "stop": 0.009}
     solved = press(chamber=0.01, **ball)
-    push = solved.wrench[:, 2]
+    push = solved.wrench()[:, 2]
     assert solved.frames.converged.all() and (push[1:] < push[:-1]).all() and push[-1] < -0.1
-    assert -0.0033 < solved.position[-1, :, 2].min() < -0.003
+    assert -0.0033 < solved.in_mount()[0][-1, :, 2].min() < -0.003
     for case in ({"chamber": 0.002, **ball}, {"chamber": 0.01, "shape": "plane = true", "more": "", "start": 0.001,
                                               "stop": -0.002}):
         with pytest.raises(SceneError, match="behind the plane of the sensor's rim or the floor of its chamber"):

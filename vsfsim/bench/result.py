@@ -22,7 +22,7 @@ from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.interactive.figure import new_figure
 from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.plain_text import plain
-from vsfsim.data.disk import write_atomic
+from vsfsim.data.disk import write_atomic, write_figure
 
 FORMAT = "vsfsim-result"
 
@@ -145,7 +145,7 @@ class Result:
                  title=f"{self.method} on {self.task}")
         axes.grid(alpha=0.3)
         if path is not None:
-            figure.savefig(path)
+            write_figure(figure, path)
         return figure
 
     def save(self, path: str | Path) -> None:

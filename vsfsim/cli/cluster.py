@@ -17,15 +17,30 @@ ENGINES = ("ray", "slurm", "k8s")
 _ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
 """Options with a value that the command of one shard does not repeat; nor does it --print."""
 
-On = Annotated[str | None, typer.Option("--on", help="Engine of a cluster: ray, slurm or k8s.")]
-Address = Annotated[str, typer.Option("--address", help="Of the Ray cluster, HOST:PORT.")]
-GpusPerTask = Annotated[float, typer.Option("--gpus-per-task", min=0.0, help="GPUs of each task of a cluster.")]
-ShardOf = Annotated[str | None, typer.Option("--shard", metavar="I/N",
+GROUP = "Machines"
+"""Of the options of a cluster in the help."""
+On = Annotated[str | None, typer.Option("--on", rich_help_panel=GROUP, help="Engine of a cluster: ray, slurm or k8s.")]
+Address = Annotated[str, typer.Option("--address", rich_help_panel=GROUP, help="Of the Ray cluster, HOST:PORT.")]
+GpusPerTask = Annotated[float, typer.Option("--gpus-per-task", rich_help_panel=GROUP, min=0.0,
+                                                help="GPUs of each task of a cluster.")]
+ShardOf = Annotated[str | None, typer.Option("--shard", rich_help_panel=GROUP, metavar="I/N",
                                              help="Make the I-th of N shares, from 0, beside other machines; auto: of "
                                                   "a Slurm array, auto/N: of a Kubernetes Indexed Job.")]
-Shards = Annotated[int | None, typer.Option("--shards", min=1, help="Tasks of a Slurm array or pods of a Kubernetes "
-                                                                    "job; default: 100, at most one a part.")]
-Printed = Annotated[bool, typer.Option("--print", help="Print the file for Slurm or Kubernetes and make nothing.")]
+Shards = Annotated[int | None, typer.Option("--shards", rich_help_panel=GROUP, min=1,
+                                            help="Tasks of a Slurm array or pods of a Kubernetes job; default: 100, at "
+                                                 "most one a part.")]
+Finish = Annotated[bool, typer.Option("--finish", rich_help_panel=GROUP,
+                                      help="Check what shards have made, and write dataset.json.")]
+Mixed = Annotated[bool, typer.Option("--mixed", rich_help_panel=GROUP,
+                                     help="Allow machines of several kinds, which round otherwise.")]
+Poison = Annotated[bool, typer.Option("--poison", rich_help_panel=GROUP,
+                                      help="Leave out a view that fails twice and make the others; exit code 4.")]
+Machines = Annotated[int, typer.Option("--machines", rich_help_panel=GROUP, min=1,
+                                       help="With --dry-run: how many machines like this one.")]
+Price = Annotated[float | None, typer.Option("--price", rich_help_panel=GROUP, min=0.0,
+                                             help="With --dry-run: of an hour of a machine.")]
+Printed = Annotated[bool, typer.Option("--print", rich_help_panel=GROUP,
+                                       help="Print the file for Slurm or Kubernetes and make nothing.")]
 
 
 def check_engine(on: str | None, shard: str | None, printed: bool) -> tuple[int, int] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import signal
 import time
@@ -10,56 +11,42 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from vsfsim.cli.cluster import Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, check_engine
-from vsfsim.cli.console import Progress, note, report
-from vsfsim.cli.options import (
-    Device,
-    JsonFile,
-    Objects,
-    SceneName,
-    Seed,
-    Tier,
-    Touches,
-    Views,
-    Workers,
-    share_of,
+from vsfsim.cli.cluster import (
+    Address,
+    Finish,
+    GpusPerTask,
+    Machines,
+    Mixed,
+    On,
+    Poison,
+    Price,
+    Printed,
+    ShardOf,
+    Shards,
+    by_shards,
+    check_engine,
 )
+from vsfsim.cli.console import Progress, note, report
+from vsfsim.cli.groups import Sections
+from vsfsim.cli.options import JsonFile, SceneName, asks
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError
+from vsfsim.core.scene_tables.request import Request
 
 app = typer.Typer()
 
 
-@app.command()
-def generate(scene: SceneName,
+@app.command(cls=Sections)
+@asks("objects", "views", "touches", "seed", "tier", "device", "renderer", "arm", "accuracy", "workers")
+def generate(request: Request, scene: SceneName,
              out: Annotated[str | None, typer.Option(help="Folder of the dataset, or the address of an object store "
                                                           "(s3://...); default: where a task looks for it, "
                                                           "datasets/SCENE-v1 say, else datasets/SCENE "
                                                           "($VSFSIM_DATASETS in place of datasets).")] = None,
-             objects: Objects = None, views: Views = None, touches: Touches = None, seed: Seed = 0, tier: Tier = None,
-             device: Device = "cpu",
-             renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
-             arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
-                                                          "scene's.")] = None,
-             accuracy: Annotated[str | None, typer.Option(metavar="SHARE",
-                                                          help="Largest error of the force, e.g. 5%: a pilot on the "
-                                                               "first objects chooses tier and element size, and one "
-                                                               "touch in ten is audited one level finer.")] = None,
-             workers: Workers = None,
-             shard: ShardOf = None,
-             finish: Annotated[bool, typer.Option("--finish", help="Check what shards have made, and write "
-                                                                   "dataset.json.")] = False,
-             mixed: Annotated[bool, typer.Option("--mixed", help="Allow machines of several kinds, which round "
-                                                                 "otherwise.")] = False,
-             poison: Annotated[bool, typer.Option("--poison", help="Leave out a view that fails twice and make the "
-                                                                   "others; exit code 4.")] = False,
-             on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
-             printed: Printed = False,
              dry_run: Annotated[bool, typer.Option("--dry-run", help="Make nothing: touches, bytes and time, from the "
                                                                      "views of this scene made here before.")] = False,
-             machines: Annotated[int, typer.Option(min=1, help="With --dry-run: how many machines like this one.")] = 1,
-             price: Annotated[float | None, typer.Option(min=0.0, help="With --dry-run: of an hour of a machine.")
-                              ] = None,
-             json: JsonFile = None) -> None:
+             json: JsonFile = None, shard: ShardOf = None, finish: Finish = False, mixed: Mixed = False,
+             poison: Poison = False, on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0,
+             shards: Shards = None, printed: Printed = False, machines: Machines = 1, price: Price = None) -> None:
     """Make a dataset from a scene, or finish one.
 
     Run the same command again after an interruption: it makes only what is missing, to the same bits.
@@ -72,39 +59,27 @@ def generate(scene: SceneName,
         raise VsfsimError("--shard and --finish do not go together. Each machine makes a --shard; --finish ends the "
                           "work.")
     loaded = load_scene(find_scene(scene))
-    from vsfsim.generate.command import folder_of  # takes seconds; a mistake in the scene is reported before
+    from vsfsim.generate.run import Share, make, planned  # takes seconds; a mistake in the scene is reported before
 
     began = time.perf_counter()
-    counts: dict[str, Any] = {"seed": seed, "objects": objects, "views": views, "touches": touches, "tier": tier,
-                              "arm": arm}
-    bound = None if accuracy is None else share_of("--accuracy", accuracy)
-    folder = folder_of(loaded, out, accuracy=bound, **counts)
+    plan = planned(loaded, out, request.but(note=note))
+    folder, count = plan.folder, plan.recipe.objects * plan.recipe.views
     if dry_run:
         from vsfsim.generate.costs import estimate
-        from vsfsim.generate.recipe import make_recipe
 
-        recipe = make_recipe(loaded, device=device, renderer=renderer, **counts)
-        cost, processes = estimate(recipe, recipe.objects * recipe.views), workers or os.cpu_count() or 1
+        cost, processes = estimate(plan.recipe, count), request.workers or os.cpu_count() or 1
         report(cost.text(processes, machines, price), cost.table(processes, machines, price), json)
         return
     if on in ("slurm", "k8s"):
-        from vsfsim.generate.recipe import make_recipe
-
-        recipe = make_recipe(loaded, device=device, renderer=renderer, **counts)
         logs = Path("slurm-logs") if "://" in str(folder) else Path(folder).with_name(f"{Path(folder).name}-slurm")
-        if not by_shards(on, shards or min(100, recipe.objects * recipe.views), logs, printed, int(gpus_per_task),
-                         ["--finish"]):
+        if not by_shards(on, shards or min(100, count), logs, printed, int(gpus_per_task), ["--finish"]):
             return
         finish = True
-    from vsfsim.generate.command import make
-    from vsfsim.generate.run import Share
-
     share = Share(part, finish, mixed, poison, address if on == "ray" else "", gpus_per_task)
     signal.signal(signal.SIGTERM, _terminated)
     try:
         with Progress("generate") as progress:
-            made = make(loaded, folder, device=device, renderer=renderer, workers=workers,
-                        share=share, accuracy=bound, progress=progress, note=note, **counts)
+            made = make(dataclasses.replace(plan, request=plan.request.but(progress=progress)), share=share)
     except KeyboardInterrupt as stop:
         raise Interrupted(_kept(folder)) from stop
     seconds = time.perf_counter() - began

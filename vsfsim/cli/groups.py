@@ -5,7 +5,22 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
+
+
+class Sections(TyperCommand):
+    """A command whose help has a section for each group of options (typer's ``rich_help_panel``)."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the operands and the options."""
+        rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            if (row := parameter.get_help_record(ctx)) is not None:
+                kind = "Arguments" if parameter.param_type_name == "argument" else "Options"
+                rows.setdefault(getattr(parameter, "rich_help_panel", None) or kind, []).append(row)
+        for name, own in rows.items():
+            with formatter.section(name):
+                formatter.write_dl(own)
 
 
 class WholeSentences(TyperGroup):

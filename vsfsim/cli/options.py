@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import inspect
 import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 from vsfsim.core.plain_text import file_stem
+from vsfsim.core.scene_tables.request import Request
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pdf", ".svg", "")
 """Endings of a picture to write; without one it is a PNG."""
@@ -109,8 +113,22 @@ PageFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", callbac
 Objects = Annotated[int | None, typer.Option("--objects", min=1, help="How many objects; default: the scene's.")]
 Views = Annotated[int | None, typer.Option("--views", min=1, help="Views of each object; default: the scene's.")]
 Touches = Annotated[int | None, typer.Option("--touches", min=1, help="Touches of each view; default: the scene's.")]
-Workers = Annotated[int | None, typer.Option("--workers", min=1,
+Workers = Annotated[int | None, typer.Option("--workers", min=1, rich_help_panel="Machines",
                                              help="Processes; default: one a CPU core, or up to 16 on a GPU.")]
+Limit = Annotated[float | None, typer.Option("--limit", min=0.1, metavar="SECONDS",
+                                             help="Processor time of a frame; one that takes more is marked. Default: "
+                                                  "the tier's own, 120, and 1,500 conjugate gradients.")]
+Accuracy = Annotated[str | None, typer.Option("--accuracy", metavar="SHARE",
+                                              help="Largest error of the force, e.g. 5%: a pilot on the first objects "
+                                                   "chooses tier and element size, and one touch in ten is audited one "
+                                                   "level finer.")]
+ASKED: dict[str, Any] = {
+    "seed": Seed, "tier": Tier, "device": Device, "objects": Objects, "views": Views, "touches": Touches,
+    "workers": Workers, "limit": Limit, "accuracy": Accuracy,
+    "renderer": Annotated[str, typer.Option("--renderer", help="warp or pyrender.")],
+    "arm": Annotated[str | None, typer.Option("--arm", help="Arm of a scene with [arm]: gen3 or menagerie; default: "
+                                                            "the scene's.")]}
+"""The option of each field of `Request` that a command may have."""
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim methods`), or module:attribute.")]
 TaskName = Annotated[str, typer.Option("--task", autocompletion=complete_task,
@@ -120,6 +138,29 @@ DatasetFolder = Annotated[Path | None, typer.Option("--dataset",
                                                          "or $VSFSIM_DATASETS.")]
 Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
                                                       help="Parameter of the method; may be given again.")]
+
+
+def asks(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A command whose first operand is a `Request` has the fields ``names`` of it as options."""
+    fields = {field.name: field for field in dataclasses.fields(Request)}
+
+    def give(command: Callable[..., None]) -> Callable[..., None]:
+        own, hints = inspect.signature(command), get_type_hints(command, include_extras=True)
+        options = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=fields[name].default,
+                                     annotation=ASKED[name]) for name in names]
+
+        @functools.wraps(command)
+        def asked(**given: Any) -> None:
+            command(Request(**{name: given.pop(name) for name in names}), **given)
+
+        (first, *others) = own.parameters.values()
+        asked.__signature__ = own.replace(parameters=[  # type: ignore[attr-defined]
+            *(p.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in others), *options])
+        asked.__annotations__ = {**{name: hint for name, hint in hints.items() if name != first.name},
+                                 **{p.name: p.annotation for p in options}}
+        return asked
+
+    return give
 
 
 def share_of(option: str, text: str) -> float:

@@ -16,9 +16,10 @@ from vsfsim.cli.options import (
     PageFile,
     SceneName,
     Seed,
-    Tier,
+    asks,
     picture_option,
 )
+from vsfsim.core.scene_tables.request import Request
 
 app = typer.Typer()
 
@@ -40,15 +41,11 @@ def scenes(json: JsonFile = None) -> None:
 
 
 @app.command()
-def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", seed: Seed = 0,
-          json: JsonFile = None,
+@asks("tier", "device", "seed", "limit")
+def press(request: Request, scene: SceneName, json: JsonFile = None,
           plot: Annotated[Path | None, picture_option("Write a plot of force against depth.")] = None,
           picture: Annotated[Path | None, picture_option("Write a picture of the deformed body at full depth.")] = None,
           gif: GifFile = None, save: ArchiveFile = None,
-          limit: Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS",
-                                                      help="Processor time of a frame; one that takes more is "
-                                                           "marked. Default: the tier's own, 120, and 1,500 "
-                                                           "conjugate gradients.")] = None,
           refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES",
                                                      help="Press 3 to 6 finer and finer meshes: observed order of "
                                                           "convergence, extrapolated force and its error.")] = None
@@ -65,8 +62,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", seed: See
     from vsfsim.press.command import press as run  # takes seconds; a mistake in the scene is reported before
 
     with Progress("press") as progress:
-        made = run(loaded, seed=seed, tier=tier, device=device, refine=refine, limit=limit,
-                   keep=any(file is not None for file in (picture, gif, save)), progress=progress)
+        made = run(loaded, request.but(progress=progress), refine=refine)
     words = [made.text()]
     if plot is not None:
         made.plot(plot)

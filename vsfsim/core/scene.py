@@ -28,6 +28,8 @@ from vsfsim.core.table import Table, parse_toml, read_text
 
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
 """Words that a scene's ``needs`` may hold."""
+ALLOWED = ("unused-part", "no-contact", "out-of-reach", "own-weight")
+"""Words that a scene's ``allow`` may hold."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,8 @@ class Scene:
     effector_table: Mapping[str, Any] = field(default_factory=dict)
     """The table of the effector as it is written, e.g. [sensor] or [arm]; an effector that has no parser of its own in
     `vsfsim.core` reads its settings from it."""
+    allow: tuple[str, ...] = ()
+    """What is meant although it has no effect, of `ALLOWED`."""
 
     @property
     def required_sensor(self) -> Bubble:
@@ -189,6 +193,10 @@ class SceneFile:
         """
         return _build(sample(self.tree, np.random.default_rng(seed), number=number), self.path)
 
+    def varied(self, table: str, **values: Any) -> SceneFile:
+        """The same file with other values of a table."""
+        return dataclasses.replace(self, tree={**self.tree, table: {**self.tree.get(table, {}), **values}})
+
 
 def load_scene(path: str | Path) -> SceneFile:
     """Read a scene file and refuse at once what could not be built from it.
@@ -216,7 +224,7 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
 
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     top = Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
-                                  "obstacles", "press", "touches", "camera", "dataset", "arm"))
+                                  "obstacles", "press", "touches", "camera", "dataset", "arm", "allow"))
     if "sensor" in tree and "arm" in tree:
         raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led "
                          f"along straight lines, or by an arm without one. Take one of them out.")
@@ -241,12 +249,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")
-    needs = tree.get("needs", ["normal-force"])
-    if not isinstance(needs, list):
-        raise SceneError(f"{path}: needs is {needs!r}; it must be a list of words from {', '.join(NEEDS)}.")
-    for need in needs:
-        if need not in NEEDS:
-            raise SceneError(f"{path}: needs names '{need}'. {did_you_mean(str(need), NEEDS)}")
+    needs = _words(tree, "needs", ["normal-force"], NEEDS, path)
     probe, parts = parse_probe(tree.get("probe"), path)
     obstacles = parse_obstacles(tree.get("obstacles", []), path)
     if 1 + len(parts) + len(obstacles) > MAX_BODIES:
@@ -258,7 +261,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
                          f"can read from it; this scene has {what}. Use it with [press], or take it out.")
     return Scene(
         name=str(tree.get("name", path.stem)),
-        needs=tuple(needs),
+        needs=needs,
         gravity=top.vector("gravity", (0.0, 0.0, 0.0)),
         object=parse_object(tree["object"], path) if "object" in tree else None,
         probe=probe,
@@ -275,4 +278,16 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         effector=effector,
         mount_stiffness=parse_mount(tree, path),
         effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),
+        allow=_words(tree, "allow", [], ALLOWED, path),
     )
+
+
+def _words(tree: Mapping[str, Any], key: str, default: list[str], allowed: tuple[str, ...],
+           path: Path) -> tuple[str, ...]:
+    given = tree.get(key, default)
+    if not isinstance(given, list):
+        raise SceneError(f"{path}: {key} is {given!r}; it must be a list of words from {', '.join(allowed)}.")
+    for word in given:
+        if word not in allowed:
+            raise SceneError(f"{path}: {key} names '{word}'. {did_you_mean(str(word), allowed)}")
+    return tuple(given)

@@ -13,6 +13,7 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.interactive.figure import new_figure
+from vsfsim.data.disk import write_figure
 
 ObjectView: TypeAlias = Any
 View: TypeAlias = Any
@@ -65,7 +66,7 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None
             if inside:
                 _inside(row[6], object_view, number, frame)
     if out_png is not None:
-        figure.savefig(out_png)
+        write_figure(figure, out_png)
     return figure
 
 

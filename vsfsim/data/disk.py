@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import os
 import socket
 import zlib
 from pathlib import Path
+from typing import Any
 
 from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.core.system.file_lock import sync_folder
@@ -41,6 +43,17 @@ def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = Datas
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def write_figure(figure: Any, path: str | Path) -> None:
+    """Write a `matplotlib.figure.Figure` to a file; its ending says the format, PNG without one.
+
+    Raises:
+        VsfsimError: the disk is full or refuses to be written.
+    """
+    path, buffer = Path(path), io.BytesIO()
+    figure.savefig(buffer, format=path.suffix[1:].lower() or "png")
+    write_atomic(path if path.suffix else path.with_suffix(".png"), buffer.getvalue(), error=VsfsimError)
 
 
 def own_number() -> str:

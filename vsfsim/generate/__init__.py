@@ -1,6 +1,6 @@
 """From a scene to touches to a dataset.
 
-The package can be called: `vsfsim.generate(scene, out)` is `vsfsim.generate.command.generate`.
+The package can be called: `vsfsim.generate(scene, out)` is `vsfsim.generate.run.generate`.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from vsfsim.core.interactive.callable_package import make_callable
 
 
 def _function() -> Callable[..., Any]:
-    from vsfsim.generate.command import generate
+    from vsfsim.generate.run import generate
 
     return generate
 

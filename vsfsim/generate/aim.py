@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from vsfsim.core import signed_distance
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import Scene, TouchSpec
+from vsfsim.core.scene import Scene
 from vsfsim.core.scene_tables.dataset import STEEPEST
 from vsfsim.core.shape import MeshFile, Plane, ProbeShape
 from vsfsim.data.records import View
-from vsfsim.generate.cloud import cloud_normals
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.body_samples import sharp_samples
 from vsfsim.physics.model import Model
@@ -26,6 +26,9 @@ from vsfsim.robot.path import turn_to
 DRAWS = 200  # targets that are tried for one touch
 _STEPS = 8  # of the linear press that finds the depth of the force limit
 BLOCKED = 0.015  # something else that is met this far before the target makes the target unreachable [m]
+
+_NEIGHBOURS = 40  # points of the cloud that a normal is fitted to
+_RADIUS = 0.012  # and how far away they may be [m]
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,10 @@ class Aim:
     """Distance of its start before first contact [m]; None for the scene's."""
     press: int = 0
     """Which of the scene's kinds of press it is (`Scene.presses`)."""
+    path: np.ndarray | None = None
+    """Planned poses of the probe or its mount (T, 4, 4) [m]; None for the effector's own plan."""
+    start: np.ndarray | None = None
+    """Where the path begins (4, 4) [m]; None: turned as the first pose, at the approach."""
 
 
 def surface_samples(model: Model) -> np.ndarray:
@@ -250,11 +257,14 @@ def _over_depth(depth: np.ndarray, force: np.ndarray, found: np.ndarray) -> np.n
     return np.where(depth > at[-1], known[-1] + slope * (depth - at[-1]), np.interp(depth, at, known))
 
 
-def starts(spec: TouchSpec, aims: Sequence[Aim], poses: np.ndarray) -> np.ndarray:
+def starts(scene: Scene, aims: Sequence[Aim], poses: np.ndarray) -> np.ndarray:
     """Where the paths of touches begin (B, 4, 4): turned as their first ``poses`` (B, 4, 4), at their approach."""
     out = poses.copy()
     for pose, a in zip(out, aims, strict=True):
-        pose[:3, 3] = a.contact - (spec.approach if a.approach is None else a.approach) * a.axis
+        if a.start is not None:
+            pose[:] = a.start
+        else:
+            pose[:3, 3] = a.contact - (scene.required_touches.approach if a.approach is None else a.approach) * a.axis
     return out
 
 
@@ -264,3 +274,33 @@ def probe_pose(probe: ProbeShape, centre: np.ndarray, axis: np.ndarray) -> np.nd
     pose[:3, :3] = turn_to(axis, probe)
     pose[:3, 3] = centre
     return pose
+
+
+def cloud_normals(cloud: np.ndarray, at: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """Outward unit normals (k, 3) of a point cloud (n, 3) [m] at ``at`` (k, 3): the direction of least variance of the
+    neighbours.
+
+    Args:
+        eye: the camera's centre (3,) [m]; a visible surface faces it.
+    """
+    tree = cKDTree(cloud)
+    distance, index = tree.query(at, k=min(_NEIGHBOURS, len(cloud)), distance_upper_bound=_RADIUS)
+    out = np.empty_like(at)
+    for i in range(len(at)):
+        near = cloud[index[i][np.isfinite(distance[i])]]
+        normal = np.linalg.svd(near - near.mean(axis=0), full_matrices=False)[2][-1] if len(near) >= 3 else eye - at[i]
+        normal = normal / np.linalg.norm(normal)
+        out[i] = normal if normal @ (eye - at[i]) >= 0 else -normal
+    return out
+
+
+def voxel_sample(cloud: np.ndarray, size: float) -> np.ndarray:
+    """One point of the cloud (n, 3) [m] for every occupied voxel of edge ``size`` [m]: the one nearest to the mean of
+    the voxel's points (k, 3) [m]."""
+    cell = np.floor(cloud / size).astype(np.int64)
+    _, group = np.unique(cell, axis=0, return_inverse=True)
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, cloud[:, c]) / count for c in range(3)], axis=1)
+    off = np.linalg.norm(cloud - mean[group], axis=1)
+    order = np.lexsort((np.arange(len(cloud)), off, group))
+    return cloud[order[np.unique(group[order], return_index=True)[1]]]

@@ -19,6 +19,7 @@ A new effector, say ``[sensor] kind = "load-cell"``, is
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import importlib.metadata
 from collections.abc import Callable, Iterator, Sequence
@@ -29,10 +30,12 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import EFFECTOR_GROUP, effectors
 from vsfsim.data.records import ObjectView, Truth
 from vsfsim.generate.job import Job
-from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.generate.press_result import PressResult
+from vsfsim.physics.tiers import TIERS
 from vsfsim.sensing.surface import Surface
 
 
@@ -58,8 +61,6 @@ class Effector(Protocol):
 
     table: str
     """The scene's table that describes it: "probe", "sensor" or "arm"."""
-    options: tuple[str, ...]
-    """Names of the options of `vsfsim generate` that only this effector takes, e.g. ("arm",)."""
 
     def check(self, scene: Scene, tier: str | None) -> str:
         """Refuse at once a dataset that could not be made.
@@ -108,7 +109,7 @@ class Effector(Protocol):
         """
         ...
 
-    def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
+    def press(self, loaded: SceneFile, request: Request) -> PressResult:
         """Carry out the ``[press]`` of a scene, or the press that stands for it.
 
         Raises:
@@ -116,11 +117,11 @@ class Effector(Protocol):
         """
         ...
 
-    def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
-        """The same press on ``meshes`` >= 3 finer and finer meshes.
+    def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
+        """The scene of the press on ``meshes`` >= 3 finer and finer meshes.
 
         Raises:
-            SceneError, MeshError: the press cannot be made, or its model has no finer mesh.
+            SceneError, MeshError: its model has no finer mesh.
         """
         ...
 
@@ -150,3 +151,13 @@ def find_effector(name: str) -> Effector:
     for entry in importlib.metadata.entry_points(group=EFFECTOR_GROUP, name=name):
         return entry.load()
     return importlib.import_module(f"vsfsim.generate.effectors.{name.replace('-', '_')}").EFFECTOR
+
+
+def kernels_of(scene: Scene, tier: str = "auto") -> list[Any]:
+    """The Warp kernels that a dataset of a scene needs: its effector's, the camera's and those of the oracle VSF."""
+    from vsfsim.sensing import render_warp
+    from vsfsim.vsf import particles
+
+    if tier in TIERS:
+        scene = dataclasses.replace(scene, object=dataclasses.replace(scene.required_object, tier=tier))
+    return [*effector_of(scene).kernels(scene), render_warp.cast_kernel, particles._behind]

@@ -1,4 +1,4 @@
-"""What an effector gives to `vsfsim press`: numbers, table, curves, bodies to draw, arrays to save.
+"""What an effector gives to `vsfsim press`: the record of a touch, with table, curves, bodies to draw, arrays to save.
 
 The effector fills a `PressResult`; `vsfsim.press` prints, draws and saves it without knowing the effector.
 """
@@ -7,47 +7,27 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from vsfsim.core.scene_tables.request import Request
+from vsfsim.data.records import Touch
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.sensing.surface import Surface
 
 _NO_LIMIT = 10**9
 
 
-@dataclass(frozen=True)
-class PressRequest:
-    """The options of `vsfsim press` that an effector needs."""
-
-    seed: int = 0
-    """Seed of the scene's distributions and of all random streams (0 or more)."""
-    tier: str | None = None
-    """Fidelity, or None for the scene's own."""
-    device: str = "cpu"
-    """Warp device."""
-    cache: Path | None = None
-    """Folder of meshes that were made before, or None for the user's own cache."""
-    seconds: float | None = None
-    """Limit of a frame's processor time [s], or None for the tier's own."""
-    keep: bool = False
-    """Whether `PressResult.panels` and `PressResult.arrays` are filled."""
-    progress: Callable[[int, int, str], None] | None = None
-    """Called with (done, in all, what)."""
-    tolerance: float | None = None
-    """Of the equilibrium, see `SolverOptions`, or None for the tier's own."""
-
-    def limited(self, options: SolverOptions) -> SolverOptions:
-        """The options with this request's tolerance and time limit. Who states a time is ready to wait that long, so
-        that the limits of a frame's iterations, which end it on every machine alike, do not end it before."""
-        if self.tolerance is not None:
-            options = dataclasses.replace(options, tolerance=self.tolerance)
-        if self.seconds is None:
-            return options
-        return dataclasses.replace(options, seconds=self.seconds, cg_frame=_NO_LIMIT, newton_frame=_NO_LIMIT)
+def limited(options: SolverOptions, request: Request) -> SolverOptions:
+    """The options with a request's tolerance and time limit. Who states a time is ready to wait that long, so that the
+    limits of a frame's iterations, which end it on every machine alike, do not end it before."""
+    if request.tolerance is not None:
+        options = dataclasses.replace(options, tolerance=request.tolerance)
+    if request.limit is None:
+        return options
+    return dataclasses.replace(options, seconds=request.limit, cg_frame=_NO_LIMIT, newton_frame=_NO_LIMIT)
 
 
 @dataclass(frozen=True)
@@ -153,24 +133,12 @@ Panel = BodyPanel | MapPanel | ImagePanel
 
 @dataclass(frozen=True)
 class PressResult:
-    """One press of T frames."""
+    """One press of T frames: a touch that is kept, with what is printed, drawn and saved of it."""
 
+    touch: Touch
+    """Its record, as a dataset holds it."""
     depth: np.ndarray
     """How far the effector is past first contact, or past its target (T,) [m]."""
-    force: np.ndarray
-    """Contact force on the effector, in the world (T, 3) [N]."""
-    axis: np.ndarray
-    """Unit direction of the press, in the world (3,) [-]; of a path with corners, of its first part."""
-    reaction: np.ndarray
-    """Force of the supports on what is pressed, or of the mount on the sensor, in the world (T, 3) [N]."""
-    converged: np.ndarray
-    """Whether each frame is an equilibrium within the solver's tolerance (T,)."""
-    residual: np.ndarray
-    """Unbalanced force over contact force (T,) [-]."""
-    iterations: np.ndarray
-    """Newton iterations (T,)."""
-    audit: Mapping[str, np.ndarray]
-    """Columns of the audit, each (T,): force_balance [-], energy [J], penetration [m], and of solids min_det_f [-]."""
     deepest: int
     """Number of the frame of full depth."""
     more: Mapping[str, Any]
@@ -189,21 +157,38 @@ class PressResult:
     """The model in a few words, for titles."""
     headline: str
     """Depth, force and other readings of the frame of full depth, for the picture's title."""
+    panels: Callable[[int], tuple[Panel, ...]]
+    """What the picture of a frame shows, by its number, in the colours and from the camera of the frame of full
+    depth."""
+    arrays: Mapping[str, tuple[np.ndarray, str]]
+    """What ``--save`` writes, by key: the array, and its shape and unit in words."""
+    edge: float = 0.0
+    """Edge of the elements that the error of the force scales with [m]; 0 without elements."""
     caption: str = ""
     """What the picture shows, for the line below it."""
-    panels: Callable[[int], tuple[Panel, ...]] | None = None
-    """What the picture of a frame shows, by its number, in the colours and from the camera of the frame of full depth;
-    None without `PressRequest.keep`."""
-    resolved: np.ndarray | None = None
+
+    force = property(lambda self: self.touch.force)
+    """Contact force on the effector, in the world (T, 3) [N]."""
+    axis = property(lambda self: self.touch.axis)
+    """Unit direction of the press, in the world (3,) [-]; of a path with corners, of its first part."""
+    reaction = property(lambda self: self.touch.reaction)
+    """Force of the supports on what is pressed, or of the mount on the sensor, in the world (T, 3) [N]."""
+    converged = property(lambda self: self.touch.converged)
+    """Whether each frame is an equilibrium within the solver's tolerance, whose forces balance (T,)."""
+    residual = property(lambda self: self.touch.residual)
+    """Unbalanced force over contact force (T,) [-]."""
+    iterations = property(lambda self: self.touch.iterations)
+    """Newton iterations (T,)."""
+    audit = property(lambda self: self.touch.audit)
+    """Columns of the audit, each (T,); see `Touch.audit`."""
+    resolved = property(lambda self: self.touch.resolved)
     """Whether the mesh resolves each frame (T,), see `physics.mesh.resolved`; None where that is not measured."""
-    arrays: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)
-    """What ``--save`` writes, by key: the array, and its shape and unit in words; empty without `PressRequest.keep`."""
 
     @property
     def normal_force(self) -> np.ndarray:
-        """Component of the force against the direction of the press (T,) [N]: the quantity that `Touch.normal_force`
-        gives and tasks call normal-force."""
-        return -(self.force @ self.axis)
+        """Component of the force against the direction of the press (T,) [N]: the quantity that tasks call
+        normal-force."""
+        return self.touch.normal_force()
 
     def table(self) -> dict[str, Any]:
         """What ``--json`` prints: lists, numbers and texts by key."""
@@ -212,28 +197,17 @@ class PressResult:
         return plain({**{name: getattr(self, name) for name in names}, **self.more})
 
 
-@dataclass(frozen=True)
-class MeshSeries:
-    """The same press on finer and finer meshes, coarsest first."""
+def frames_done(progress: Callable[[int, int, str], None] | None, total: int) -> Callable[[int], None] | None:
+    """From frames newly done to (frames done, in all, what)."""
+    if progress is None:
+        return None
+    done = [0]
 
-    results: tuple[PressResult, ...]
-    """One result a mesh."""
-    edge: tuple[float, ...]
-    """Edge h of each mesh that its error scales with [m]."""
-    quantities: Mapping[str, tuple[str, list[float]]]
-    """What is extrapolated, at full depth: name, unit and the value of each mesh."""
-    tolerance: float
-    """Relative error of a value that the solver leaves [-]."""
-    title: str
-    """Line above the table."""
-    columns: tuple[Column, ...]
-    """The printed table."""
-    rows: list[dict[str, Any]]
-    """What ``--json`` prints of the meshes."""
-    sizes: str
-    """Sizes of the meshes in words, e.g. "300, 600 tetrahedra"."""
-    advice: str
-    """What the user can do if two meshes come out of the same size."""
+    def tell(new: int) -> None:
+        done[0] += new
+        progress(done[0], total, "frames")
+
+    return tell
 
 
 def plain(value: Any) -> Any:

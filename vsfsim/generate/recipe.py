@@ -9,6 +9,8 @@ from typing import Any
 from vsfsim.core import shelf
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import Scene, SceneFile, parse_scene
+from vsfsim.core.scene_tables.dataset import DatasetSpec
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.system.content import differences, file_sha256, named_files, source_sha256
 from vsfsim.data.recipe import Recipe
 from vsfsim.generate.effector import effector_of
@@ -27,36 +29,35 @@ def splits_for(scene: Scene, objects: int) -> dict[str, int]:
     return out
 
 
-def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = None, views: int | None = None,
-                touches: int | None = None, tier: str | None = None, device: str = "cpu",
-                renderer: str = "warp", arm: str | None = None, bought: Mapping[str, Any] | None = None) -> Recipe:
-    """What will be made; None takes the scene's own number, or its own arm. ``bought`` is what an accuracy has chosen,
-    see `vsfsim.generate.trade.buy`.
+def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought: Mapping[str, Any] | None = None,
+                **options: Any) -> Recipe:
+    """What will be made of a request, with other values of some ``options``; None takes the scene's own number, or its
+    own arm. ``bought`` is what an accuracy has chosen, see `vsfsim.generate.trade.buy`.
 
     Raises:
         SceneError: the scene has no ``[touches]``, a count is less than 1, or its effector refuses something.
     """
-    scene = scene_file.sample(0)
+    asked, scene = (request or Request()).but(**options), scene_file.sample(0)
     if scene.touches is None:
         raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
                          f"its touches.")
     effector = effector_of(scene)
-    options: dict[str, Any] = {} if arm is None else {"arm": arm}
-    for name, value in options.items():
-        if name not in effector.options:
-            raise SceneError(f"{scene_file.path}: --{name} is '{value}', but the scene has no [{name}]; it is touched "
-                             f"by a [{effector.table}].")
-    chosen = effector.check(scene, tier)
-    count = objects if objects is not None else (scene.dataset.objects if scene.dataset else 1)
-    for name, number in (("--objects", count), ("--views", views), ("--touches", touches), ("--seed + 1", seed + 1)):
-        if number is not None and number < 1:
+    if asked.arm is not None and scene.arm is None:
+        raise SceneError(f"{scene_file.path}: --arm is '{asked.arm}', but the scene has no [arm]; it is touched "
+                         f"by a [{effector.table}].")
+    given = scene.dataset or DatasetSpec(1, 1, {})
+    objects, views, touches = (own if number is None else number for own, number in (
+        (given.objects, asked.objects), (given.views, asked.views), (scene.touches.count, asked.touches)))
+    for name, number in (("--objects", objects), ("--views", views), ("--touches", touches),
+                         ("--seed + 1", asked.seed + 1)):
+        if number < 1:
             raise SceneError(f"{name} is {number}; it must be at least 1.")
     return Recipe(
-        scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
-        views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
-        touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
-        device=device.split(":")[0], tier=chosen, precision="float64", renderer=renderer,
-        options={**options, **(bought or {})}, files=files_of(scene_file, scene.effector))
+        scene=scene_file.name, scene_text=scene_file.text, seed=asked.seed, objects=objects, views=views,
+        touches=touches, splits=splits_for(scene, objects), device=asked.device.split(":")[0],
+        tier=effector.check(scene, asked.tier), precision="float64", renderer=asked.renderer,
+        options={**({} if asked.arm is None else {"arm": asked.arm}), **(bought or {})},
+        files=files_of(scene_file, scene.effector))
 
 
 def files_of(scene_file: SceneFile, effector: str) -> dict[str, str]:

@@ -16,6 +16,12 @@ REASONS = (*(reason.text for reason in Reason if reason != Reason.NONE), OUT_OF_
 them."""
 
 
+def batches(count: int, most: int) -> list[slice]:
+    """``count`` touches in batches of at most ``most``, as even as can be; what is solved together fixes the bits."""
+    size = -(-count // -(-count // most)) if count else 1
+    return [slice(start, start + size) for start in range(0, count, size)]
+
+
 def audit(frames: Any, column: int, *, frames_kept: int | None = None,
           columns: tuple[str, ...] = AUDIT_COLUMNS) -> dict[str, np.ndarray]:
     """The audit columns (T,) of one touch, by the names of the dataset."""

@@ -1,13 +1,12 @@
 """The true object asked again: touches of planned paths by the very model that made a dataset, which is what a
 perfect model of object and solver would answer (`vsfsim evaluate --method resim`).
 
-It asks effectors whose function ``touch`` takes ``paths``, as that of `vsfsim.generate.effectors.probe` does.
+It asks effectors whose touches of a solid can be made again (`OnSolids`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
@@ -23,6 +22,7 @@ from vsfsim.data.records import Touch
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job, jobs_of
+from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import check_files
 from vsfsim.generate.solid import Subject, prepare
 
@@ -65,8 +65,7 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     path = find_scene(recipe.scene) if recipe.scene in scenes() else Path(f"{recipe.scene}.toml")
     check_files(recipe, path)
     effector = effector_of(parse_scene(recipe.scene_text, path).sample(0))
-    touch = getattr(effector, "touch", None)
-    if touch is None or "paths" not in inspect.signature(touch).parameters:
+    if not isinstance(effector, OnSolids):
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their plans: its effector "
                          f"takes no paths. Rigid probes and bubbles do.")
     job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
@@ -79,12 +78,13 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
 
 def retouch(subject: Subject, plans: Sequence[Planned], *, device: str) -> list[Touch]:
     """One touch a plan, in their order, of an object whose `job_of` can be made again."""
-    touch, unknown = effector_of(subject.scene).touch, np.full(3, np.nan)  # type: ignore[attr-defined]
+    effector, unknown = effector_of(subject.scene), np.full(3, np.nan)
+    assert isinstance(effector, OnSolids)
     kinds = {press.probe: number for number, press in reversed([*enumerate(subject.scene.presses)])}
     out: dict[int, Touch] = {}
     for frames in dict.fromkeys(len(plan.poses) for plan in plans):
         mine = [k for k, plan in enumerate(plans) if len(plan.poses) == frames]
         aims = [Aim(unknown, unknown, plans[k].axis, plans[k].poses[0, :3, 3], np.nan,
-                    press=kinds.get(plans[k].probe, 0)) for k in mine]
-        out |= zip(mine, touch(subject, aims, device=device, paths=[plans[k].poses for k in mine]))
+                    press=kinds.get(plans[k].probe, 0), path=plans[k].poses) for k in mine]
+        out |= zip(mine, effector.touch(subject, aims, device=device))
     return [out[k] for k in range(len(plans))]

@@ -1,4 +1,5 @@
-"""From a scene file to a dataset: every object view is one job, done by any worker with the same bits.
+"""`vsfsim.generate(scene, out)` and `vsfsim generate SCENE`: every object view is one job, done by any worker with the
+same bits.
 
 A job writes its file and then its line of the manifest, wherever it runs: in a process of this machine, as a shard on a
 machine of its own, or as a task of a cluster. What has its line is finished.
@@ -6,24 +7,31 @@ machine of its own, or as a task of a cluster. What has its line is finished.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import DatasetError
-from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.arm_spec import ARM_MODELS
+from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
+from vsfsim.core.scene import SceneFile, load_scene
+from vsfsim.core.scene_tables.request import Request
+from vsfsim.core.shelf import dataset_folder, datasets, find_scene
+from vsfsim.data.archive import taken
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.lines import finished_names, poisoned
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.store import is_url
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate.effector import effector_of
+from vsfsim.generate.effector import effector_of, kernels_of
 from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.trade.buy import bought, check_accuracy
 from vsfsim.generate.workers import make_one
-from vsfsim.physics.runtime import compile_kernels
-from vsfsim.physics.tiers import TIERS
+from vsfsim.physics.runtime import check_device, compile_kernels
+
+RENDERERS = ("warp", "pyrender")
 
 
 @dataclass(frozen=True)
@@ -58,59 +66,100 @@ class Made:
     """Object views that have failed twice, with the reason."""
 
 
-def generate(scene_file: SceneFile, out: Path | str, *, share: Share | None = None, workers: int | None = None,
-             cache: Path | None = None, progress: Callable[[int, int, str], None] | None = None,
-             note: Callable[[str], None] | None = None, **recipe: Any) -> Dataset:
-    """Make a dataset, or finish one that was begun; see `make`.
+@dataclass(frozen=True)
+class Plan:
+    """A dataset that is to be made, checked before the work."""
 
-    Returns:
-        The finished dataset.
+    loaded: SceneFile
+    """With ``[touches]``."""
+    request: Request
+    """As it was asked for."""
+    recipe: Recipe
+    """What will be made."""
+    folder: Path | str
+    """Where: a folder, or the address of an object store."""
+    name: str
+    """Of the folder in which a task looks for this dataset."""
+
+
+def planned(scene: str | Path | SceneFile, out: str | Path | None = None, request: Request | None = None,
+            **options: Any) -> Plan:
+    """Look at what is asked; arguments and errors as `generate`."""
+    asked = (request or Request()).but(**options)
+    loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
+    check_device(asked.device)
+    choices: list[tuple[str, Any, tuple[str, ...]]] = [("--renderer", asked.renderer, RENDERERS),
+                                                       ("--arm", asked.arm, ARM_MODELS)]
+    for option, value, allowed in choices:
+        if value is not None and value not in allowed:
+            raise VsfsimError(f"{option} is '{value}'. {did_you_mean(value, allowed)}")
+    if asked.accuracy is not None:
+        check_accuracy(asked.accuracy, asked.tier)
+    recipe = make_recipe(loaded, asked)
+    known = dataset_folder(loaded.name, text=loaded.text, seed=recipe.seed, objects=recipe.objects, views=recipe.views,
+                           touches=recipe.touches, tier=recipe.tier)
+    if asked.accuracy is not None:  # no task looks for such a dataset
+        known = datasets() / f"{loaded.name}-accuracy-{100 * asked.accuracy:g}"
+    folder = known if out is None else str(out) if is_url(out) else Path(out)
+    return Plan(loaded, asked, recipe, folder, Path(known).name)
+
+
+def generate(scene: str | Path | SceneFile, out: str | Path | None = None, request: Request | None = None, *,
+             share: Share | None = None, **options: Any) -> Dataset:
+    """Make a dataset, or finish one that was interrupted, to the same bits; `vsfsim.generate` is this function.
+
+    With ``share`` it may be made by a cluster; a shard alone is made by `make`.
+
+    Args:
+        scene: name of a shipped scene, path of a .toml file, or a loaded scene; it has ``[touches]``.
+        out: the folder, or the address of an object store; None for the folder in which a task looks for this dataset
+            (`vsfsim.core.shelf.dataset_folder`).
+        request: what is asked, None for the scene's own.
+        share: what is made and where (`Share`), None for all of it on this machine.
+        options: fields of `vsfsim.core.scene_tables.request.Request` that are others than those of ``request``.
 
     Raises:
-        SceneError, MeshError, DatasetError: with what to do.
+        VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
     """
-    made = make(scene_file, out, share=share or Share(), workers=workers, cache=cache, progress=progress, note=note,
-                **recipe)
+    made = make(planned(scene, out, request, **options), share=share)
     if made.dataset is None:
         raise DatasetError(f"{out}: a shard was made; the dataset is finished by `vsfsim generate --finish`.")
     return made.dataset
 
 
-def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int | None = None, cache: Path | None = None,
-         progress: Callable[[int, int, str], None] | None = None, note: Callable[[str], None] | None = None,
-         device: str = "cpu", **recipe: Any) -> Made:
+def make(plan: Plan, *, share: Share | None = None) -> Made:
     """Make a dataset or a share of it.
 
-    Args:
-        scene_file: with ``[touches]``.
-        out: the folder, or the address of an object store.
-        share: what this call makes.
-        workers: processes, None for what suits the effector and the device.
-        cache: folder of meshes that were made before, None for the user's own cache.
-        progress: called with (frames done, frames in all, what).
-        note: called with sentences for the user.
-        device: Warp device.
-        recipe: seed, objects, views, touches, tier, renderer and arm of `make_recipe`.
-
     Raises:
-        SceneError, MeshError, DatasetError: with what to do.
+        VsfsimError: as `generate`.
     """
-    found = make_recipe(scene_file, device=device, **recipe)
-    scene = scene_file.sample(0)
-    jobs = jobs_of(found, scene_file.path, out, cache, mixed=share.mixed, poison=share.poison)
-    with DatasetWriter(out, found, [job.name for job in jobs], shard=share.shard, mixed=share.mixed) as writer:
+    loaded, asked, recipe, folder = plan.loaded, plan.request, plan.recipe, plan.folder
+    share, note = share or Share(), asked.note or (lambda _: None)
+    if share == Share() and isinstance(folder, Path) and (asked.device, asked.renderer, asked.arm,
+                                                          asked.accuracy) == ("cpu", "warp", None, None):
+        found = taken(folder, plan.name, progress=asked.progress, note=asked.note)  # with other options: other bits
+        if found is not None:
+            return Made((), 0, found, {})
+    if share.ray and isinstance(folder, Path):
+        folder = folder.resolve()  # tasks have working folders of their own
+    if asked.accuracy is not None:
+        tier, options = bought(loaded, folder, asked.accuracy, seed=asked.seed, objects=recipe.objects,
+                               device=asked.device, cache=asked.cache, note=asked.note)
+        recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
+    jobs = jobs_of(recipe, loaded.path, folder, asked.cache, mixed=share.mixed, poison=share.poison)
+    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=share.shard, mixed=share.mixed) as writer:
         missing = set(writer.missing())
         mine = [job for k, job in enumerate(jobs) if job.name in missing and not share.finish
                 and (share.shard is None or k % share.shard[1] == share.shard[0])]
-        for sentence in writer.notes if note is not None else ():
-            note(sentence)  # type: ignore[misc]
+        for sentence in writer.notes:
+            note(sentence)
         if mine:
-            work = _on_ray(mine, device, share) if share.ray else _here(mine, scene, device, workers, progress)
-            total, done = len(mine) * found.touches * sum(scene.required_touches.frames), 0
-            for frames, what in work:
-                done += frames
-                if progress is not None:
-                    progress(done, total, what)
+            frames = recipe.touches * sum(mine[0].scene().required_touches.frames)
+            done = 0
+            for new, what in _on_ray(mine, frames, asked, share) if share.ray else _here(mine, asked):
+                done += new
+                if asked.progress is not None:
+                    asked.progress(done, len(mine) * frames, what)
         if share.shard is not None:
             there = finished_names(writer.store)
             failed = poisoned(writer.store) if share.poison else {}
@@ -120,29 +169,18 @@ def make(scene_file: SceneFile, out: Path | str, *, share: Share, workers: int |
         return Made(tuple(job.name for job in mine), 0, dataset, dataset.left_out)
 
 
-def _here(jobs: Sequence[Job], scene: Scene, device: str, workers: int | None,
-          progress: Callable[[int, int, str], None] | None) -> Iterator[tuple[int, str]]:
+def _here(jobs: Sequence[Job], asked: Request) -> Iterator[tuple[int, str]]:
+    scene = jobs[0].scene()
     kernels = [one for tier in dict.fromkeys(job.recipe.tier for job in jobs) for one in kernels_of(scene, tier)]
-    compile_kernels(kernels, device, progress=progress)
-    yield from effector_of(scene).make_all(jobs, device=device, workers=workers)
+    compile_kernels(kernels, asked.device, progress=asked.progress)
+    yield from effector_of(scene).make_all(jobs, device=asked.device, workers=asked.workers)
 
 
-def _on_ray(jobs: Sequence[Job], device: str, share: Share) -> Iterator[tuple[int, str]]:
+def _on_ray(jobs: Sequence[Job], frames: int, asked: Request, share: Share) -> Iterator[tuple[int, str]]:
     from vsfsim.core.engines import ray_cluster
 
-    scene = jobs[0].scene().required_touches
-    frames = jobs[0].recipe.touches * sum(scene.frames)
-    for number, error in ray_cluster.run(partial(make_one, device=device), jobs, address=share.ray, gpus=share.gpus):
+    for number, error in ray_cluster.run(partial(make_one, device=asked.device), jobs, address=share.ray,
+                                         gpus=share.gpus):
         if error and not share.poison:
             raise DatasetError(f"{jobs[number].name}: {error}")
         yield frames, jobs[number].name
-
-
-def kernels_of(scene: Scene, tier: str = "auto") -> list[Any]:
-    """The Warp kernels that a dataset of a scene needs: its effector's, the camera's and those of the oracle VSF."""
-    from vsfsim.sensing import render_warp
-    from vsfsim.vsf import particles
-
-    if tier in TIERS:
-        scene = dataclasses.replace(scene, object=dataclasses.replace(scene.required_object, tier=tier))
-    return [*effector_of(scene).kernels(scene), render_warp.cast_kernel, particles._behind]

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from vsfsim.core.scene import CameraSpec, Scene
-from vsfsim.core.shape import ProbeShape
-from vsfsim.core.solid import Solid, tet_volumes
-from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.core.solid import Solid
+from vsfsim.data.records import Touch, View
 from vsfsim.data.streams import Stream
 from vsfsim.generate.aim import Aim
-from vsfsim.generate.effector import Drawing, Effector
+from vsfsim.generate.effects import check_body
 from vsfsim.generate.job import Job
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.edge_refine import EdgePath
@@ -64,12 +64,6 @@ class Subject:
         own, tolerance = tiers.options(self.job.recipe.tier), self.job.recipe.options.get("tolerance")
         return own if tolerance is None else dataclasses.replace(own, tolerance=tolerance)
 
-    def record(self, probe: ProbeShape, touches: Sequence[Touch], truth: Truth) -> ObjectView:
-        """The object view of what was found."""
-        job = self.job
-        return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, self.recorded, tuple(touches),
-                          truth, tuple(press.probe for press in self.scene.presses[1:]))
-
 
 @dataclass(frozen=True)
 class Manner:
@@ -83,23 +77,15 @@ class Manner:
     """Of its own mesh; None if it is rigid."""
 
 
-@runtime_checkable
-class Retouching(Effector, Protocol):
-    """An effector whose touches of a solid can be made again, as they were aimed, on another model of it."""
+class Retouching(abc.ABC):
+    """What can touch a solid again, as it was aimed, on another model of it."""
 
+    @abc.abstractmethod
     def manner(self, scene: Scene) -> Manner:
         """How it meets the solid of a scene."""
-        ...
 
-    def aim(self, subject: Subject, *, device: str) -> list[Aim]:
-        """The touches of a subject, one for each that its scene counts.
-
-        Raises:
-            SceneError: nothing is visible, or no target can be reached.
-        """
-        ...
-
-    def touch(self, subject: Subject, aims: list[Aim], *, device: str,
+    @abc.abstractmethod
+    def touch(self, subject: Subject, aims: Sequence[Aim], *, device: str,
               progress: Callable[[int], None] | None = None) -> list[Touch]:
         """What is read of some touches.
 
@@ -109,7 +95,6 @@ class Retouching(Effector, Protocol):
             device: Warp device.
             progress: called with the number of frames newly done.
         """
-        ...
 
 
 def prepare(job: Job, *, device: str) -> Subject:
@@ -124,6 +109,7 @@ def prepare(job: Job, *, device: str) -> Subject:
     """
     scene, r = job.scene(), job.recipe
     model = tiers.build(scene, r.tier, seed=job.stream(Stream.BODY), cache=job.cache)
+    check_body(scene, model)
     camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
     view = see(surface_of(model.solid, scene), model, camera, device=device, renderer=r.renderer)
     return Subject(job, scene, model, view, seen_by(view, scene.camera, job.stream(Stream.DEPTH)))
@@ -136,34 +122,9 @@ def see(surface: Surface, model: Model, camera: CameraSpec, *, device: str, rend
     return render(surface, intrinsics, pose, camera.width, camera.height, device=device, renderer=renderer)
 
 
-def batches(count: int, most: int) -> list[slice]:
-    """``count`` touches in batches of at most ``most``, as even as can be; what is solved together fixes the bits."""
-    size = -(-count // -(-count // most)) if count else 1
-    return [slice(start, start + size) for start in range(0, count, size)]
-
-
 def surface_of(solid: Solid, scene: Scene) -> Surface:
     """The body's boundary at rest, for the cameras."""
     turn, shift = tiers.placement(scene.required_object)
     triangles, owner = solid.surface()
     return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance,
                    solid.vertices)
-
-
-def draw_solid(scene: Scene, seed: np.random.SeedSequence) -> Drawing:
-    """The object of a scene with its Young's modulus, and what it is made of in words."""
-    tier = tiers.choose(scene)
-    solid, values = tiers.body(scene, tier, seed=seed)
-    mean = values.mean(axis=1)
-    lines = [f"{len(solid.tets)} tetrahedra, {1e6 * solid.volume():.1f} cm^3, E {mean.min():.3g} to "
-             f"{mean.max():.3g} Pa, tier {tier}"]
-    volume = tet_volumes(solid.vertices, solid.tets)
-    for index, region in enumerate(solid.region_names):
-        inside = np.asarray(solid.region) == index
-        if inside.any():
-            lines.append(f"  {region:<14} E {np.average(mean[inside], weights=volume[inside]):9.3g} Pa  "
-                         f"{1e6 * volume[inside].sum():8.1f} cm^3")
-    lines.extend(f"note: {sentence}" for sentence in solid.notes)
-    surface = surface_of(solid, scene)
-    truth = Truth(surface.vertices[solid.tets].mean(axis=1), mean, np.asarray(solid.region), solid.region_names)
-    return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), truth)

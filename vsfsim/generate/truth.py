@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import Touch, Truth, View
-from vsfsim.generate.cloud import cloud_normals, voxel_sample
+from vsfsim.generate.aim import cloud_normals, voxel_sample
 from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.model import Model
 from vsfsim.vsf.dynamics import simulate_each

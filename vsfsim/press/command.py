@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +13,12 @@ import numpy as np
 
 from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.scene import SceneFile, load_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
+from vsfsim.data.disk import write_atomic
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.generate.press_result import PressResult
 from vsfsim.physics.runtime import check_device
-from vsfsim.press import archive
 from vsfsim.press import refine as refinement
 from vsfsim.press.text import marks, text
 
@@ -30,8 +33,6 @@ class Press:
     """One result a mesh, coarsest first; one result without a refinement."""
     device: str
     """Warp device, also of `picture`."""
-    series: MeshSeries | None = None
-    """The meshes of a refinement, or None."""
     convergence: Mapping[str, refinement.Convergence] | None = None
     """Of a refinement: order, extrapolated value and error of each quantity at full depth, by name; else None."""
 
@@ -69,15 +70,15 @@ class Press:
     def text(self) -> str:
         """What the command prints: the table of the frames, whether it can be trusted, notes, the refinement."""
         words = [text(self.result)]
-        if self.series is not None and self.convergence is not None:
-            words += ["", *refinement.text(self.series, self.convergence)]
+        if self.convergence is not None:
+            words += ["", *refinement.text(self.results, self.convergence)]
         return "\n".join(words)
 
     def table(self) -> dict[str, Any]:
         """What the command writes as JSON."""
-        if self.series is None or self.convergence is None:
+        if self.convergence is None:
             return self.result.table()
-        return {**self.result.table(), "refinement": refinement.table(self.series, self.convergence)}
+        return {**self.result.table(), "refinement": refinement.table(self.results, self.convergence)}
 
     def plot(self, path: str | Path | None = None) -> Any:
         """Draw the force, and what else is read, against depth; returns the `matplotlib.figure.Figure`.
@@ -103,19 +104,23 @@ class Press:
         """Write the pictures of all frames as a GIF that repeats.
 
         Raises:
-            VsfsimError: the press was made without them, or the file cannot be written.
+            VsfsimError: the file cannot be written.
         """
         from vsfsim.press import figures
 
         figures.animation(self.result, self.scene, Path(path), device=self.device, progress=progress)
 
     def save(self, path: str | Path) -> None:
-        """Write mesh, displacements and contact forces of every frame (.npz).
+        """Write mesh, displacements and contact forces of every frame, and what a dataset records (.npz), with their
+        shapes and units as JSON in ``units``.
 
         Raises:
             DatasetError: the file cannot be written.
         """
-        archive.save(self.result, Path(path))
+        arrays: dict[str, Any] = {name: values for name, (values, _) in self.result.arrays.items()}
+        units, buffer = {name: words for name, (_, words) in self.result.arrays.items()}, io.BytesIO()
+        np.savez_compressed(buffer, units=np.array(json.dumps(units)), **arrays)
+        write_atomic(Path(path), buffer.getvalue())
 
     def __repr__(self) -> str:
         result = self.result
@@ -130,34 +135,37 @@ class Press:
                           (*(column.heading for column in columns), ""), rows)
 
 
-def press(scene: str | Path | SceneFile, *, seed: int = 0, tier: str | None = None, device: str = "cpu",
-          refine: int | None = None, limit: float | None = None, keep: bool = True,
-          cache: Path | None = None,
-          progress: Callable[[int, int, str], None] | None = None) -> Press:
+def press(scene: str | Path | SceneFile, request: Request | None = None, *, refine: int | None = None,
+          **options: Any) -> Press:
     """Press a probe into an object; `vsfsim.press` is this function.
 
     Args:
         scene: name of a shipped scene, path of a .toml file, or a loaded scene.
-        seed: of the scene's distributions and of all random streams.
-        tier: fidelity, None for the scene's own.
-        device: Warp device, "cpu" or "cuda:0".
+        request: what is asked, None for the scene's own.
         refine: press 3 to 6 finer and finer meshes, for the observed order of convergence; None for one mesh.
-        limit: limit of a frame's processor time [s], None for the tier's own; a frame that takes longer is marked.
-        keep: whether `Press.picture` and `Press.save` are wanted.
-        cache: folder of meshes that were made before, None for the user's own cache.
-        progress: called with (done, in all, what).
+        options: fields of `vsfsim.core.scene_tables.request.Request` that are others than those of ``request``: seed,
+            tier, device, limit, tolerance, cache, progress.
 
     Returns:
         The press. Frames that did not converge are kept and marked: see `Press.converged`.
 
     Raises:
-        VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
+        VsfsimError: there is no such scene, it cannot be built, something in it has no effect, or an option has a value
+            that is not allowed.
     """
+    asked = (request or Request()).but(**options)
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
-    check_device(device)
-    request = PressRequest(seed, tier, device, cache, limit, keep, progress)
-    effector = effector_of(loaded.sample(seed))
+    check_device(asked.device)
+    effector = effector_of(loaded.sample(asked.seed))
     if refine is None:
-        return Press(loaded.name, (effector.press(loaded, request),), device)
-    series = effector.refine(loaded, request, refine)
-    return Press(loaded.name, series.results, device, series, refinement.extrapolate(series, str(loaded.path)))
+        return Press(loaded.name, (effector.press(loaded, asked),), asked.device)
+    results = tuple(effector.press(mesh, _of_mesh(asked, k, refine))
+                    for k, mesh in enumerate(effector.finer(loaded, asked, refine)))
+    return Press(loaded.name, results, asked.device, refinement.extrapolate(results, str(loaded.path)))
+
+
+def _of_mesh(request: Request, mesh: int, meshes: int) -> Request:
+    """The same press on one mesh of several, which the progress tells."""
+    if (tell := request.progress) is None:
+        return request
+    return request.but(progress=lambda done, total, what: tell(done, total, f"{what} of mesh {mesh + 1} of {meshes}"))

@@ -15,7 +15,7 @@ from PIL import Image
 
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.interactive.figure import new_figure
-from vsfsim.data.disk import write_atomic
+from vsfsim.data.disk import write_atomic, write_figure
 from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
 from vsfsim.press.text import marks
 from vsfsim.sensing.camera import render
@@ -50,7 +50,7 @@ def plot(result: PressResult, title: str, path: str | Path | None = None) -> Fig
     panels[-1].set_xlabel(result.abscissa)
     panels[0].set_title(f"{title}: {result.model}", fontsize=10)
     if path is not None:
-        figure.savefig(path)
+        write_figure(figure, path)
     return figure
 
 
@@ -59,14 +59,14 @@ def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu
     """Write the pictures of all frames as a GIF that repeats, 0.2 s each and 1.2 s at full depth, 256 colours a frame.
 
     Args:
-        result: with panels.
+        result: of the press.
         title: above everything.
         path: GIF to write.
         device: Warp device of the ray caster.
         progress: called with (done, in all, what).
 
     Raises:
-        VsfsimError: the result kept no panels, or the file cannot be written.
+        VsfsimError: the file cannot be written.
     """
     frames, count = [], len(result.depth)
     for t in range(count):
@@ -83,20 +83,18 @@ def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu
 
 def picture(result: PressResult, title: str, path: str | Path | None = None, *, frame: int | None = None,
             device: str = "cpu") -> Figure:
-    """Draw the panels of a frame of a result that kept them, side by side; returns the figure.
+    """Draw the panels of a frame, side by side; returns the figure.
 
     Args:
-        result: with panels.
+        result: of the press.
         title: above everything.
         path: PNG to write, or None.
         frame: number of the frame; None for that of full depth.
         device: Warp device of the ray caster.
 
     Raises:
-        VsfsimError: the result kept no panels.
+        VsfsimError: the file cannot be written.
     """
-    if result.panels is None:
-        raise VsfsimError("this press has nothing to draw: it was made with keep=False. Press again with keep=True.")
     t = result.deepest if frame is None else frame
     shown = result.panels(t)
     tall = max(panel.camera.height for panel in shown if isinstance(panel, BodyPanel)) / DPI
@@ -124,7 +122,7 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
     caption = f"{result.model}; {result.caption}" if result.caption else result.model
     figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")
     if path is not None:
-        figure.savefig(path)
+        write_figure(figure, path)
     return figure
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.core.scene import CameraSpec
+from vsfsim.data.disk import write_figure
 from vsfsim.sensing.camera import look_at, render
 from vsfsim.sensing.surface import RenderError, Surface, flat_coloured
 
@@ -87,7 +88,7 @@ def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns
         figure.colorbar(scale, cax=axes).set_label("Young's modulus [Pa]", fontsize=9)
         # powers of ten alone leave room for the label
         axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
-    figure.savefig(out_png, dpi=100)
+    write_figure(figure, out_png)
 
 
 def _framing(vertices: np.ndarray, poses: list[np.ndarray], size: int) -> tuple[np.ndarray, int]:

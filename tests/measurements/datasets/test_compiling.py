@@ -14,7 +14,7 @@ def double(x: wp.array(dtype=wp.float64)):
 
 @pytest.mark.slow  # Warp reads its headers: 5 s
 def test_every_module_of_a_scene_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vsfsim.generate.run.kernels_of", lambda scene: [double, double])
+    monkeypatch.setattr("vsfsim.generate.effector.kernels_of", lambda scene: [double, double])
     done = CliRunner().invoke(app, ["measure", "compile", "shoes-v3-mini", "--no-card"])
     assert done.exit_code == 0, done.output
     rows = [line.split() for line in done.output.splitlines()]

@@ -12,9 +12,9 @@ from frame_checks import dense, from_above
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import parse_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Cylinder, Sphere
-from vsfsim.generate.press_result import PressRequest
-from vsfsim.generate.presses.bubble_solve import solve
+from vsfsim.generate.presses.bubble import solve
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
@@ -81,7 +81,7 @@ from = [0.0, 0.0, 0.0335]
 to = [0.0, 0.0, 0.0270]
 frames = {frames}
 ''', Path("tip.toml")).sample(0)
-        found = solve(scene, PressRequest(seconds=1e9))
+        found = solve(scene, Request(limit=1e9)).solved
         assert found.frames.converged.all() and len(found.pressure) == len(found.position) == frames
         force.append(found.frames.force[-1, 0, 2])
     assert force[0] > 1.0 and force[0] == pytest.approx(force[1], rel=2e-3)
@@ -108,7 +108,7 @@ path = [[0.0, 0.0, 0.0315], [0.0, 0.0, 0.0105]]
 rotation = [[3.141592653589793, 0.0, 0.0], [3.141592653589793, 0.0, 0.0]]
 frames = 4
 ''', Path("tip.toml")).sample(0)
-        frames = solve(scene, PressRequest(seconds=30.0)).frames
+        frames = solve(scene, Request(limit=30.0)).solved.frames
         print(name, frames.force[:, 0, 2], frames.reason.ravel(), frames.iterations.ravel(), frames.seconds)
         force[name] = frames.force[:, 0, 2]
     assert force["tip"] == pytest.approx(force["ball"], rel=2e-3)

@@ -7,7 +7,7 @@ import warp as wp
 
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.run import kernels_of
+from vsfsim.generate.effector import kernels_of
 from vsfsim.physics import runtime
 from vsfsim.physics.linear.cholesky import factor_kernels
 

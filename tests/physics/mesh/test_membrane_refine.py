@@ -6,15 +6,14 @@ import pytest
 from vsfsim.core import shelf
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Plane, Sphere
-from vsfsim.generate.press_result import PressRequest
-from vsfsim.generate.presses.bubble import refine, result_of
-from vsfsim.generate.presses.bubble_solve import solve
-from vsfsim.generate.presses.dent import dent, share_above
+from vsfsim.generate.presses import bubble
 from vsfsim.physics.bubble import sensor
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.mesh import membrane_refine
+from vsfsim.press.command import press
 
 TIP = """
 name = "tip"
@@ -82,28 +81,17 @@ def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
     assert asked(Box((0.01, 0.01, 0.01)), edge=0.002)[0][0] == 0.002 and asked(Sphere(0.003), edge=0.05) == ()
 
 
-def press(extra=""):
-    solved = solve(parse_scene(TIP.replace("EXTRA", extra), "tip.toml").sample(0), PressRequest())
-    return solved, result_of(solved, PressRequest())
+def tip(extra=""):
+    return bubble.press(parse_scene(TIP.replace("EXTRA", extra), "tip.toml").sample(0), Request())
 
 
 def test_a_small_tip_is_met_by_small_triangles_unless_they_are_declined():
-    (solved, fine), (_, coarse) = press(), press("contact_edge = 0.1")
+    fine, coarse = tip(), tip("contact_edge = 0.1")
     assert fine.converged.all() and coarse.more["nodes"] == 390 and fine.more["nodes"] > 600
     assert fine.more["edge"] < 0.4 * coarse.more["edge"]
     assert fine.audit["penetration"].max() < 0.01 * fine.more["edge"] and fine.audit["force_balance"].max() < 1e-3
     # facets as large as the tip hold it up: a quarter too stiff on 390 nodes
     assert 1.1 < coarse.force[-1, 2] / fine.force[-1, 2] < 1.6
-    seen = dent(solved.model, solved.position[2], np.array([0.0, 0.0, -1.0]))  # the tip goes down into the dome
-    # as deep as the tip went, and nodes stand off a ball that facets touch in their middle: edge^2 / (4 R) = 8e-5 m at
-    # most; wider than the tip, narrower than the dome; sealed air pushes the rest of the skin out
-    assert (fine.depth[-1] - 1e-5 < seen.depth < fine.depth[-1] + 8e-5 and 0.003 < seen.radius < 0.02
-            and 1e-5 < seen.bulge < 1e-3)
-
-
-def test_the_share_of_a_triangle_over_a_level():
-    values = np.array([[1.0, 2.0, 3.0], [-1.0, -2.0, -3.0], [1.0, -1.0, -1.0], [-1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
-    assert share_above(values) == pytest.approx([1.0, 0.0, 0.25, 0.75, 1.0])
 
 
 @pytest.mark.slow
@@ -111,10 +99,10 @@ def test_the_real_sensors_default_mesh_is_converged_on_a_small_tip():
     """`vsfsim press punyo --refine 3`: what the default lacks of the limit is under one per cent, of the pressure,
     too."""
     scene = load_scene(shelf.scenes()["punyo"])
-    series = refine(scene, PressRequest(), 3)
-    nodes = [r.more["nodes"] for r in series.results]
-    assert all(r.converged.all() for r in series.results) and nodes == sorted(nodes)
-    for _, (coarse, default, fine) in series.quantities.values():
+    made = press(scene, refine=3)
+    nodes = [r.more["nodes"] for r in made.results]
+    assert made.converged and nodes == sorted(nodes)
+    for coarse, default, fine in (found.force for found in made.convergence.values()):
         # by the spread of the last two meshes, whether an order was seen or not
         assert abs(default / fine - 1.0) < 0.01 and abs(coarse / fine - 1.0) < 0.03
     assert scene.sample(0).sensor == Bubble()

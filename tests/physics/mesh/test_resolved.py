@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from vsfsim.core.scene import parse_scene
-from vsfsim.generate.press_result import PressRequest
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.presses.probe import press
 from vsfsim.physics.mesh.resolved import LIMIT, SHARE, corner_det_f, mesh_error, resolved
 from vsfsim.press.text import text
@@ -32,7 +32,7 @@ frames = {frames}
 def pressed(radius, depth, *, more="", parts="", at=(0.0, 0.0), above=0.0, frames=3, tier="fem-coarse"):
     scene = BLOCK.format(radius=radius, more=more, parts=parts, x=at[0], y=at[1], frames=frames,
                          begin=0.05 + radius + above, end=0.05 + radius + above - depth)
-    return press(parse_scene(scene, "s.toml"), PressRequest(tier=tier))
+    return press(parse_scene(scene, "s.toml").sample(0), Request(tier=tier))
 
 
 @pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015), (0.003, 0.010, 0.010),
@@ -57,7 +57,7 @@ def test_a_wall_that_bends_is_not_marked_for_its_small_contact():
     more = "resolution = 0.012\nfixed = [-0.06, -0.06, -1.0, -0.03, 0.06, 1.0]"
     text = BLOCK.format(radius=0.03, more=more, parts="", x=0.02, y=0.0, begin=0.037, end=0.030, frames=5)
     text = text.replace("0.1, 0.1, 0.05", "0.1, 0.1, 0.006").replace("0.45", "0.3")
-    result = press(parse_scene(text, "s.toml"), PressRequest(tier="fem-coarse"))
+    result = press(parse_scene(text, "s.toml").sample(0), Request(tier="fem-coarse"))
     force = np.linalg.norm(result.more["body_force"][1:, 0], axis=1)
     assert np.abs(force / [0.0075, 0.0141, 0.0216, 0.0297] - 1.0).max() < 0.15
     error = result.more["mesh_error"][1:]
@@ -136,7 +136,7 @@ BALL = "fixed = [-0.03, -0.03, -0.001, 0.03, 0.03, 0.012]\npoisson_ratio = 0.3\n
 def press_of(shape, body, probe, top, depth, *, x=0.0, turn=0.0, frames=1, need='"normal-force"', tier=None):
     given = SCENE.format(need=need, shape=shape, body=body, probe=probe, x=x, begin=top, end=top - depth, turn=turn,
                          frames=frames)
-    return press(parse_scene(given, "s.toml"), PressRequest(tier=tier))
+    return press(parse_scene(given, "s.toml").sample(0), Request(tier=tier))
 
 
 @pytest.mark.parametrize(("shape", "probe", "top", "radius"), [

@@ -9,6 +9,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
@@ -17,7 +18,7 @@ from vsfsim.generate.plants.batches import make_together
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
 from vsfsim.generate.plants.touches import make_views
 from vsfsim.generate.plants.truth import segments
-from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.generate.press_result import PressResult
 from vsfsim.generate.presses import arm as one_press
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
@@ -28,7 +29,6 @@ class ArmEffector:
     """An arm with seven joints; see `vsfsim.generate.effector.Effector`."""
 
     table = "arm"
-    options = ("arm",)
 
     def check(self, scene: Scene, tier: str | None) -> str:
         """Plants are made of beams: tier "rod".
@@ -59,13 +59,16 @@ class ArmEffector:
         make = make_each if device == "cpu" else make_together
         return make(jobs, device=device, workers=workers)
 
-    def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
+    def press(self, loaded: SceneFile, request: Request) -> PressResult:
         """See `vsfsim.generate.presses.arm`."""
         return one_press.press(loaded, request)
 
-    def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
-        """See `vsfsim.generate.presses.arm`."""
-        return one_press.refine(loaded, request, meshes)
+    def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
+        """Raises:
+            SceneError: always; a plant has the segments of its family.
+        """
+        raise SceneError(f"--refine {meshes}: a plant has the segments that its family gave it, and no finer mesh; "
+                         f"leave --refine out, or make segment in [object.shape] smaller.")
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The plant without its pot, and the sections and moduli of its parts in words."""

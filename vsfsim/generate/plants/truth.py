@@ -11,7 +11,7 @@ from scipy import sparse
 from vsfsim.core.chain import Chain
 from vsfsim.core.plant import Plant
 from vsfsim.data.records import Touch, Truth, View
-from vsfsim.generate.cloud import cloud_normals, voxel_sample
+from vsfsim.generate.aim import cloud_normals, voxel_sample
 from vsfsim.physics.rods.model import RodModel
 from vsfsim.vsf.arm_rows import arm_torque_rows_each
 from vsfsim.vsf.estimate.map import map_estimate

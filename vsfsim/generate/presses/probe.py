@@ -1,4 +1,4 @@
-"""The press of a rigid probe and its parts, with obstacles beside the object: force against depth."""
+"""The press of a rigid probe and its parts, with obstacles beside the object: one touch of the scene that is kept."""
 
 from __future__ import annotations
 
@@ -7,36 +7,27 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Capsule, MeshFile, Plane, ProbeShape
-from vsfsim.generate.aim import clearance
-from vsfsim.generate.press_result import (
-    BodyPanel,
-    Camera,
-    Colours,
-    Column,
-    Curves,
-    MeshSeries,
-    PressRequest,
-    PressResult,
-)
+from vsfsim.generate import effects, rigid_touch
+from vsfsim.generate.aim import Aim, clearance
+from vsfsim.generate.press_result import BodyPanel, Camera, Colours, Column, Curves, PressResult, frames_done, limited
 from vsfsim.generate.presses.assume import with_press, with_probe
 from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
-from vsfsim.generate.presses.verdict import (
+from vsfsim.generate.presses.report import (
     FORCES,
+    audit_columns,
     direction,
     edge_notes,
     force_columns,
-    of_mesh,
-    path_notes,
-    series,
-    solved,
-    solver_columns,
+    reasons,
+    recorded,
     statement,
 )
 from vsfsim.physics import tiers
@@ -46,12 +37,11 @@ from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
 from vsfsim.physics.contact.patch import smooth_radius
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.edge_refine import EdgePath
-from vsfsim.physics.mesh.resolved import in_words, resolved
+from vsfsim.physics.mesh.resolved import in_words
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.increments import inside
 from vsfsim.physics.solve.kernels import solver_kernels
-from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import body_poses, pose_at, press_path
 from vsfsim.sensing.camera import fitting_camera
 from vsfsim.sensing.surface import Surface
@@ -83,81 +73,40 @@ class Prepared:
         return tiers.element_size(self.scene.required_object, self.tier, self.scene.probe)
 
 
-def press(loaded: SceneFile, request: PressRequest) -> PressResult:
+def press(scene: Scene, request: Request) -> PressResult:
     """Carry out the ``[press]`` of a scene, or a default one from above.
 
     Raises:
-        SceneError, MeshError: the scene cannot be built, or the probe begins inside the object.
+        SceneError, MeshError: the scene cannot be built, the probe begins inside the object, or something has no
+            effect.
     """
-    return _pressed(loaded.sample(request.seed), request)[1]
-
-
-def _pressed(scene: Scene, request: PressRequest) -> tuple[Prepared, PressResult]:
-    """The press, again at a tier that follows rotations where nobody chose one and elements turn too far."""
     prepared = prepare(scene, request)
     result = solve(prepared, request)
     if not tiers.turned_too_far(scene, request.tier, prepared.tier, result.more["rotation"]):
-        return prepared, result
-    body = dataclasses.replace(scene.required_object, tier=tiers.FOLLOWS)
-    prepared = prepare(dataclasses.replace(scene, object=body), request)
-    prepared = dataclasses.replace(prepared, notes=(*prepared.notes, (
+        return result
+    prepared = prepare(dataclasses.replace(scene, object=dataclasses.replace(scene.required_object,
+                                                                             tier=tiers.FOLLOWS)), request)
+    return solve(dataclasses.replace(prepared, notes=(*prepared.notes, (
         f"Elements turn by up to {float(result.more['rotation'].max()):.2g} rad, which small strain does not follow: "
-        f"tier '{tiers.FOLLOWS}' was taken.")))
-    return prepared, solve(prepared, request)
+        f"tier '{tiers.FOLLOWS}' was taken."))), request)
 
 
-def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
-    """The same press on ``meshes`` meshes, each finer than the one before by `RATIO`.
-
-    Raises:
-        SceneError, MeshError: as `press`.
-    """
-    results, edge = [], []
-    for k in range(meshes):
-        asked = dataclasses.replace(request, keep=request.keep and k == meshes - 1,
-                                    progress=of_mesh(request.progress, k, meshes))
-        if k == 0:
-            first, result = _pressed(loaded.sample(request.seed), asked)
-            prepared = first
-        else:
-            body = dataclasses.replace(first.scene.required_object, resolution=first.element_size / RATIO**k)
-            prepared = _discretise(dataclasses.replace(first.scene, object=body), first.tier, asked, first.notes)
-            result = solve(prepared, asked)
-        results.append(result)
-        # the triangles of a scan are of all sizes
-        volume = float(prepared.model.mesh.volume.sum())
-        edge.append((volume / results[-1].more["tets"]) ** (1.0 / 3.0)
-                    if isinstance(first.scene.required_object.shape, MeshFile) else results[-1].more["edge_at_contact"])
-    force = [float(r.normal_force[r.deepest]) for r in results]
-    change = ["", *(f"{100 * (b / a - 1.0):+.2f}" if a and np.isfinite(b / a) else "-" for a, b in pairwise(force))]
-    columns = (
-        Column("mesh", range(1, meshes + 1), "d"), Column("tetrahedra", [r.more["tets"] for r in results], "d"),
-        Column("nodes", [r.more["nodes"] for r in results], "d"), Column("edge mm", [1e3 * h for h in edge], ".2f"),
-        Column("normal N", force, ".5g"), Column("change %", change),
-        Column("converged", [f"{int(r.converged.sum())}/{len(r.converged)}" for r in results]),
-        Column("balance", [r.audit["force_balance"].max() for r in results], ".1e"),
-        Column("penetr. %", [100 * r.audit["penetration"].max() / r.more["edge"] for r in results], ".2g"),
-        Column("seconds", [r.more["build_seconds"] + r.more["seconds"].sum() for r in results], ".1f"))
-    return MeshSeries(tuple(results), tuple(edge), {"normal force": ("N", force)}, results[0].more["tolerance"],
-                      f"Normal force at full depth on {meshes} meshes:", columns, [r.table() for r in results],
-                      f"{', '.join(str(r.more['tets']) for r in results)} tetrahedra",
-                      "give a finer resolution in [object]")
+def finer(loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
+    """The scene with smaller and smaller elements, by `RATIO` from mesh to mesh."""
+    scene, _ = with_probe(loaded.sample(request.seed))
+    size = tiers.element_size(scene.required_object, tiers.choose(scene, request.tier), scene.probe)
+    return [loaded, *(loaded.varied("object", resolution=size / RATIO**k) for k in range(1, meshes))]
 
 
-def prepare(scene: Scene, request: PressRequest) -> Prepared:
+def prepare(scene: Scene, request: Request) -> Prepared:
     """The scene with its defaults filled in, and its model.
 
     Raises:
         SceneError, MeshError: the scene cannot be built.
     """
-    chosen = tiers.choose(scene, request.tier)
+    began, tier = time.perf_counter(), tiers.choose(scene, request.tier)
     scene, notes = with_probe(scene)
     notes += RigidBodies(scene.bodies).notes  # a broken probe is refused before the object is meshed
-    return _discretise(scene, chosen, request, tuple(notes))
-
-
-def _discretise(scene: Scene, tier: str, request: PressRequest, notes: tuple[str, ...]) -> Prepared:
-    began = time.perf_counter()
     focus = None if scene.press is None else tip(scene, np.array(scene.press.stop), direction(scene.press))[None]
 
     def build(edges: EdgePath | None) -> Model:
@@ -167,6 +116,7 @@ def _discretise(scene: Scene, tier: str, request: PressRequest, notes: tuple[str
     given, (scene, more) = scene.press, with_press(scene, model)
     if given is None and (edges := edge_path(scene)) is not None:
         model = build(edges)
+    effects.check_body(scene, model)
     return Prepared(scene, model, tier, (*notes, *more), time.perf_counter() - began)
 
 
@@ -195,78 +145,73 @@ def _tips(shape: ProbeShape, axis: np.ndarray) -> np.ndarray:
     return line[:, None] * np.array([0.0, 0.0, 1.0]) + smooth_radius(shape) * axis
 
 
-def solve(prepared: Prepared, request: PressRequest) -> PressResult:
+def solve(prepared: Prepared, request: Request) -> PressResult:
     """Solve the frames of a prepared press.
 
     Raises:
-        SceneError: the probe begins inside the object.
+        SceneError: the probe begins inside the object, or a body has no effect.
     """
     scene, model, tier = prepared.scene, prepared.model, prepared.tier
     spec = scene.press
     assert spec is not None
-    poses = press_path(spec, scene.probe)
-    first = pose_at(spec, scene.probe, 0)
+    first, axis, moving = pose_at(spec, scene.probe, 0), direction(spec), 1 + len(scene.parts)
+    aim = Aim(tip(scene, np.array(spec.stop), axis), -axis, axis, np.array(spec.start), 0.0,
+              path=press_path(spec, scene.probe), start=first)
+    assert aim.path is not None
+    begin, placed = body_poses(scene, first[None])[0], body_poses(scene, aim.path)
     compile_kernels(solver_kernels(elements_of(model.blocks)), request.device, progress=request.progress)
-    axis = direction(spec)
-    moving = 1 + len(scene.parts)
-    gap = min(clearance(model, shape, pose, axis)
-              for shape, pose in zip(scene.bodies[:moving], body_poses(scene, first[None])[0], strict=False))
-    linear, options = not tiers.TIERS[tier].nonlinear, request.limited(tiers.options(tier))
-    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device,
-                    options=options, linear=linear)
-    placed, start = body_poses(scene, poses), body_poses(scene, first[None])
-    begun = overlap(model, solver.bodies, start[0], str(scene.source))
-    tell = request.progress
-    frames = solver.run(placed[:, None], start=start, keep=request.keep,
-                        progress=None if tell is None else lambda done: tell(done, len(poses), "frames"))
-    body_force = frames.body_force[:, 0]
-    # Obstacles do not belong to the probe.
-    force = frames.force[:, 0] - body_force[:, moving:].sum(axis=1)
-    way = (poses[:, :3, 3] - np.array(spec.start)) @ axis
-    depth = np.maximum(way - gap, 0.0)
-    edge, full = model.element_size, spec.inward - 1
-    said = statement(frames, edge=edge, tolerance=options.tolerance, linear=linear)
+    gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:moving], begin, strict=False))
+    begun = overlap(model, RigidBodies(scene.bodies), begin, str(scene.source))
+    linear, options = not tiers.TIERS[tier].nonlinear, limited(tiers.options(tier), request)
+    ((solver, frames, (touch,)),) = rigid_touch.solve(
+        scene, model, [aim], tier=tier, device=request.device, options=options, keep=True,
+        progress=frames_done(request.progress, len(aim.path)))
+    moved = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
+    push, body_force = np.stack([f[..., 0] for f in solver.surface_force]), frames.body_force[:, 0]
     names = ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))),
              *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
-    fields, more = solved(frames)
-    notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), begun),
-             *edge_notes(names, scene.bodies, body_force))
+    surface = model.mesh.surface_nodes()
+    effects.check_contact(scene, names, body_force, effects.nearest(
+        solver.bodies, placed, model.mesh.points[surface] + moved[:, surface]), moved)
+    way = (aim.path[:, :3, 3] - np.array(spec.start)) @ axis
+    depth, normal = np.maximum(way - gap, 0.0), touch.normal_force()
+    edge, full, at_contact = model.element_size, spec.inward - 1, edge_at(model, aim.target)
+    said = statement(touch, edge=edge, tolerance=options.tolerance, linear=linear)
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
-    more |= {"body_force": body_force, "bodies": names, "friction": scene.frictions, "pressure": None,
-             "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
-             "precision": "float64", "element_size": prepared.element_size, "edge": edge,
-             "edge_at_contact": edge_at(model, tip(scene, np.array(spec.stop), axis)),
-             "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
-             "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0],
-             "rotation": frames.rotation[:, 0]}
-    mesh = (frames.mesh_error[:, 0], frames.corner_det_f[:, 0], linear * frames.rotation[:, 0], frames.converged[:, 0])
-    words = [FORCES, said, *filter(None, [in_words(*mesh)]),
+    deep = [f"The probe starts {1e3 * begun:.1f} mm inside the body, so depth counts from there and not from first "
+            f"contact; move from in [press] back to where the probe is free."]
+    deep = deep if begun > 0.05 * way.max() else []  # less is the faceting of a round body
+    more: dict[str, Any] = {
+        "slipping": frames.slipping[:, 0], "seconds": frames.seconds, "body_force": body_force, "bodies": names,
+        "friction": scene.frictions, "reason": reasons(touch),
+        "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
+        "precision": "float64", "element_size": prepared.element_size, "edge": edge, "edge_at_contact": at_contact,
+        "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
+        "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0],
+        "rotation": frames.rotation[:, 0]}
+    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], linear * frames.rotation[:, 0],
+                    touch.converged)
+    words = [FORCES, said, *filter(None, [told]),
              f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
-                   f"{1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
-                   f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
+             f"{1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
+             f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
     if len(names) > 1 or max(scene.frictions) > 0.0:
-        words.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(more["slipping"][full])))
-    panels, arrays = None, {}
-    if request.keep:
-        moved = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
-        push = np.stack([f[..., 0] for f in solver.surface_force])
-        panels = _panels(model, scene.bodies, placed, moved, np.nan_to_num(push), full)
-        arrays = {**_arrays(model, placed, moved, push), **series(depth, force, frames.reaction[:, 0], fields)}
-    normal = -(force @ axis)
+        words.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(frames.slipping[full, 0])))
+    # the triangles of a scan are of all sizes
+    scan = isinstance(scene.required_object.shape, MeshFile)
     return PressResult(
-        depth=depth, force=force, axis=axis, reaction=frames.reaction[:, 0], **fields, deepest=full, more=more,
-        columns=(*force_columns(depth, force, axis), Column("balance", frames.force_balance[:, 0], ".1e"),
-                 Column("min det F", frames.min_det_f[:, 0], ".3f"),
-                 *([Column("turn rad", frames.rotation[:, 0], ".3f"),
-                    Column("mesh err %", 100.0 * frames.mesh_error[:, 0], ".1f")]
-                   if np.isfinite(frames.mesh_error).any() else []), Column("energy J", frames.energy[:, 0], ".2e"),
-                 *solver_columns(frames, edge)),
-        words=tuple(words), notes=notes, resolved=resolved(*mesh, model.solid.parts),
-        plot=(Curves("normal force [N]", {"reaction of the supports": -(frames.reaction[:, 0] @ axis),
+        touch, depth, full, edge=(more["volume"] / tets) ** (1.0 / 3.0) if scan else at_contact, more=more,
+        columns=(*force_columns(depth, touch), Column("turn rad", frames.rotation[:, 0], ".3f"),
+                 *audit_columns(touch, edge, frames.seconds)), words=tuple(words),
+        notes=(*prepared.notes, *model.solid.notes, *deep,
+               *edge_notes(names, scene.bodies, body_force)),
+        plot=(Curves("normal force [N]", {"reaction of the supports": -(touch.reaction @ axis),
                                           "force on the probe": normal}),),
         abscissa="depth past first contact [mm]", model=f"tier {tier}, {tets} tetrahedra",
         headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
-        caption="left: with the rigid bodies; right: the body alone", panels=panels, arrays=arrays)
+        caption="left: with the rigid bodies; right: the body alone",
+        panels=_panels(model, scene.bodies, placed, moved, np.nan_to_num(push), full),
+        arrays={**_arrays(model, placed, moved, push), **recorded(touch), "depth": (depth, "(T,) [m]")})
 
 
 def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force: np.ndarray, slipping: float) -> str:

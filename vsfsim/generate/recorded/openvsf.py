@@ -34,7 +34,7 @@ from vsfsim.data.formats.target import whole_folder
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, Truth, View
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate.cloud import cloud_normals
+from vsfsim.generate.aim import cloud_normals
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.physics.mesh.formats import parse
 from vsfsim.robot import gen3

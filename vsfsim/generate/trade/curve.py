@@ -72,7 +72,7 @@ def of_press(result: PressResult) -> Curve:
     depth = result.depth[:result.deepest + 1]
     on = np.flatnonzero(depth > 1e-6 * depth[-1])
     readings = {"force": result.normal_force[on], "direction": result.force[on]}
-    if "pressure_change" in result.more:
+    if result.touch.pressure is not None:
         readings |= {"pressure": result.more["pressure_change"][on], "torque": result.more["wrench"][on, 3:]}
     held = result.converged if result.resolved is None else result.resolved
     return Curve(depth[on] / depth[-1], readings, result.converged[on], ~held[on])

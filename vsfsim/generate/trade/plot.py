@@ -8,6 +8,7 @@ from pathlib import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from vsfsim.core.interactive.figure import new_figure
+from vsfsim.data.disk import write_figure
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.page import by_size, by_tier
 
@@ -49,4 +50,4 @@ def draw(points: Sequence[Point], title: str, file: Path) -> None:
         axis.set_minor_formatter(NullFormatter())
     axes.grid(True, which="major", color="0.88")
     axes.legend(fontsize=8, loc="best", framealpha=1.0)
-    figure.savefig(file)
+    write_figure(figure, file)

@@ -11,13 +11,13 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.aim import Aim
-from vsfsim.generate.effector import effector_of
+from vsfsim.generate.effector import effector_of, kernels_of
 from vsfsim.generate.job import jobs_of
-from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.run import kernels_of
-from vsfsim.generate.solid import Retouching, Subject, prepare
+from vsfsim.generate.solid import Subject, prepare
 from vsfsim.generate.trade.curve import of_press, of_touch
 from vsfsim.generate.trade.made import Meter, Run, Touched, together
 from vsfsim.generate.trade.near import contact_edge, near, touch_near
@@ -55,7 +55,7 @@ class DatasetTouches:
         scene = loaded.sample(0)
         self.ground = _ground(scene, recipe.tier, scene.required_touches.frames[1], device)
         effector = effector_of(scene)
-        assert isinstance(effector, Retouching)
+        assert isinstance(effector, OnSolids)
         self._effector, self._warm = effector, set[str | None]()
         compile_kernels(kernels_of(scene), device)
         self.subjects: list[Subject] = []
@@ -146,14 +146,13 @@ class ScenePress:
     def _run(self, seed: int, setting: Setting) -> Run:
         meter = Meter()
         varied = _varied(self._loaded, setting)
-        request = PressRequest(seed=seed, tier=setting.tier, device=setting.device, cache=self._cache,
+        request = Request(seed=seed, tier=setting.tier, device=setting.device, cache=self._cache,
                                tolerance=setting.tolerance)
         result = effector_of(varied.sample(seed)).press(varied, request)
         cpu, wall, memory = meter.read()
         solve = float(np.sum(result.more["seconds"]))
-        edge = float(result.more.get("edge_at_contact") or setting.resolution or result.more["edge"])
         return Run((of_press(result),), max(cpu - solve, 0.0), solve, max(wall - result.more["build_seconds"], 0.0),
-                   memory, len(result.depth), (edge,))
+                   memory, len(result.depth), (result.edge,))
 
 
 def touched(loaded: SceneFile, *, touches: int, objects: int, seed: int, device: str, cache: Path | None,
@@ -190,7 +189,7 @@ def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:
 
 def _ground(scene: Scene, tier: str | None, frames: int | None, device: str) -> Ground:
     effector = effector_of(scene)
-    if not isinstance(effector, Retouching):
+    if not isinstance(effector, OnSolids):
         raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another mesh. "
                          f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
     manner, order = effector.manner(scene), list(tiers.TIERS)
