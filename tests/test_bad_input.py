@@ -138,7 +138,7 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, ol
 @pytest.mark.parametrize(("probe", "message"), [
     ('{ mesh = "none.stl" }', "mesh file 'none.stl' cannot be read: No such file"),
     ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
-    ('{ mesh = "text.obj" }', "mesh file 'text.obj' has no faces"),
+    ('{ mesh = "text.obj" }', "mesh file 'text.obj' cannot be understood as OBJ: line 1 begins with 'not'"),
     ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
     ('{ mesh = "flat.doc" }', "mesh file 'flat.doc' ends in '.doc'; allowed are .obj, .ply, .stl"),
 ])

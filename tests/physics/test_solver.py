@@ -233,6 +233,14 @@ def test_linear_tier_is_fem_at_tiny_depth(model, line, device, probe, height, de
     assert linear.force_balance.max() <= 1e-3
 
 
+def test_linear_tier_scales_with_the_modulus(block, line, device):
+    """Same path, twice the modulus: twice the force, exactly (the penalty scales along)."""
+    forces = [Solver(block(SIZE, 0.02, young_modulus=e), PROBE, device=device, linear=True,
+                     options=SolverOptions(tolerance=1e-9))
+              .run(down(line, [0.002])).force[0, 0, 2] for e in (1e5, 2e5)]
+    assert forces[1] == pytest.approx(2.0 * forces[0], rel=1e-6)
+
+
 @pytest.mark.parametrize("linear", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, linear):
     """A ball rises from below against a plate that sags by its weight: it meets it where, at rest, it would never have

@@ -190,3 +190,34 @@ def test_order_of_convergence_of_a_bent_beam(block, line, device):
     # observed here and 2.96 on meshes of half the size (too slow to keep); at nu = 0.3, where the singularity is
     # strong, 1.75
     assert order > 2.4
+
+
+# ------------------------------------------------------------------------------------------ symmetry and turning
+
+
+def test_a_symmetric_press_has_no_sideways_force(block, line, device):
+    model = block((0.06, 0.06, 0.03), 0.015)
+    poses = line([[0, 0, 0.05 - d] for d in (0.002, 0.005)], Sphere(0.02))
+    frames = Solver(model, Sphere(0.02), device=device).run(poses)
+    assert frames.converged.all() and frames.force[-1, 0, 2] > 1.0
+    # the mesh is its own mirror image: what is left is the unbalanced force, 1e-4 at most
+    assert (np.abs(frames.force[:, 0, :2]).max(axis=1) < 1e-4 * frames.force[:, 0, 2]).all()
+
+
+def test_a_turned_scene_gives_the_turned_force(block, line, device):
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    shift = np.array([0.3, -0.1, 0.2])
+    probe, slant = Sphere(0.02), np.array([0.4, 0.2, -1.0]) / np.linalg.norm([0.4, 0.2, -1.0])
+    start = np.array([-0.006, 0.004, 0.0505])
+    way = start + np.array([0.002, 0.004, 0.006])[:, None] * slant
+    forces = []
+    for r, t in ((np.eye(3), np.zeros(3)), (turn, shift)):
+        model = block((0.06, 0.06, 0.03), 0.015, rotation=r, translation=t)
+        frames = Solver(model, probe, device=device, options=TIGHT).run(line(way @ r.T + t, probe, r @ slant))
+        assert frames.converged.all()
+        forces.append(frames.force[:, 0])
+    assert np.linalg.norm(forces[0], axis=1).min() > 0.1
+    # equilibria of the same tolerance, 1e-7
+    assert forces[1] @ turn == pytest.approx(forces[0], abs=1e-5 * np.abs(forces[0]).max())

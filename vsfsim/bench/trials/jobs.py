@@ -90,17 +90,26 @@ class Evaluation:
     def __enter__(self) -> Evaluation:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
         self.stop()
+        if error is not None and not any(self.parts.glob("*/*")):  # nothing to go on with: nothing is left behind
+            self._log.unlink(missing_ok=True)
+            for folder in self._new:
+                if folder.is_dir() and not any(folder.iterdir()):
+                    folder.rmdir()
 
     @functools.cached_property
     def host(self) -> MethodHost:
         """What runs the method's processes, of all jobs that are made here; they print into one log."""
         hidden = [self.dataset.path.resolve(), self.task.dataset.path().parent.resolve(), Path("results").resolve(),
                   self.parts.resolve()]
+        self._new = [folder for folder in (self.parts, *self.parts.parents) if not folder.exists()]
         self.parts.mkdir(parents=True, exist_ok=True)
-        return MethodHost(self.method, self.parameters, self.isolation,
-                          self.parts / f"{platform.node()}-{os.getpid()}.log", hidden=hidden)
+        return MethodHost(self.method, self.parameters, self.isolation, self._log, hidden=hidden)
+
+    @property
+    def _log(self) -> Path:
+        return self.parts / f"{platform.node()}-{os.getpid()}.log"
 
     def stop(self) -> None:
         """End the method's processes; jobs that other threads make fail."""
