@@ -160,7 +160,6 @@ def test_a_sweep_goes_on_where_its_budget_ended(tmp_path, monkeypatch):
     scene = load_scene(find_scene("shoes-mini"))
     imagined = Imagined()
     monkeypatch.setattr(command, "touched", lambda *_, **__: imagined)
-    monkeypatch.setattr(command.pictures, "pictures", lambda *_, **__: [])
     with pytest.raises(VsfsimError, match="the budget of 1e-09 s was over before the first point"):
         command.tradeoff(scene, tmp_path, budget=1e-9)
     whole, _ = command.tradeoff(scene, tmp_path)

@@ -55,9 +55,9 @@ def test_forces_are_the_gradient_of_the_energy_and_the_tangent_theirs(cell):
 
 def test_a_small_press_is_that_of_hertz_and_a_flat_punch_that_of_sneddon():
     """On bodies over a hundred and 20 times as large as the contact."""
-    hertz = Cell(("cylinder", 0.2, 0.2), ("sphere", 0.02), 1e-4, 0.3)
+    hertz = Cell(("cylinder", 0.2, 0.2), ("sphere", 0.02), 4e-4, 0.3)
     press, origins = build(hertz, 4.0)
-    expected = 4.0 / 3.0 * BASE / (1.0 - 0.3**2) * np.sqrt(0.02 * 1e-4) * 1e-4
+    expected = 4.0 / 3.0 * BASE / (1.0 - 0.3**2) * np.sqrt(0.02 * 4e-4) * 4e-4
     assert press.curve(origins)[-1] == pytest.approx(expected, rel=0.03)
     punch = Cell(("cylinder", 0.1, 0.1), ("cylinder", 0.005), 1e-4, 0.3)
     press, origins = build(punch, 3.0)
