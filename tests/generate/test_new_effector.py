@@ -158,7 +158,7 @@ TASK = """
 name = "weighed-v1"
 description = "Predict what the load cell reads."
 dataset = { folder = "weighed", scene = "weighed", seed = 0, objects = 2, views = 1, touches = 6, tier = "linear" }
-protocol = { train = "train", test = "test", shots = [0, 3], seeds = 2, query = 2, seed = 0 }
+protocol = { train = "train", test = "test", shots = [0, 3], seeds = 2, query = 2, seed = 0, unresolved = "scored" }
 observation = { kind = "cell-force" }
 noise = { force_std = 0.01, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
 metrics = { primary = "rmse", ranking_shot = 3 }

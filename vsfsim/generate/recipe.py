@@ -42,7 +42,7 @@ def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought
         raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
                          f"its touches.")
     effector = effector_of(scene)
-    if asked.arm is not None and scene.arm is None:
+    if asked.arm is not None and effector.table != "arm":
         raise SceneError(f"{scene_file.path}: --arm is '{asked.arm}', but the scene has no [arm]; it is touched "
                          f"by a [{effector.table}].")
     given = scene.dataset or DatasetSpec(1, 1, {})

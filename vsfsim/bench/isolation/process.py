@@ -90,7 +90,7 @@ class MethodHost:
         """End all processes, whatever they do. Safe to call twice."""
         for process in list(self.processes):
             process.end()
-        for host, control in self._hosts.values():
+        for host, control in list(self._hosts.values()):
             control.close()
             try:
                 host.wait(timeout=30.0)
