@@ -31,7 +31,7 @@ PAD = 4  # cells of distance kept around the bounding box
 # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
 _RIM = 4
 _SLOW = 1.0  # duration of a bake above which it is kept on disk [s]
-_RECIPE = 3  # part of the cache key: raise it when the bake changes
+_RECIPE = 4  # part of the cache key: raise it when the bake changes
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.contact import closest_point
 
 
 class SurfaceDistance:
@@ -21,7 +22,7 @@ class SurfaceDistance:
         self._mesh = wp.Mesh(points=_array(vertices.astype(np.float32), wp.vec3),
                              indices=_array(faces.astype(np.int32).reshape(-1), wp.int32),
                              support_winding_number=True)
-        self._corners = vertices[faces]
+        self._vertices, self._faces = _array(vertices, wp.vec3d), _array(faces, wp.vec3i)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Signed distance (k,) [m] of ``points`` (k, 3) [m]; negative inside."""
@@ -33,13 +34,11 @@ class SurfaceDistance:
         return self._nearest(points)[0]
 
     def _nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from trimesh.triangles import closest_point
-
-        face, sign = (wp.empty(len(points), dtype=kind, device="cpu") for kind in (wp.int32, wp.float32))
+        found = wp.empty(len(points), dtype=wp.vec3d, device="cpu")
+        sign = wp.empty(len(points), dtype=wp.float32, device="cpu")
         wp.launch(_query(), dim=len(points), device="cpu",
-                  inputs=[self._mesh.id, _array(points.astype(np.float32), wp.vec3), face, sign])
-        # the search is in single precision; the point of the triangle that it found is computed again in double
-        return closest_point(self._corners[face.numpy()], points), sign.numpy().astype(float)
+                  inputs=[self._mesh.id, self._vertices, self._faces, _array(points, wp.vec3d), found, sign])
+        return found.numpy(), sign.numpy().astype(float)
 
 
 def nearest_on(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -53,19 +52,24 @@ def _array(values: np.ndarray, dtype: type) -> wp.array:
 
 @functools.cache
 def _query():
+    near = closest_point.functions("vsfsim_distance_grid")
+
     @wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
     def query(
         # model
-        mesh: wp.uint64,
+        mesh: wp.uint64, vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=wp.vec3i),
         # state in
-        point_in: wp.array(dtype=wp.vec3),
+        point_in: wp.array(dtype=wp.vec3d),
         # state out
-        face_out: wp.array(dtype=wp.int32),
-        sign_out: wp.array(dtype=wp.float32),
+        found_out: wp.array(dtype=wp.vec3d), sign_out: wp.array(dtype=wp.float32),
     ):
         i = wp.tid()
-        found = wp.mesh_query_point_sign_winding_number(mesh, point_in[i], 1.0e6)
-        face_out[i] = found.face
+        x = point_in[i]
+        found = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(x), 1.0e6)
+        # the search is in single precision; the point of the triangle that it found is computed again in double
+        f = faces[found.face]
+        m = near.on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
+        found_out[i] = m[0] * vertices[f[0]] + m[1] * vertices[f[1]] + m[2] * vertices[f[2]]
         sign_out[i] = found.sign
 
     return query
