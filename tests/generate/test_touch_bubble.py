@@ -16,8 +16,8 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
-from vsfsim.generate.aim import Aim, tilted
 from vsfsim.generate import bubble_touch as touch_bubble
+from vsfsim.generate.aim import Aim, tilted
 from vsfsim.generate.inspect import inspect
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.resim import again

@@ -55,8 +55,8 @@ def test_a_shard_of_a_row_with_a_file_of_its_own_can_be_finished(folded, toy_dat
 
 
 def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
-    words = ["evaluate", "--task", "t.toml", "--on", "development", "--on", "slurm", "--shards=4", "--print", "--all"]
-    assert shard_words(words) == ["vsfsim", "evaluate", "--task", "t.toml", "--on", "development", "--all"]
+    words = ["evaluate", "--task", "t.toml", "--on", "slurm", "--shards=4", "--print", "--all"]
+    assert shard_words(words) == ["vsfsim", "evaluate", "--task", "t.toml", "--all"]
     task = "fewshot-shoes-v2-mini-v3"
     out = vsfsim("evaluate", "--method", "gaussian", "--task", task, "--on", "slurm", "--shards", "3", "--print",
                  cwd=tmp_path)

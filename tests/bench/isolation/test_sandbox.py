@@ -61,7 +61,7 @@ def test_what_has_left_its_session_ends_with_the_trial(task, toy_dataset, tmp_pa
 def test_a_container_shows_what_a_parameter_names_and_not_the_dataset(task, toy_dataset, tmp_path, box):
     (tmp_path / "weights").write_text("1")
     run("NeedsFile", task, toy_dataset, box, path=str(tmp_path / "weights"))
-    with pytest.raises(MethodError, match=r"FileNotFoundError in .*It runs in a container \(--sandbox "):
+    with pytest.raises(MethodError, match=r"(FileNotFound|Permission)Error in .*It runs in a container \(--sandbox "):
         run("NeedsPart", task, toy_dataset, box, folder=str(toy_dataset.path.parent), file=toy_dataset.entries[1].file)
 
 
@@ -84,11 +84,9 @@ def test_the_time_limit_is_that_of_one_call_in_the_check_too(task, toy_dataset):
 
 
 @pytest.mark.parametrize("box", BOXES)
-def test_a_gigabyte_of_prints_is_named(task, toy_dataset, tmp_path, box):
+def test_a_gigabyte_of_prints_is_named(task, toy_dataset, box):
     with pytest.raises(MethodError, match=r"has printed more than 64 MiB, the last of it in predict for mock-0001-v0"):
-        evaluate("hostile_methods:PrintsMuch", task, toy_dataset, seeds=1, check=False, isolation=Isolation(box),
-                 log=tmp_path / "log")
-    assert (tmp_path / "log").stat().st_size <= 64 << 20
+        evaluate("hostile_methods:PrintsMuch", task, toy_dataset, seeds=1, check=False, isolation=Isolation(box))
 
 
 @pytest.mark.parametrize(("name", "entry"), [("gaussian", "vsfsim.baselines.gaussian:GaussianAverage"),
