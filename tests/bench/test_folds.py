@@ -119,7 +119,7 @@ def test_results_are_small_and_survive_the_file(results, tmp_path):
     rows = len(results["FoldMean"].queries["n"])
     assert rows == OBJECTS * 4 * 4 * 4  # query touches, shots, runs
     path.write_text(path.read_text().replace('"packed": "lzma"', '"packed": "zip"', 1))
-    with pytest.raises(TaskError, match="malformed.*lzma.*packed"):
+    with pytest.raises(TaskError, match=r"malformed.*lzma.*packed"):
         Result.load(path)
 
 
