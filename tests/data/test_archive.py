@@ -73,11 +73,18 @@ def test_digests_are_those_of_the_records():
 
 
 def test_generate_takes_it_only_for_the_recipe_of_the_task(kept, tmp_path, monkeypatch):
-    from vsfsim.generate import command
+    from vsfsim.generate import run
+
+    class MadeAnew(Exception):
+        pass
+
+    def made_anew(*_, **__):
+        raise MadeAnew
 
     shutil.move(tmp_path / "archive" / NAME, tmp_path / "archive" / "shoes-v3-mini-v1")
     monkeypatch.setattr(archive, "digests_of", lambda name: {kept.sha256} if name == "shoes-v3-mini-v1" else set())
-    monkeypatch.setattr(command.run, "make", lambda *_, **__: "made")
-    assert command.make("shoes-v3-mini", tmp_path / "a").dataset.sha256 == kept.sha256
+    monkeypatch.setattr(run, "jobs_of", made_anew)
+    assert run.generate("shoes-v3-mini", tmp_path / "a").sha256 == kept.sha256
     for number, other in enumerate(({"seed": 3}, {"objects": 2}, {"tier": "fem"})):
-        assert command.make("shoes-v3-mini", tmp_path / f"b{number}", **other) == "made"
+        with pytest.raises(MadeAnew):
+            run.generate("shoes-v3-mini", tmp_path / f"b{number}", **other)

@@ -133,7 +133,7 @@ def test_a_promise_is_kept_by_19_of_20():
 @pytest.mark.slow
 def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(buy, "DatasetTouches", Imagined)
-    monkeypatch.setattr("vsfsim.generate.effectors.probe.make_each", _in_this_process)
+    monkeypatch.setattr("vsfsim.generate.on_solids.make_each", _in_this_process)
     made = run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
     monkeypatch.setattr(buy, "DatasetTouches", None)  # a second pilot would fail
     run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
@@ -156,7 +156,7 @@ def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path,
 
 @pytest.mark.slow
 def test_touches_that_are_made_on_meshes_of_their_own_are_near_their_audits(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("vsfsim.generate.effectors.probe.make_each", _in_this_process)
+    monkeypatch.setattr("vsfsim.generate.on_solids.make_each", _in_this_process)
     monkeypatch.setattr(run, "bought", lambda *_, **__: ("fem", {
         "resolution": 0.026, "contact": 0, "accuracy": {"asked": 0.02, "expected": 0.01, "limit": 0.0, "touches": 1}}))
     made = run.generate(scene, tmp_path / "data", accuracy=0.02, objects=1)

@@ -9,7 +9,7 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
-from vsfsim.generate import workers
+from vsfsim.generate import on_solids, workers
 from vsfsim.generate.effectors import probe
 from vsfsim.generate.recipe import files_of, make_recipe
 from vsfsim.generate.run import generate
@@ -55,7 +55,7 @@ def in_this_process(monkeypatch):
             workers.write(job, probe.EFFECTOR.make_view(job, device=device), device)
             yield 3, job.name
 
-    monkeypatch.setattr(probe, "make_each", make_each)
+    monkeypatch.setattr(on_solids, "make_each", make_each)
 
 
 def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_path, monkeypatch):

@@ -119,6 +119,7 @@ Limit = Annotated[float | None, typer.Option("--limit", min=0.1, metavar="SECOND
                                              help="Processor time of a frame; one that takes more is marked. Default: "
                                                   "the tier's own, 120, and 1,500 conjugate gradients.")]
 Accuracy = Annotated[str | None, typer.Option("--accuracy", metavar="SHARE",
+                                              callback=lambda text: text and share_of("--accuracy", text),
                                               help="Largest error of the force, e.g. 5%: a pilot on the first objects "
                                                    "chooses tier and element size, and one touch in ten is audited one "
                                                    "level finer.")]

@@ -37,7 +37,7 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], h
     files, here = files_of(name), os.getcwd()
     # pip installs into a folder of one of these names, or into any other that it is given, beside the package's metadata
     installed = [path for path in search if Path(path).name in ("site-packages", "dist-packages")
-                 or next(Path(path).glob("*.dist-info"), None) is not None]
+                 or any(Path(path).glob("*.dist-info"))]
     modules = [path for module, path in files.items() if not module.startswith("vsfsim.")]
     # a package that is installed "editable" lies where no folder of installed packages is
     editable = [Path(*path.parts[:len(path.parts) - module.count(".") - (path.name == "__init__.py")])
