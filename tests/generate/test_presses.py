@@ -50,10 +50,18 @@ TASK = """
 name = "kinds-v1"
 description = "Predict other presses."
 dataset = { folder = "kinds", scene = "kinds", seed = 0, objects = 2, views = 1, touches = 8, tier = "linear" }
-protocol = { folds = 2, shots = [0, 1], draws = 2, trainings = 1, query = 3, transfer = true, seed = 0, unresolved = "scored" }
 observation = { kind = "normal-force" }
 noise = { force_std = 0.15, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
 metrics = { primary = "rmse_ratio", ranking_shot = 1 }
+[protocol]
+folds = 2
+shots = [0, 1]
+draws = 2
+trainings = 1
+query = 3
+transfer = true
+seed = 0
+unresolved = "scored"
 """
 PUNCH = Cylinder(0.008, 0.02)
 

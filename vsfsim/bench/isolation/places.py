@@ -35,7 +35,7 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], h
         they lie in one that is shown. given: its environment, which says where weights are.
     """
     files, here = files_of(name), os.getcwd()
-    # pip installs into a folder of one of these names, or into any other that it is given, beside the package's metadata
+    # pip installs into a folder of one of these names, or into any other, beside the package's metadata
     installed = [path for path in search if Path(path).name in ("site-packages", "dist-packages")
                  or any(Path(path).glob("*.dist-info"))]
     modules = [path for module, path in files.items() if not module.startswith("vsfsim.")]
