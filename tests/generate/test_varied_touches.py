@@ -84,13 +84,13 @@ def test_the_mount_goes_as_planned(made):
         assert gone == pytest.approx(touch.normal_force() / SPRING, abs=1e-12)
 
 
-@pytest.mark.xfail(reason="open: a touch alone has a frame that does not converge, and together it has none")
 def test_a_touch_alone_and_friction_with_a_spring(made):
     """Springs of the other touches of a batch leave no trace, and a rigid mount that leads the probe there meets the
     same force."""
     job, view = made
     scene, model = job.scene(), prepare(job, device="cpu").model
-    options = dataclasses.replace(tiers.options("fem-coarse"), tolerance=1e-6, cg_tolerance=1e-4)
+    # a twentieth of the bound on forces; with friction the residual can stall at 1.1e-6
+    options = dataclasses.replace(tiers.options("fem-coarse"), tolerance=5e-6, cg_tolerance=1e-4)
     for friction in (0.0, 0.6):
         def run(touches, friction=friction):
             return Solver(model, scene.probe, friction=friction, options=options).run(

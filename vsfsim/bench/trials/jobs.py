@@ -113,9 +113,9 @@ class Evaluation:
 
     def stop(self) -> None:
         """End the method's processes; jobs that other threads make fail."""
-        if "host" in self.__dict__:
-            self.host.close()
-            del self.host
+        host = self.__dict__.pop("host", None)  # at once, as several threads may stop
+        if host is not None:
+            host.close()
 
     def look(self, *, check: bool) -> None:
         """Import the method in a process of its own, and test its contract if ``check``.

@@ -147,12 +147,12 @@ def _spec(name: str, path: Iterable[str] | None, folder: str) -> ModuleSpec | No
 
 def _counts(file: Path, package: str, top: str) -> bool:
     """Whether a file counts by its content; one of another installed package counts by the package's version."""
-    return package in (top, "vsfsim") or not (_INSTALLED & set(file.parts) or package in _installed())
+    return package in (top, "vsfsim") or not (_INSTALLED & set(file.parts) or package in _installed(tuple(sys.path)))
 
 
-@functools.cache
-def _installed() -> frozenset[str]:
-    """Names that installed packages are imported by, wherever they lie."""
+@functools.lru_cache(maxsize=8)
+def _installed(search: tuple[str, ...]) -> frozenset[str]:
+    """Names that packages installed in the folders of ``sys.path`` are imported by; another path has others."""
     return frozenset(packages_distributions())
 
 
