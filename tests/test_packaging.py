@@ -150,7 +150,8 @@ def test_every_package_folder_is_declared():
 
 
 BASE = {"numpy", "scipy", "h5py", "typer", "rich", "filelock", "msgspec"}
-IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn", "rerun-sdk": "rerun"}
+IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn", "rerun-sdk": "rerun",
+               "scikit-fem": "skfem"}
 """Distributions whose package has another name."""
 
 TASK = """

@@ -85,20 +85,24 @@ def thirty_touches(write_dataset):
     return write_dataset([mock_view(i, split="train" if i < 1 else "test", touches=30) for i in range(3)])
 
 
-class PlateGaussian(GaussianAverage):
-    """A method in whose process the new row is in the table, as that of a package that brings its own row would be."""
+class KnowsPlates:
+    """The new row is in the table of every process of the method, as that of a package that brings its own row is."""
 
-    def __init__(self, *, noise_std=0.2):
+    def meta_fit(self, specimens):
         OBSERVATIONS.setdefault(PLATE.name, PLATE)
-        super().__init__(noise_std=noise_std)
+        super().meta_fit(specimens)
 
-
-class PlatePoint(PointVsf):
-    """As `PlateGaussian`."""
-
-    def __init__(self, *, noise_std=0.2):
+    def adapt(self, view, support):
         OBSERVATIONS.setdefault(PLATE.name, PLATE)
-        super().__init__(noise_std=noise_std)
+        super().adapt(view, support)
+
+
+class PlateGaussian(KnowsPlates, GaussianAverage):
+    """Of the average."""
+
+
+class PlatePoint(KnowsPlates, PointVsf):
+    """Of the papers' particles."""
 
 
 @pytest.mark.parametrize("method", ["PlateGaussian", "PlatePoint"])

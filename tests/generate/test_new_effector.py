@@ -173,7 +173,6 @@ def load_cell(tmp_path_factory):
         (source / name).write_text(text)
     subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation",
                     "--target", str(folder), str(source)], check=True, timeout=300)
-    folder.chmod(0o755)  # the container of a method is nobody's, who reads what everybody may
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)  # processes that are spawned have the same path
         patch.setattr(schema, "FIELDS", [*schema.FIELDS])

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.measurements.test_plant_wires import scene
 
 from measurements.artificial_plants import ceilings
 from measurements.artificial_plants.ceilings import (
@@ -24,6 +23,20 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.plants.admit import grow
+
+
+def scene(folder, *, plant, yields):
+    """The scene plants-v4-mini with a small plant and few frames."""
+    text = find_scene("plants-v4-mini").read_text()
+    for old, new in (('plant = "by-object"', f'plant = "{plant}"'), ("yields = true", f"yields = {yields}"),
+                     ("wood_segments = 120", "wood_segments = 60"), ("leaf_segments = 300", "leaf_segments = 80"),
+                     ("frames = { free = 5, in = 46, hold = 2, out = 0 }", "frames = { free = 1, in = 12, out = 6 }"),
+                     ("reject_below = 1.2", "reject_below = 0.0")):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "small.toml"
+    path.write_text(text)
+    return str(path)
 
 
 @pytest.fixture(scope="module")

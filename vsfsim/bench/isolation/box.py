@@ -86,7 +86,8 @@ def enter(given: dict[str, Any]) -> None:
 
 
 def _show(path: str, target: str) -> None:
-    """Bind a file or folder into the new root.
+    """Bind a file or folder into the new root; of a folder that only its owner reads, as `mktemp -d` makes, each entry,
+    for root is nobody in the container.
 
     Raises:
         FileExistsError: it is there already.
@@ -95,6 +96,10 @@ def _show(path: str, target: str) -> None:
         if os.path.isdir(target) and os.listdir(target):
             raise FileExistsError(target)
         os.makedirs(target, exist_ok=True)
+        if os.stat(path).st_mode & 0o005 != 0o005:
+            for name in filter(lambda name: os.path.exists(f"{path}/{name}"), os.listdir(path)):
+                _show(f"{path}/{name}", f"{target}/{name}")
+            return
     else:
         os.makedirs(os.path.dirname(target), exist_ok=True)
         os.close(os.open(target, os.O_CREAT | os.O_EXCL))

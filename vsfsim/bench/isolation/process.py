@@ -138,7 +138,10 @@ class MethodHost:
             process.ask("meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
             took = time.perf_counter() - start
             reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
-        opened = tuple(str(path) for path in reply.head.get("opened", ()))
+        # a container's own files are no one else's, whatever lies here at their paths
+        shown = ["/"] if self.isolation.sandbox == "process" else self._places["shown"]
+        opened = tuple(name for name in map(str, reply.head.get("opened", ())) if not name.startswith("/proc/")
+                       and any(Path(name).is_relative_to(path) for path in shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened, took, seed, given)
 
     @contextmanager
