@@ -48,7 +48,7 @@ def test_the_container_runs_the_first_command_of_the_readme():
     dockerfile = (ROOT / "Dockerfile").read_text()
     said = dockerfile.split('"-c", "')[1].split('"]')[0].replace("\\\n", " ")
     assert len(steps) == 4 and [one.strip() for one in said.split("&&")] == steps
-    assert '-c constraints.txt ".[all]"' in dockerfile
+    assert '-c constraints.txt ".[all,cloud]"' in dockerfile
 
 
 def test_the_readme_installs_everything_with_its_first_command():

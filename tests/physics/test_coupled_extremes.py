@@ -131,7 +131,7 @@ def test_meshes_of_the_bubble(device, nodes):
 
 def test_a_slack_skin_is_felt_or_its_frames_are_marked(device):
     """At 1 Pa the dome is 5 um high: its height says nothing about how far it moves, and a block that it enters by
-    millimetres may not be missed. It used to push with 0 N, in frames called converged."""
+    millimetres may not be missed."""
     sensor = build_bubble(Bubble(nodes=100, gauge_pressure=1.0))
     assert np.ptp(sensor.mesh.points[:, 2]) < 2e-5
     poses = np.tile(np.eye(4), (3, 1, 1, 1))
@@ -144,4 +144,3 @@ def test_a_slack_skin_is_felt_or_its_frames_are_marked(device):
     pushed = np.nan_to_num(np.linalg.norm(frames.force[:, 0], axis=1))
     assert frames.converged[0, 0] and pushed[0] == 0.0
     assert ((pushed[1:] > 0.0) | ~frames.converged[1:, 0]).all()
-    assert (frames.contact_points[1:] > 0).all(), "the skin meets the block"

@@ -140,7 +140,8 @@ class MethodHost:
             reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
         # a container's own files are no one else's, whatever lies here at their paths
         shown = ["/"] if self.isolation.sandbox == "process" else self._places["shown"]
-        opened = tuple(name for name in map(str, reply.head.get("opened", ())) if not name.startswith("/proc/")
+        opened = tuple(name for name in map(str, reply.head.get("opened", ()))
+                       if not name.startswith("/proc/") and not name.endswith(".pyc")
                        and any(Path(name).is_relative_to(path) for path in shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened, took, seed, given)
 
