@@ -15,6 +15,7 @@ import vsfsim
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation import limits
 from vsfsim.bench.isolation.limits import SANDBOXES, Isolation
+from vsfsim.bench.isolation.process import MethodHost
 from vsfsim.core.errors import MethodError
 
 BOXES = [name for name in SANDBOXES if limits.works(name)]
@@ -197,10 +198,11 @@ def test_memory_processes_and_files_are_limited_by_default(task, toy_dataset, tm
 
 
 @container
-def test_a_method_of_1600_modules_runs_in_a_container(task, toy_dataset, tmp_path, monkeypatch):
+def test_a_method_of_1600_modules_runs_in_a_container(tmp_path, monkeypatch):
     for k in range(1600):
         (tmp_path / f"part_{k}.py").write_text(f"VALUE = {k}\n")
     imports = "\n".join(f"import part_{k}" for k in range(1600))
     (tmp_path / "many.py").write_text(f"from toy_methods import Constant\n{imports}\n\n\nclass Many(Constant): ...")
     monkeypatch.chdir(tmp_path)
-    assert evaluate("many:Many", task, toy_dataset, seeds=1, check=False, isolation=Isolation("namespaces")).scores
+    with MethodHost("many:Many", {}, Isolation("namespaces"), tmp_path / "log") as host:
+        assert host.look(check=False).entry == "many:Many"
