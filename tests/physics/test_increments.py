@@ -29,7 +29,7 @@ def test_the_stride_is_a_part_of_the_inner_radius_or_the_wall(block):
     assert increments.mean_thickness(model) == pytest.approx(2 * 4e-5 / 0.0216, rel=1e-9)
     assert increments.stride(RigidBodies(Sphere(0.02)), 0.004) == 0.004
     assert increments.stride(RigidBodies(Sphere(0.02)), 1.0) == pytest.approx(0.01)
-    assert increments.stride(RigidBodies(Box((0.1, 0.1, 0.02))), 1.0) == pytest.approx(0.0005, rel=0.05)  # edges, samples
+    assert increments.stride(RigidBodies(Box((0.1, 0.1, 0.02))), 1.0) == pytest.approx(0.0005, rel=0.05)  # edges
     assert increments.stride(RigidBodies((Plane(), Sphere(0.004))), 1.0) == pytest.approx(0.002)
     assert increments.stride(RigidBodies(Plane()), 1.0) == 1.0
 
