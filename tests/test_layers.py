@@ -81,9 +81,8 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
                 "cli": {"rich"},
-                "robot": {"mujoco_menagerie"}, "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
-"""The same, inside a function: rich would take half of the time of `vsfsim --help`; Menagerie's arm is an option, not a
-dependency."""
+                "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
+"""The same, inside a function: rich would take half of the time of `vsfsim --help`."""
 
 FORBIDDEN_NAMES = ("utils", "util", "common", "manager", "base", "helpers", "misc")
 LONGEST = 400  # lines

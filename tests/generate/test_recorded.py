@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "sensing"))
+sys.path.insert(0, str(Path(__file__).parent))
 from drawn_punyo import punyo
 
 from vsfsim.bench.evaluate import evaluate
@@ -25,7 +25,7 @@ from vsfsim.data.verify import verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.generate.recorded.openvsf import GAUGE, Options, _mount, import_openvsf
-from vsfsim.robot.arm import load_arm
+from vsfsim.robot.arm import Arm
 from vsfsim.robot.joint_torque import body_torque
 from vsfsim.vsf.observe import pressure_rows
 from vsfsim.vsf.sticking import stick
@@ -63,7 +63,7 @@ ranking_shot = 2
 
 def write_object(place, rng, *, bubble, touches=4, frames=9, tare=5):
     """One object: a block of springs under a bubble, or a push on the last link of the arm; returns what was felt."""
-    arm = load_arm(punyo=bubble is not None, tool="flange")
+    arm = Arm(punyo=bubble is not None, tool="flange")
     start = np.array([0.0, 0.35, np.pi, -2.0, 0.0, 0.6, 1.57]) + 0.05 * rng.standard_normal(7)
     end = arm.postures(start[None]).tool[0]
     if bubble is not None:

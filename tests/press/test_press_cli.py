@@ -12,7 +12,7 @@ import vsfsim.physics.runtime  # noqa: F401  Warp keeps its own cache, whatever 
 from vsfsim.cli.main import app
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import find_scene
-from vsfsim.robot.arm import load_arm
+from vsfsim.robot.arm import Arm
 
 SCENE = """
 [object]
@@ -223,7 +223,7 @@ def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
     # poses
     base = np.eye(4)
     base[0, 3] = -0.62
-    arm, t = load_arm(base=base), int(np.linalg.norm(force, axis=1).argmax())
+    arm, t = Arm(base=base), int(np.linalg.norm(force, axis=1).argmax())
     before, after = (arm.body_poses(saved["q"][t] + sign * 1e-5 * np.eye(7)) for sign in (-1, 1))
     spin = small_turn(after[..., :3, :3] @ np.swapaxes(before[..., :3, :3], -1, -2))
     work = ((after - before)[..., :3, 3] * saved["body_force"][t]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsfsim.robot import gen3
-from vsfsim.robot.arm import ArmError, load_arm
+from vsfsim.robot.arm import Arm, ArmError
 
 TABLE = Path(__file__).with_name("kinova_gen3.md")
 EPS = 1e-5  # rad, of the difference quotients
@@ -57,7 +57,7 @@ def height_of_weight(q):
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_arm()
+    return Arm()
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_capsules_have_the_girth_of_the_meshes(arm):
 
 
 def test_the_punyo_sits_on_its_mount(angles):
-    plain, carrying = load_arm(), load_arm(punyo=True)
+    plain, carrying = Arm(), Arm(punyo=True)
     assert len(carrying.shapes) == len(plain.shapes) + 2 and carrying.tool == "punyo"
     mount = np.eye(4)
     # design.md, section 7
@@ -144,10 +144,9 @@ def test_the_punyo_sits_on_its_mount(angles):
 
 
 @pytest.mark.parametrize(("call", "said"), [
-    (lambda a: load_arm(base=np.diag([1.0, 1.0, -1.0, 1.0])), "base is"),
-    (lambda a: load_arm("gen4"), "Did you mean 'gen3'"),
-    (lambda a: load_arm(tool="hand"), "unknown tool 'hand'"),
-    (lambda a: load_arm(tool="punyo"), "punyo=True"),
+    (lambda a: Arm(base=np.diag([1.0, 1.0, -1.0, 1.0])), "base is"),
+    (lambda a: Arm(tool="hand"), "unknown tool 'hand'"),
+    (lambda a: Arm(tool="punyo"), "punyo=True"),
     (lambda a: a.postures(np.zeros(7)), r"\(frames, 7\)"),
     (lambda a: a.postures(np.full((2, 7), np.nan)), "frame 0 are not finite"),
 ])

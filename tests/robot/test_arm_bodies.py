@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.physics.solve.touches import Solver
-from vsfsim.robot.arm import load_arm
+from vsfsim.robot.arm import Arm
 from vsfsim.robot.reach import straight_touch
 
 
@@ -15,7 +15,7 @@ def test_the_arm_presses_a_block_with_its_wrist(block, device):
     model = block((0.1, 0.1, 0.2), 0.05, poisson_ratio=0.4)
     base = np.eye(4)
     base[:3, 3] = [-0.42, 0.33, 0.0]
-    arm = load_arm(base=base)
+    arm = Arm(base=base)
     q = straight_touch(arm, [0.14, 0.13, 0.17], [0.14, 0.086, 0.17], rotation_matrix((0.0, np.pi / 2, 0.0)),
                        frames=12)[[0, 10, 11]]
     frames = Solver(model, arm.shapes, device=device).run(arm.body_poses(q)[:, None])

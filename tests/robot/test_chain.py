@@ -9,15 +9,14 @@ from vsfsim.core.chain import read_chain
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
-from vsfsim.robot.arm import load_arm
-from vsfsim.robot.chain import chain_of
+from vsfsim.robot.arm import Arm, chain_of
 
 
 @pytest.mark.parametrize("punyo", [False, True])
 def test_the_chain_of_a_dataset_is_the_arm(punyo):
     base = np.eye(4)
     base[:3, :3], base[:3, 3] = [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], [-0.6, 0.1, 0.02]
-    arm = load_arm("gen3", punyo=punyo, base=base)
+    arm = Arm(punyo=punyo, base=base)
     chain = chain_of(arm)
     assert parse_probe_shape(json.loads(json.dumps(probe_table(chain))), "test") == chain
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))

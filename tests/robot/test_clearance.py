@@ -4,20 +4,20 @@ import mujoco
 import numpy as np
 import pytest
 
-from vsfsim.robot import clearance, gen3
-from vsfsim.robot.arm import load_arm
+from vsfsim.robot import gen3, reach
+from vsfsim.robot.arm import Arm
 
 
 @pytest.mark.parametrize("punyo", [False, True])
 def test_gaps_are_mujocos(punyo):
-    arm = load_arm(punyo=punyo)
+    arm = Arm(punyo=punyo)
     data = mujoco.MjData(arm.model)
     geom = {(c.link, i): arm.model.geom(f"{c.link}_{i}").id for link in arm.links for i,
             c in enumerate(c for c in arm.capsules if c.link == link)}
     ids = list(geom.values())
     q = np.random.default_rng(5).uniform(-2.0, 2.0, (6, 7))
-    gaps, pairs = clearance.self_gaps(arm, arm.postures(q))
-    table, moving = clearance.table_gaps(arm, arm.postures(q), 0.1)
+    gaps, pairs = reach.self_gaps(arm, arm.postures(q))
+    table, moving = reach.table_gaps(arm, arm.postures(q), 0.1)
     assert len(pairs) > 80
     for t in range(len(q)):
         data.qpos[:] = q[t]
@@ -33,6 +33,6 @@ def test_gaps_are_mujocos(punyo):
 
 
 def test_the_home_posture_is_free():
-    arm = load_arm(punyo=True)
+    arm = Arm(punyo=True)
     at = arm.postures(np.array([gen3.HOME]))
-    assert clearance.self_gaps(arm, at)[0].min() > 0.04 and clearance.table_gaps(arm, at, 0.0)[0].min() > 0.2
+    assert reach.self_gaps(arm, at)[0].min() > 0.04 and reach.table_gaps(arm, at, 0.0)[0].min() > 0.2

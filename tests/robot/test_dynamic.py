@@ -2,12 +2,13 @@
 
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
 from vsfsim.core.rotation import rotation_matrix
-from vsfsim.robot.arm import ArmError, load_arm
-from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, inertial_torque, series, simulate
+from vsfsim.robot.arm import Arm, ArmError
+from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, series, simulate
 from vsfsim.robot.joint_torque import body_torque
 from vsfsim.robot.mujoco_model import JointParameters
 from vsfsim.robot.reach import straight_touch
@@ -17,6 +18,17 @@ FRAMES = 21
 
 def rms(values):
     return np.sqrt((values**2).mean(axis=0))
+
+
+def inertial_torque(arm, motion):
+    """-M q'' - c (T, 7) [N m], without the armatures, which are on the motor's side of the sensors."""
+    data, out = mujoco.MjData(arm.model), np.empty_like(motion.q)
+    for t in range(len(out)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[t], motion.rate[t], motion.acceleration[t]
+        mujoco.mj_fwdPosition(arm.model, data)
+        mujoco.mj_fwdVelocity(arm.model, data)
+        mujoco.mj_rne(arm.model, data, 1, out[t])
+    return arm.gravity_torque(motion.q) - out
 
 
 def difference(arm, q, times, force, moment):
@@ -40,7 +52,7 @@ def smooth(n):
 @pytest.fixture(scope="module")
 def blind():
     """An arm whose sensors see no friction."""
-    return load_arm(joints=JointParameters(sensed_share=0.0))
+    return Arm(joints=JointParameters(sensed_share=0.0))
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +93,7 @@ def test_the_balance_of_torques_closes(blind, touch):
 
 def test_a_soft_arm_gives_way_by_torque_over_stiffness():
     """Held without friction against a force, every joint turns by J^T f over its stiffness."""
-    arm = load_arm(joints=JointParameters(coulomb=(0.0,) * 7))
+    arm = Arm(joints=JointParameters(coulomb=(0.0,) * 7))
     q = np.tile(np.array([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]), (3, 1))
     force, moment = np.zeros((2, 3, len(arm.shapes), 3))
     force[:, 15] = [5.0, -3.0, 2.0]
@@ -131,7 +143,7 @@ def at_stop(arm, joint, away):
 @pytest.mark.parametrize("joint", [1, 3, 5])
 def test_a_joint_at_its_stop_is_marked_and_one_at_the_margin_reads_the_contact(joint):
     """At a stop MuJoCo's constraint carries the load, and the sensor reads a part of J^T f, 0.054 of 0.502 N m once."""
-    arm = load_arm(joints=JointParameters(coulomb=(0.0,) * 7))
+    arm = Arm(joints=JointParameters(coulomb=(0.0,) * 7))
     motion, torque = at_stop(arm, joint, 1e-3)
     assert motion.stopped.all() and torque[-1, joint] > 0.3
     assert motion.torque[-1, joint] < 0.5 * torque[-1, joint], "or there is nothing to mark"

@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.robot import clearance
-from vsfsim.robot.arm import ArmError, load_arm
+from vsfsim.robot.arm import Arm, ArmError
 from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.inverse_kinematics import solve
 from vsfsim.robot.reach import Reason, Unreachable, follow, straight_touch
@@ -16,7 +16,7 @@ START, STOP = np.array([0.45, 0.05, 0.35]), np.array([0.57, -0.02, 0.30])
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_arm()
+    return Arm()
 
 
 def off(arm, q, start, stop, rotation):
@@ -30,7 +30,7 @@ def off(arm, q, start, stop, rotation):
 
 @pytest.mark.parametrize("punyo", [False, True])
 def test_the_whole_line_is_met(punyo):
-    arm = load_arm(punyo=punyo)
+    arm = Arm(punyo=punyo)
     home = arm.postures(np.array([HOME])).tool[0]  # there the dome looks down, along its way
     start, turn = (home[:3, 3], home[:3, :3]) if punyo else (START, FORWARD)
     stop = start + 0.1 * turn[:, 2] if punyo else STOP

@@ -1,18 +1,18 @@
-"""Rows of joint torques: against the Jacobians of the robot's own module, and of several touches at once."""
+"""Rows of joint torques: against MuJoCo's Jacobians."""
 
+import mujoco
 import numpy as np
 
 from vsfsim.bench.reached_points import reached
-from vsfsim.robot.arm import load_arm
-from vsfsim.robot.chain import chain_of
-from vsfsim.robot.joint_torque import body_torque, contact_rows
+from vsfsim.robot.arm import Arm, chain_of
+from vsfsim.robot.joint_torque import body_torque
 from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows
 
 
 def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
-    """SBML eq. 7 in two ways: rows times stiffness, and the Jacobians of the arm's own module on forces -K u; every
+    """SBML eq. 7 in two ways: rows times stiffness, and MuJoCo's Jacobians on forces -K u; every
     particle moves no more than the arm reaches."""
-    arm = load_arm("gen3")
+    arm = Arm()
     chain = chain_of(arm)
     rng = np.random.default_rng(1)
     q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
@@ -23,13 +23,14 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     w = arm_torque_rows(particles, chain, q, friction=0.4)
     found = arm_displacements(particles, chain, q, friction=0.4)
     assert len(found) > 2  # several links hold particles
-    expected = np.zeros((7, 7))
-    for link, moved in found:
-        for t in range(7):
-            index, u = moved.frame(t)
-            rows = contact_rows(arm, q[t:t + 1], np.full(len(index), link), (particles[index] + u)[None],
-                                (-stiffness[index, None] * u)[None])
-            expected[t] += rows[0].sum(axis=0)
+    expected, data, jacobian = np.zeros((7, 7)), mujoco.MjData(arm.model), np.zeros((3, 7))
+    for t in range(7):
+        data.qpos[:] = q[t]
+        mujoco.mj_forward(arm.model, data)
+        for link, moved in found:
+            for index, u in zip(*moved.frame(t)):
+                mujoco.mj_jac(arm.model, data, jacobian, None, particles[index] + u, arm.body_ids[link])
+                expected[t] -= stiffness[index] * u @ jacobian
     assert np.abs((w @ stiffness).reshape(7, 7) - expected).max() < 1e-9 * np.abs(expected).max()
     seen = [set(moved.frame(6)[0]) for _, moved in found]
     assert sum(map(len, seen)) == len(set().union(*seen))  # one holder a particle

@@ -7,7 +7,7 @@ import torch
 from measurements.palpation import layer_with_inclusion, palpate
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
-from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, predict_totals, save_field
+from vsfsim.vsf.fields.neural import Fitting, density, fit, predict_totals
 from vsfsim.vsf.fields.surface_touch import DenseTouch, dome, oriented_areas
 
 torch.set_num_threads(1)
@@ -61,22 +61,6 @@ def test_a_field_finds_the_rope(kind, settings, least):
     points, truth = probe(field)
     assert f1(np.ones(len(points)), truth) < 0.3
     assert f1(density(fit(kind, touches, BOUNDS, settings), points), truth) > least
-
-
-def test_a_saved_field_is_under_a_hundred_kilobytes_and_keeps_its_weights(tmp_path):
-    torch.manual_seed(0)
-    for model in (NerfField(BOUNDS, 1e8), GridField(BOUNDS, 1e8)):
-        with torch.no_grad():
-            for p in model.parameters():
-                p.add_(0.1 * torch.randn_like(p))
-        save_field(model, tmp_path / "field.npz")
-        if isinstance(model, NerfField):
-            assert (tmp_path / "field.npz").stat().st_size < 100_000
-        with np.load(tmp_path / "field.npz") as file:
-            assert str(file["kind"]) == model.kind and float(file["unit"]) == 1e8
-            for name, value in model.state_dict().items():
-                # Half precision: 5e-4 of every weight.
-                np.testing.assert_allclose(file[f"weight.{name}"], value.numpy(), rtol=5e-4, atol=1e-7)
 
 
 def test_the_same_seed_gives_the_same_field():

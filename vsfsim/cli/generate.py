@@ -36,7 +36,7 @@ app = typer.Typer()
 
 
 @app.command(cls=Sections)
-@asks("objects", "views", "touches", "seed", "tier", "device", "renderer", "arm", "accuracy", "workers")
+@asks("objects", "views", "touches", "seed", "tier", "device", "renderer", "accuracy", "workers")
 def generate(request: Request, scene: SceneName,
              out: Annotated[str | None, typer.Option(help="Folder of the dataset, or the address of an object store "
                                                           "(s3://...); default: where a task looks for it, "

@@ -126,9 +126,7 @@ Accuracy = Annotated[str | None, typer.Option("--accuracy", metavar="SHARE",
 ASKED: dict[str, Any] = {
     "seed": Seed, "tier": Tier, "device": Device, "objects": Objects, "views": Views, "touches": Touches,
     "workers": Workers, "limit": Limit, "accuracy": Accuracy,
-    "renderer": Annotated[str, typer.Option("--renderer", help="warp or pyrender.")],
-    "arm": Annotated[str | None, typer.Option("--arm", help="Arm of a scene with [arm]: gen3 or menagerie; default: "
-                                                            "the scene's.")]}
+    "renderer": Annotated[str, typer.Option("--renderer", help="warp or pyrender.")]}
 """The option of each field of `Request` that a command may have."""
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim methods`), or module:attribute.")]

@@ -9,7 +9,6 @@ from typing import Any
 
 from vsfsim.core.table import Table
 
-ARM_MODELS = ("gen3", "menagerie")
 ARM_MODES = ("kinematic", "dynamic")
 ARM_DRIVES = ("position", "impedance")
 AT_LIMIT = ("end", "return")
@@ -19,8 +18,6 @@ AT_LIMIT = ("end", "return")
 class ArmSpec:
     """``[arm]``: which arm touches, where it stands, and how its torques arise."""
 
-    model: str
-    """"gen3" or "menagerie"."""
     punyo: bool
     """Whether it carries a Punyo."""
     base: tuple[float, float, float]
@@ -52,7 +49,8 @@ def parse_arm(node: Any, path: Path) -> ArmSpec:
     """
     t = Table(node, f"{path} [arm]", ("model", "punyo", "base", "yaw", "mode", "drive", "clearance", "at_limit",
                                    "sweep", "reject_below"))
-    return ArmSpec(t.word("model", "gen3", ARM_MODELS), t.flag("punyo", False), t.vector("base", (-0.65, 0.0, 0.0)),
+    t.word("model", "gen3", ("gen3",))  # the one arm that there is
+    return ArmSpec(t.flag("punyo", False), t.vector("base", (-0.65, 0.0, 0.0)),
                    t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"), t.word("mode", "kinematic", ARM_MODES),
                    t.word("drive", "position", ARM_DRIVES),
                    t.number("clearance", 0.01, 0.0, 0.2, "m"), t.word("at_limit", "end", AT_LIMIT),

@@ -31,8 +31,8 @@ def splits_for(scene: Scene, objects: int) -> dict[str, int]:
 
 def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought: Mapping[str, Any] | None = None,
                 **options: Any) -> Recipe:
-    """What will be made of a request, with other values of some ``options``; None takes the scene's own number, or its
-    own arm. ``bought`` is what an accuracy has chosen, see `vsfsim.generate.trade.buy`.
+    """What will be made of a request, with other values of some ``options``; None takes the scene's own number.
+    ``bought`` is what an accuracy has chosen, see `vsfsim.generate.trade.buy`.
 
     Raises:
         SceneError: the scene has no ``[touches]``, a count is less than 1, or its effector refuses something.
@@ -42,9 +42,6 @@ def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought
         raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
                          f"its touches.")
     effector = effector_of(scene)
-    if asked.arm is not None and effector.table != "arm":
-        raise SceneError(f"{scene_file.path}: --arm is '{asked.arm}', but the scene has no [arm]; it is touched "
-                         f"by a [{effector.table}].")
     given = scene.dataset or DatasetSpec(1, 1, {})
     objects, views, touches = (own if number is None else number for own, number in (
         (given.objects, asked.objects), (given.views, asked.views), (scene.touches.count, asked.touches)))
@@ -56,7 +53,7 @@ def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought
         scene=scene_file.name, scene_text=scene_file.text, seed=asked.seed, objects=objects, views=views,
         touches=touches, splits=splits_for(scene, objects), device=asked.device.split(":")[0],
         tier=effector.check(scene, asked.tier), precision="float64", renderer=asked.renderer,
-        options={**({} if asked.arm is None else {"arm": asked.arm}), **(bought or {})},
+        options=dict(bought or {}),
         files=files_of(scene_file, scene.effector))
 
 

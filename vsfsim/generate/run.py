@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.arm_spec import ARM_MODELS
 from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.scene_tables.request import Request
@@ -88,11 +87,8 @@ def planned(scene: str | Path | SceneFile, out: str | Path | None = None, reques
     asked = (request or Request()).but(**options)
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
     check_device(asked.device)
-    choices: list[tuple[str, Any, tuple[str, ...]]] = [("--renderer", asked.renderer, RENDERERS),
-                                                       ("--arm", asked.arm, ARM_MODELS)]
-    for option, value, allowed in choices:
-        if value is not None and value not in allowed:
-            raise VsfsimError(f"{option} is '{value}'. {did_you_mean(value, allowed)}")
+    if asked.renderer not in RENDERERS:
+        raise VsfsimError(f"--renderer is '{asked.renderer}'. {did_you_mean(asked.renderer, RENDERERS)}")
     if asked.accuracy is not None:
         check_accuracy(asked.accuracy, asked.tier)
     recipe = make_recipe(loaded, asked)
@@ -135,8 +131,8 @@ def make(plan: Plan, *, share: Share | None = None) -> Made:
     """
     loaded, asked, recipe, folder = plan.loaded, plan.request, plan.recipe, plan.folder
     share, note = share or Share(), asked.note or (lambda _: None)
-    if share == Share() and isinstance(folder, Path) and (asked.device, asked.renderer, asked.arm,
-                                                          asked.accuracy) == ("cpu", "warp", None, None):
+    if share == Share() and isinstance(folder, Path) and (asked.device, asked.renderer,
+                                                          asked.accuracy) == ("cpu", "warp", None):
         found = taken(folder, plan.name, progress=asked.progress, note=asked.note)  # with other options: other bits
         if found is not None:
             return Made((), 0, found, {})

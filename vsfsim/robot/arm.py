@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vsfsim.core.chain import capsule_pose
+from vsfsim.core.chain import Chain, ChainCapsule, capsule_pose
 from vsfsim.core.errors import did_you_mean
 from vsfsim.core.shape import Capsule
 from vsfsim.core.system.exact import product
@@ -20,7 +20,6 @@ from vsfsim.robot.mujoco_model import ArmError, JointParameters, add_punyo, arm_
 if TYPE_CHECKING:
     import mujoco
 
-ARMS = ("gen3", "menagerie")
 TOOLS = ("flange", "punyo")
 _EYE = np.eye(4)
 
@@ -42,8 +41,14 @@ class Postures:
 class Arm:
     """A Kinova Gen3. Everything is in the world's frame, whose z is up.
 
+    Args:
+        punyo: whether it carries a Punyo.
+        tool: what `Postures.tool` follows, one of `TOOLS`; by default the Punyo, without one the flange.
+        base: pose of the base in the world (4, 4) [m], by default the origin.
+        joints: friction and inertia of the joints.
+
     Raises:
-        ArmError: the tool is unknown, or "punyo" without one; the base is not a pose; or the model is not a Gen3.
+        ArmError: the tool is unknown, or "punyo" without one; or the base is not a pose.
     """
 
     joints: JointParameters
@@ -81,8 +86,8 @@ class Arm:
     reach: float
     """Upper bound on the distance from joint 2 to the tool [m]."""
 
-    def __init__(self, spec: mujoco.MjSpec, *, joints: JointParameters | None = None, punyo: bool = False,
-                 tool: str | None = None, base: np.ndarray | None = None):
+    def __init__(self, *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None,
+                 joints: JointParameters | None = None):
         import mujoco
 
         self.joints = joints or JointParameters()
@@ -90,24 +95,22 @@ class Arm:
         if self.tool not in TOOLS:
             raise ArmError(f"unknown tool '{self.tool}'. {did_you_mean(self.tool, TOOLS)}")
         if self.tool == "punyo" and not punyo:
-            raise ArmError("the tool is 'punyo', but the arm carries none; load it with punyo=True, or use the "
+            raise ArmError("the tool is 'punyo', but the arm carries none; make it with punyo=True, or use the "
                            "tool 'flange'.")
+        spec = arm_model(self.joints)
         if punyo:
             add_punyo(spec)
         self.base = _checked_base(base)
         root = spec.body(gen3.LINKS[0].name)
-        if root is not None:  # otherwise the model is not a Gen3, which the search for its bodies reports
-            root.pos, root.quat = self.base[:3, 3], quaternion(self.base[:3, :3])
+        root.pos, root.quat = self.base[:3, 3], quaternion(self.base[:3, :3])
         self._mujoco, self.model = mujoco, spec.compile()
         self._data = mujoco.MjData(self.model)
         self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
-        self.body_ids = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
-        self._site = self._id(mujoco.mjtObj.mjOBJ_SITE, self.tool)
+        self.body_ids = np.array([self.model.body(name).id for name in self.links])
+        self._site = self.model.site(self.tool).id
         # views into MuJoCo's memory, as looking them up takes as long as the kinematics
         self._qpos, self._tool = self._data.qpos, (self._data.site_xpos[self._site],
                                                    self._data.site_xmat[self._site].reshape(3, 3))
-        if self.model.nq != gen3.JOINTS or self.model.nv != gen3.JOINTS:
-            raise ArmError(f"the model has {self.model.nq} joint coordinates; a Gen3 arm has {gen3.JOINTS}.")
         limited = self.model.jnt_limited.astype(bool)
         self.lower = np.where(limited, self.model.jnt_range[:, 0], -np.inf)
         self.upper = np.where(limited, self.model.jnt_range[:, 1], np.inf)
@@ -118,13 +121,6 @@ class Arm:
         self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
         self.capsule_offsets = np.stack([capsule_pose(np.array(c.start), np.array(c.stop)) for c in self.capsules])
         self.reach = self._reach()
-
-    def _id(self, kind: int, name: str) -> int:
-        number = self._mujoco.mj_name2id(self.model, kind, name)
-        if number < 0:
-            raise ArmError(f"the arm's model has no {'body' if kind == self._mujoco.mjtObj.mjOBJ_BODY else 'site'} "
-                           f"'{name}'; is it a Kinova Gen3?")
-        return number
 
     def _reach(self) -> float:
         """Longest distance from joint 2 to the tool that the link lengths allow [m]: an upper bound."""
@@ -197,28 +193,17 @@ class Arm:
         return q
 
 
-def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None,
-             joints: JointParameters | None = None) -> Arm:
-    """An arm by name.
-
-    Args:
-        name: "gen3", our own model, or "menagerie", MuJoCo Menagerie's with its meshes, which the package
-        `mujoco-menagerie` downloads.
-        punyo: whether the arm carries a Punyo.
-        tool: see `Arm`.
-        base: pose of the base in the world (4, 4) [m], by default the origin.
-        joints: friction and inertia of the joints.
-
-    Raises:
-        ArmError: the name is unknown, or Menagerie's model cannot be loaded.
-    """
-    if name == "gen3":
-        return Arm(arm_model(joints), joints=joints, punyo=punyo, tool=tool, base=base)
-    if name == "menagerie":
-        from vsfsim.robot.menagerie import menagerie_spec
-
-        return Arm(menagerie_spec(joints), joints=joints, punyo=punyo, tool=tool, base=base)
-    raise ArmError(f"unknown arm '{name}'. {did_you_mean(name, ARMS)}")
+def chain_of(arm: Arm) -> Chain:
+    """The arm as the kinematic chain that a dataset stores, with the links ``arm.links`` and the same kinematics."""
+    ids = arm.body_ids
+    base = arm.postures(np.zeros((1, gen3.JOINTS))).links[0, 0]
+    positions = [(0.0, 0.0, 0.0), *(tuple(map(float, arm.model.body_pos[i])) for i in ids[1:])]
+    quaternions = [(1.0, 0.0, 0.0, 0.0), *(tuple(map(float, arm.model.body_quat[i])) for i in ids[1:])]
+    joints = tuple(int(arm.model.body_jntadr[i]) if arm.model.body_jntnum[i] else -1 for i in ids)
+    capsules = tuple(ChainCapsule(int(link), c.start, c.stop, c.radius)
+                     for link, c in zip(arm.capsule_links, arm.capsules, strict=True))
+    return Chain(tuple(tuple(map(float, row)) for row in base[:3]), tuple(positions), tuple(quaternions), joints,
+                 capsules)
 
 
 def _checked_base(base: np.ndarray | None) -> np.ndarray:

@@ -150,21 +150,6 @@ def series(times: np.ndarray, force: np.ndarray, moment: np.ndarray) -> Contact:
     return contact
 
 
-def inertial_torque(arm: Arm, motion: Motion) -> np.ndarray:
-    """-M q'' - c (T, 7) [N m] without the armatures, which are on the motor's side of the sensors."""
-    import mujoco as mj
-
-    data = mj.MjData(arm.model)
-    out = np.empty_like(motion.q)
-    for t in range(len(out)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[t], motion.rate[t], motion.acceleration[t]
-        mj.mj_kinematics(arm.model, data)
-        mj.mj_comPos(arm.model, data)
-        mj.mj_comVel(arm.model, data)
-        mj.mj_rne(arm.model, data, 1, out[t])  # without the armatures, which MuJoCo adds elsewhere
-    return arm.gravity_torque(motion.q) - out
-
-
 class _Capsules:
     """The capsules during a simulation: their poses, and their forces on MuJoCo's bodies."""
 

@@ -1,4 +1,4 @@
-"""The arm as a MuJoCo model, built from the figures of `gen3`; the Punyo is a part that any Gen3 model can carry."""
+"""The arm as a MuJoCo model, built from the figures of `gen3`, and the Punyo that it can carry."""
 
 from __future__ import annotations
 
@@ -42,18 +42,12 @@ class JointParameters:
     assumption: the sensor sits behind the reducer, so it measures little of the friction, but a real Gen3 reads
     different wrenches in the two directions of motion (Kinova-kortex2_Gen3_G3L, issue 145)."""
 
-    def sensed_friction(self, rate: np.ndarray) -> np.ndarray:
-        """Friction torque (T, 7) [N m] that the sensors measure at joint rates (T, 7) [rad/s]; 0 at rest, where it may
-        take any value up to Coulomb's."""
-        return -self.sensed_share * (np.array(self.coulomb) * np.sign(rate) + np.array(self.viscous) * rate)
 
-
-def arm_model(joints: JointParameters | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
+def arm_model(joints: JointParameters) -> mujoco.MjSpec:
     """The bare arm: bodies, joints, capsules without contact of their own, the site ``flange``, and one motor a joint.
 
     Args:
-        joints: friction and inertia; `JointParameters()` by default.
-        timestep: of the dynamic mode [s]; the real arm's low-level loop runs at 1 kHz.
+        joints: friction and inertia.
     """
     import mujoco
 
@@ -71,15 +65,6 @@ def arm_model(joints: JointParameters | None = None, *, timestep: float = 1e-3) 
             if np.isfinite(link.joint_range).all():
                 joint.range = link.joint_range
         _add_capsules(body, [c for c in gen3.CAPSULES if c.link == link.name], rgba=[0.75, 0.75, 0.78, 1.0])
-    equip(spec, joints or JointParameters(), timestep=timestep)
-    return spec
-
-
-def equip(spec: mujoco.MjSpec, joints: JointParameters, *, timestep: float) -> None:
-    """Adds to the bodies and joints of a Gen3 the friction of the joints, the motors, the site ``flange`` and the
-    options."""
-    import mujoco
-
     for k in range(gen3.JOINTS):
         joint = spec.joint(f"joint_{k + 1}")
         joint.frictionloss, joint.armature = joints.coulomb[k], joints.armature[k]
@@ -90,7 +75,8 @@ def equip(spec: mujoco.MjSpec, joints: JointParameters, *, timestep: float) -> N
         motor.set_to_motor()
     spec.body(gen3.FLANGE_LINK).add_site(name="flange", pos=gen3.FLANGE_POSITION, quat=gen3.FLANGE_QUATERNION)
     spec.option.gravity = [0.0, 0.0, -gen3.GRAVITY]
-    spec.option.timestep = timestep
+    spec.option.timestep = 1e-3  # of the dynamic mode [s]: the real arm's low-level loop runs at 1 kHz
+    return spec
 
 
 def add_punyo(spec: mujoco.MjSpec) -> None:

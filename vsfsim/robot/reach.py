@@ -9,14 +9,15 @@ import numpy as np
 
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.core.system.exact import snapped
-from vsfsim.robot import clearance, gen3
-from vsfsim.robot.arm import Arm, ArmError
+from vsfsim.robot import gen3
+from vsfsim.robot.arm import Arm, ArmError, Postures
 from vsfsim.robot.inverse_kinematics import solve
 
 STRIDE, TURN = 0.005, 0.05  # longest step of the tool from one solution to the next [m], [rad]
 # A joint that moves further in one such step passes a singular posture [rad]; at 1 cm/s that is 0.5 rad/s, more than
 # half of what the arm can do.
 JUMP = 0.25
+ALLOWED_NEIGHBOURS = 1  # neighbouring links share a housing, so their capsules overlap by construction
 LINE_POSITION, LINE_ANGLE = 1e-5, 1e-4  # tolerance of every pose of the path [m], [rad]
 
 
@@ -149,14 +150,14 @@ def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float
              table_clearance: float) -> tuple[int, Reason, str] | None:
     """The first of the postures ``q`` (T, 7) in which the arm is too close to itself or to the table."""
     at, hits = arm.postures(q), []
-    gaps, pairs = clearance.self_gaps(arm, at)
+    gaps, pairs = self_gaps(arm, at)
     if (gaps < self_clearance).any():
         frame = int((gaps < self_clearance).any(axis=1).argmax())
         i, j = (arm.capsules[k].link for k in pairs[gaps[frame].argmin()])
         hits.append((frame, Reason.SELF_COLLISION,
                      f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {self_clearance:g} is wanted"))
     if table is not None:
-        gaps, moving = clearance.table_gaps(arm, at, table)
+        gaps, moving = table_gaps(arm, at, table)
         if (gaps < table_clearance).any():
             frame = int((gaps < table_clearance).any(axis=1).argmax())
             link = arm.capsules[moving[gaps[frame].argmin()]].link
@@ -221,3 +222,52 @@ def _verify(arm: Arm, q: np.ndarray, poses: np.ndarray) -> None:
     assert np.linalg.norm(tool[:, :3, 3] - poses[:, :3, 3], axis=1).max() <= LINE_POSITION
     # |R - R'| in the Frobenius norm is sqrt(2) times a small angle
     assert np.linalg.norm(tool[:, :3, :3] - poses[:, :3, :3], axis=(1, 2)).max() <= np.sqrt(2.0) * LINE_ANGLE
+
+
+
+def segment_distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Distance (...) [m] between the segments a-b and c-d, end points (..., 3) [m] (Ericson, Real-Time Collision
+    Detection, 5.1.9)."""
+    along, across, r = b - a, d - c, a - c
+    aa, ee = _dot(along, along), _dot(across, across)
+    f, g, h = _dot(across, r), _dot(along, r), _dot(along, across)
+    det = aa * ee - h * h
+    parallel = det <= 1e-12 * aa * ee
+    s = np.where(parallel, 0.0, np.clip((h * f - g * ee) / np.where(parallel, 1.0, det), 0.0, 1.0))
+    t = np.clip((h * s + f) / ee, 0.0, 1.0)
+    s = np.clip((h * t - g) / aa, 0.0, 1.0)
+    # the second clamp may move the first point once more; after one further pass the result is exact
+    t = np.clip((h * s + f) / ee, 0.0, 1.0)
+    return np.linalg.norm(r + s[..., None] * along - t[..., None] * across, axis=-1)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("...i,...i->...", a, b)
+
+
+def ends(arm: Arm, at: Postures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends of the capsules' axes, two arrays (T, K, 3) [m], and their radii (K,) [m]."""
+    poses = arm.capsule_poses(at)
+    half = np.array([s.length for s in arm.shapes])[None, :, None] / 2 * poses[..., :3, 2]
+    return poses[..., :3, 3] - half, poses[..., :3, 3] + half, np.array([s.radius for s in arm.shapes])
+
+
+def self_gaps(arm: Arm, at: Postures) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps (T, P) [m] of all pairs of capsules whose links are not neighbours, negative where they overlap, and the
+    pairs (P, 2)."""
+    first, last, radii = ends(arm, at)
+    # the Punyo is fixed to the bracelet, so it has the bracelet's neighbours
+    place = np.minimum(arm.capsule_links, arm.links.index("bracelet_link"))
+    pairs = np.argwhere(np.triu(np.abs(place[:, None] - place[None, :]) > ALLOWED_NEIGHBOURS))
+    i, j = pairs.T
+    return segment_distance(first[:, i], last[:, i], first[:, j], last[:, j]) - radii[i] - radii[j], pairs
+
+
+def table_gaps(arm: Arm, at: Postures, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps (T, M) [m] of the capsules of the moving links from the table at ``height`` [m], and their numbers (M,).
+
+    The base stands on the table, and the shoulder turns above it.
+    """
+    first, last, radii = ends(arm, at)
+    moving = np.flatnonzero(arm.capsule_links >= arm.links.index("half_arm_1_link"))
+    return np.minimum(first[:, moving, 2], last[:, moving, 2]) - radii[moving] - height, moving

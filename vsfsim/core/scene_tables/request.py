@@ -35,8 +35,6 @@ class Request:
     """Touches of each view."""
     renderer: str = "warp"
     """Renderer of the pictures, "warp" or "pyrender"."""
-    arm: str | None = None
-    """Model of the arm, of a scene with ``[arm]``."""
     accuracy: float | None = None
     """Largest error of the force over its largest value in a touch [-], for which a pilot chooses tier and element
     size, and by which some touches are audited."""

@@ -14,8 +14,8 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import TouchSpec
 from vsfsim.core.system.exact import length, snapped
-from vsfsim.robot import clearance
-from vsfsim.robot.arm import Arm, load_arm
+from vsfsim.robot import reach
+from vsfsim.robot.arm import Arm
 from vsfsim.robot.reach import Unreachable, straight_touch
 
 # targets that are tried for one touch: an arm that reaches a sixtieth of the points misses all with probability 5e-8
@@ -88,7 +88,7 @@ def load(spec: ArmSpec) -> Arm:
     c, s = np.cos(spec.yaw), np.sin(spec.yaw)
     base[:3, :3] = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
     base[:3, 3] = spec.base
-    return load_arm(spec.model, punyo=spec.punyo, base=base)
+    return Arm(punyo=spec.punyo, base=base)
 
 
 def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
@@ -136,7 +136,7 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         except Unreachable as error:
             refused[error.reason.value] += 1
             continue
-        first, last, radii = clearance.ends(arm, arm.postures(line[:1]))
+        first, last, radii = reach.ends(arm, arm.postures(line[:1]))
         if plant_gap(plant, first[0], last[0], radii) < spec.clearance:
             refused[PLANT] += 1
             continue
@@ -163,7 +163,7 @@ def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarr
     """
     a, b = plant.nodes[plant.parent[1:]], plant.nodes[1:]
     thick = np.maximum(plant.radius, plant.half_width)[1:]
-    gaps = clearance.segment_distance(first[:, None], last[:, None], a[None], b[None]) - radii[:, None] - thick[None]
+    gaps = reach.segment_distance(first[:, None], last[:, None], a[None], b[None]) - radii[:, None] - thick[None]
     return float(gaps.min())
 
 
@@ -171,11 +171,11 @@ def pot_gap(plant: Plant, arm: Arm, q: np.ndarray) -> float:
     """Least gap [m] between the moving capsules and the pot, at postures ``q`` (T, 7) [rad]. The pot counts as a
     capsule of its top radius."""
     assert plant.pot is not None
-    first, last, radii = clearance.ends(arm, arm.postures(q))
+    first, last, radii = reach.ends(arm, arm.postures(q))
     moving = arm.capsule_links >= arm.links.index("half_arm_1_link")
     r = plant.pot.radius_top
     low, high = np.array([0.0, 0.0, 0.0]), np.array([0.0, 0.0, max(plant.pot.height - r, 1e-3)])
-    return float((clearance.segment_distance(first[:, moving], last[:, moving], low, high) - radii[moving] - r).min())
+    return float((reach.segment_distance(first[:, moving], last[:, moving], low, high) - radii[moving] - r).min())
 
 
 def _turned(way: np.ndarray, yaw: float, pitch: float) -> np.ndarray:

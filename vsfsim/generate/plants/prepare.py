@@ -61,7 +61,7 @@ class Outline:
     job: Job
     """The view to make."""
     scene: Scene
-    """The scene of its object, with the arm that the recipe asks for."""
+    """The scene of its object."""
     plant: Plant
     """The plant as this view turns it."""
     model: RodModel
@@ -73,8 +73,6 @@ class Outline:
 def outline(job: Job) -> Outline:
     """The plant of a job, turned for its view."""
     r, scene = job.recipe, job.scene()
-    if "arm" in r.options:
-        scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.required_arm, model=r.options["arm"]))
     found = admitted(job, scene)
     plant = _snapped(found.plant.turned(2.0 * np.pi * job.view_index / r.views))
     return Outline(job, scene, plant, beams(plant, scene), found.notes)

@@ -17,8 +17,7 @@ from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import audit, verdict
 from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
 from vsfsim.physics.solve.frames import Reason
-from vsfsim.robot.arm import Arm, Postures
-from vsfsim.robot.chain import chain_of
+from vsfsim.robot.arm import Arm, Postures, chain_of
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
 from vsfsim.robot.joint_torque import body_torque
 from vsfsim.robot.path import times

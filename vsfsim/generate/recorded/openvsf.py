@@ -38,8 +38,7 @@ from vsfsim.generate.aim import cloud_normals
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.physics.mesh.formats import parse
 from vsfsim.robot import gen3
-from vsfsim.robot.arm import Arm, load_arm
-from vsfsim.robot.chain import chain_of
+from vsfsim.robot.arm import Arm, chain_of
 
 CLOUD, BOX, WORLD, ABOUT = "bg_pcd.pcd", "rgbd_factory_config.yaml", "openvsf.yaml", "manifest.json"
 SPLIT = "recorded"
@@ -154,7 +153,7 @@ def _view(number: int, place: Path, sequences: list[Path], kind: str, options: O
     shown = _picture(place, options)
     tare = TARE[kind] if options.tare is None else options.tare
     bubble = _Bubble.of(place, options) if kind == "pressure" else None
-    arm = load_arm(punyo=bubble is not None, tool=None if bubble is None else "flange")
+    arm = Arm(punyo=bubble is not None, tool=None if bubble is None else "flange")
     cloud, eye = shown.points(), shown.camera_pose[:3, 3]
     touches = []
     for sequence in sequences:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -40,7 +39,6 @@ class NerfField(nn.Module):
 
     def __init__(self, bounds: np.ndarray, unit: float, *, width: int = 64, octaves: int = 6):
         super().__init__()
-        self.kind, self.settings = "nerf", {"width": width, "octaves": octaves}
         self.register_buffer("bounds", torch.as_tensor(np.asarray(bounds), dtype=torch.float32))
         self.unit, self.octaves = float(unit), octaves
         size = 3 + 6 * octaves
@@ -74,7 +72,6 @@ class GridField(nn.Module):
 
     def __init__(self, bounds: np.ndarray, unit: float, *, cell: float | None = None, levels: int = 4):
         super().__init__()
-        self.kind, self.settings = "grid", {"cell": cell, "levels": levels}
         edges = np.asarray(bounds[1], float) - np.asarray(bounds[0], float)
         cell = float(edges.max()) / 24.0 if cell is None else cell
         self.register_buffer("bounds", torch.as_tensor(np.asarray(bounds), dtype=torch.float32))
@@ -202,16 +199,6 @@ def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
     device = model.bounds.device
     parts = torch.tensor(np.asarray(points), dtype=torch.float32, device=device).split(200_000)
     return np.concatenate([np.zeros(0), *((model(part).double() * model.unit).cpu().numpy() for part in parts)])
-
-
-def save_field(model: nn.Module, path: str | Path) -> None:
-    """Write a field as .npz, its weights in half precision (a relative 5e-4 of each): a `NerfField` takes under 100
-    kB."""
-    arrays = {f"weight.{name}": value.cpu().numpy().astype(np.float32 if name == "bounds" else np.float16)
-              for name, value in model.state_dict().items()}
-    with open(path, "wb") as file:
-        np.savez_compressed(file, kind=model.kind, unit=model.unit,
-                            **{f"set.{k}": v for k, v in model.settings.items() if v is not None}, **arrays)
 
 
 class _Replayed:
