@@ -1,10 +1,9 @@
-"""Reads the documentation of a dataclass's fields from its source: the string literal below each field."""
+"""Reads the documentation of a dataclass's fields from its source: the string literal below each field, or what its
+row of the schema says (`vsfsim.data.records.Row`)."""
 
 from __future__ import annotations
 
 import ast
-import inspect
-import textwrap
 from typing import NamedTuple
 
 
@@ -16,7 +15,7 @@ class Field(NamedTuple):
     kind: str
     """Its annotation, as source text."""
     doc: str
-    """The string literal below it on one line; empty if there is none."""
+    """The string literal below it on one line, or sentence, shape and unit of its row; empty if there is neither."""
 
 
 def fields_of(node: ast.ClassDef) -> list[Field]:
@@ -27,14 +26,11 @@ def fields_of(node: ast.ClassDef) -> list[Field]:
             continue
         literal = (following.value.value if isinstance(following, ast.Expr)
                    and isinstance(following.value, ast.Constant) else None)
+        rows = [call for call in ast.walk(statement.annotation) if isinstance(call, ast.Call)]
+        if rows:
+            _, dims, unit, sentence = (ast.literal_eval(value) for value in rows[0].args)
+            literal = f"{sentence} ({', '.join(dims.split())},) [{unit}]"
         if not statement.target.id.startswith("_"):
             out.append(Field(statement.target.id, ast.unparse(statement.annotation),
                              " ".join(literal.split()) if isinstance(literal, str) else ""))
     return out
-
-
-def docs_of(record: type) -> dict[str, str]:
-    """The documentation of each field of a class, by the field's name."""
-    [node] = ast.parse(textwrap.dedent(inspect.getsource(record))).body
-    assert isinstance(node, ast.ClassDef)
-    return {field.name: field.doc for field in fields_of(node)}

@@ -1,23 +1,19 @@
-"""The schema table, the records and the files say the same thing, units and all."""
+"""The schema, the files and the docs page say the same thing, units and all."""
 
-import dataclasses
 import json
 import re
 from pathlib import Path
 
 import h5py
 import numpy as np
-import pytest
-from field_docs import docs_of
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.data import records
 from vsfsim.data.hdf5 import write_view
 from vsfsim.data.manifest import make_manifest
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.schema import FIELDS, MANIFEST_KEYS, TEXT, fields_of, schema_markdown
+from vsfsim.data.schema import ATTRIBUTES, FIELDS, TEXT, schema_tables
 
-UNITLESS = {"1"}
+PAGE = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text()
 
 
 def test_every_field_has_dims_and_a_unit_from_the_si_list():
@@ -53,54 +49,19 @@ def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
         f"touches/*/audit/{name}" for name in ("min_det_f", "contact_points", "contact_radius")}
 
 
-@pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),
-                                               (records.Truth, "truth")])
-def test_records_and_schema_have_the_same_fields(record, group):
-    names = {f.name.split("/")[0] for f in fields_of(group)}
-    tables = {"channels"} if record is records.Touch else set()  # rows of sensors without a field of their own
-    assert {f.name for f in dataclasses.fields(record)} == names | tables
-
-
-@pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),
-                                               (records.Truth, "truth")])
-def test_records_document_shape_and_unit_of_each_field(record, group):
-    docs = docs_of(record)
-    for field in fields_of(group):
-        name, _, column = field.name.partition("/")
-        text = docs[name]
-        assert text, f"{record.__name__}.{name} is not documented"
-        if column:
-            entry = re.search(rf"{column} = [^;]*", text)
-            assert entry, field.path
-            text = entry[0]
-        if column or field.unit not in UNITLESS:
-            assert f"[{'-' if field.unit == '1' else field.unit}]" in text, f"{field.path}: {text}"
-        if field.dims and field.dtype != TEXT and not column:
-            shape = f"({', '.join(field.dims)}{',' if len(field.dims) == 1 else ''})"
-            assert shape in text, f"{field.path}: {text}"
-
-
-def test_docs_page_lists_every_field():
-    page = schema_markdown()
+def test_the_docs_page_ends_with_the_tables_of_all_fields():
+    tables = schema_tables()
     for field in FIELDS:
-        assert f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} |" in page
+        assert f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} |" in tables
+    # a | in a sentence would cut its row in two
+    assert {line.count("|") for line in tables.splitlines() if line.startswith("| `")} == {7}
+    command = "python -c 'from vsfsim.data.schema import schema_tables; print(schema_tables(), end=\"\")'"
+    assert PAGE.endswith(tables), f"put what this prints at the end of docs/dataset.md: {command}"
 
 
-def test_the_docs_page_in_the_repository_is_up_to_date():
-    page = Path(__file__).parents[2] / "docs" / "dataset.md"
-    renew = ("python -c 'from vsfsim.data.schema import schema_markdown; print(schema_markdown(), end=\"\")' > "
-             "docs/dataset.md")
-    assert page.read_text() == schema_markdown(), f"renew it: {renew}"
-
-
-def test_docs_page_lists_every_key_of_the_manifest():
+def test_docs_page_lists_every_attribute_and_every_key_of_the_manifest():
     recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1},
                     device="cpu", tier="vsf",
                     precision="float64", renderer="warp", options={"accuracy": {"asked": 0.05, "expected": 0.02}})
-    assert set(json.loads(make_manifest(recipe, {}, (), {"a": "why"}))) == set(MANIFEST_KEYS)
-
-
-def test_docs_page_tables_have_whole_rows():
-    """A | in a sentence would cut its row in two."""
-    rows = [line for line in schema_markdown().splitlines() if line.startswith("| `")]
-    assert {line.count("|") for line in rows} == {3, 4, 7}
+    listed = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
+    assert listed == [*json.loads(make_manifest(recipe, {}, (), {"a": "why"})), *ATTRIBUTES]

@@ -108,5 +108,6 @@ def _truth(points: np.ndarray, spring: np.ndarray) -> Truth:
     near = np.linalg.norm(points[None, :, :2] - spots[:, None, :2], axis=2) < 0.006
     normals = np.tile([0.0, 0.0, 1.0], (len(spots), 1))
     region = (points[:, 0] > 0).astype(np.int64)
-    return Truth(points, spring / SPACING, region, ("soft", "stiff"), spots, normals, near @ spring, points, spring,
-                 np.ones(len(points), bool))
+    return Truth(points=points, young_modulus=spring / SPACING, region=region, region_names=("soft", "stiff"),
+                 probe_points=spots, probe_normals=normals, probe_stiffness=near @ spring, vsf_points=points,
+                 vsf_stiffness=spring, vsf_touched=np.ones(len(points), bool))

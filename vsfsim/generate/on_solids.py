@@ -66,5 +66,6 @@ class OnSolids(Retouching):
                              f"{1e6 * volume[inside].sum():8.1f} cm^3")
         lines.extend(f"note: {sentence}" for sentence in solid.notes)
         surface = surface_of(solid, scene)
-        truth = Truth(surface.vertices[solid.tets].mean(axis=1), mean, np.asarray(solid.region), solid.region_names)
+        truth = Truth(points=surface.vertices[solid.tets].mean(axis=1), young_modulus=mean,
+                      region=np.asarray(solid.region), region_names=solid.region_names)
         return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), truth)

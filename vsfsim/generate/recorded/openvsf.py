@@ -16,7 +16,6 @@ Source: github uiuc-iml/openvsf @29d70e9 (multi_modal_dataset.py, joint_torque_s
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -342,7 +341,6 @@ def _yaml(path: Path) -> dict[str, Any]:
 
 
 def _nothing_known(sequences: int, name: str) -> Truth:
-    none = np.zeros(0)
-    return dataclasses.replace(Truth(np.zeros((0, 3)), none, none.astype(np.int64), ()),
-                               notes=(f"{name} is a real object, recorded in {sequences} sequences; nothing of its "
-                                      f"stiffness is known.",))
+    note = f"{name} is a real object, recorded in {sequences} sequences; nothing of its stiffness is known."
+    return Truth(points=np.zeros((0, 3)), young_modulus=np.zeros(0), region=np.zeros(0, np.int64), region_names=(),
+                 notes=(note,))
