@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
-from vsfsim.robot import clearance
+from vsfsim.robot import reach
 from vsfsim.robot.arm import Arm, ArmError
 from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.inverse_kinematics import solve
@@ -45,7 +45,7 @@ def test_the_whole_line_is_met(punyo):
     assert np.abs(np.diff(q, axis=0)).max() < 0.05
     assert (q >= arm.least).all() and (q <= arm.most).all()
     at = arm.postures(q)
-    assert clearance.self_gaps(arm, at)[0].min() >= 0.005 and clearance.table_gaps(arm, at, 0.0)[0].min() >= 0.005
+    assert reach.self_gaps(arm, at)[0].min() >= 0.005 and reach.table_gaps(arm, at, 0.0)[0].min() >= 0.005
     assert np.array_equal(q, straight_touch(arm, start, stop, turn, frames=60)), "the same bits again"
 
 
