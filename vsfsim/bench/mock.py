@@ -38,17 +38,16 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     points = particles()
-    spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 300.0,
-                                                          60.0) * rng.uniform(0.8, 1.2, len(points))
+    spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 300.0, 60.0)
+    spring = spring * rng.uniform(0.8, 1.2, len(points))
     made = tuple(_touch(points, spring, rng, miss=k == touches - 1) for k in range(touches))
-    shown = camera_view(dark, colours)
-    return ObjectView(f"mock-{index:04d}-v0", index, 0, split, BALL, shown, made, _truth(points, spring))
+    return ObjectView(f"mock-{index:04d}-v0", index, 0, split, BALL, camera_view(dark, colours), made,
+                      _truth(points, spring))
 
 
 def particles() -> np.ndarray:
     """The block's particles (n, 3) [m], world."""
-    half = 0.5 * SPACING
-    axes = [np.arange(low + half, high, SPACING)
+    axes = [np.arange(low + 0.5 * SPACING, high, SPACING)
             for low, high in ((-BLOCK[0] / 2, BLOCK[0] / 2), (-BLOCK[1] / 2, BLOCK[1] / 2), (0.0, BLOCK[2]))]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -64,9 +63,7 @@ def displacement(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def camera_view(dark: int = 0, colours: np.ndarray | None = None) -> View:
     """The block from straight above, 0.4 m over its base, 64 x 64 pixels; ``dark`` and ``colours`` as of
     `mock_view`."""
-    size, focal, height = 64, 300.0, 0.4
-    centre = (size - 1) / 2
-    depth = height - BLOCK[2]
+    size, focal, height, centre, depth = 64, 300.0, 0.4, 31.5, 0.4 - BLOCK[2]
     u = (np.arange(size) - centre) / focal * depth
     mask = (np.abs(u)[:, None] <= BLOCK[1] / 2) & (np.abs(u)[None, :] <= BLOCK[0] / 2)
     rgb = np.where(mask[..., None], np.array([150, 120, 90], np.uint8), np.uint8(0)).astype(np.uint8)
@@ -85,20 +82,16 @@ def _touch(points: np.ndarray, spring: np.ndarray, rng: np.random.Generator, *, 
     travel = np.concatenate([np.linspace(-_CLEARANCE, -_CLEARANCE / 2, _FREE), np.linspace(0.0, _DEPTH, _IN),
                              np.full(_HOLD, _DEPTH), np.linspace(_DEPTH, -_CLEARANCE / 2, _OUT + 1)[1:]])
     centres = target + np.array([0, 0, BALL.radius]) + travel[:, None] * axis
-    pose = np.tile(np.eye(4), (len(travel), 1, 1))
+    frames = len(travel)
+    pose, zero, none = np.tile(np.eye(4), (frames, 1, 1)), np.zeros(frames), np.zeros(frames, np.int64)
     pose[:, :3, 3] = centres
     pushed = np.stack([displacement(points, centre) for centre in centres])
     force = -np.einsum("n,tnk->tk", spring, pushed)
-    frames = len(travel)
     energy = 0.5 * np.einsum("n,tnk,tnk->t", spring, pushed, pushed)
-    audit = {"force_balance": np.zeros(frames), "min_det_f": np.ones(frames), "energy": energy,
-             "penetration": np.zeros(frames), "contact_points": np.zeros(frames, np.int64),
-             "contact_radius": np.zeros(frames)}
-    return Touch(time=0.1 * np.arange(frames), mount_pose=pose, axis=axis, target=target, normal=-axis, force=force,
-                 reaction=force,
-                 converged=np.ones(frames, bool), residual=np.zeros(frames), iterations=np.ones(frames, np.int64),
-                 touched=bool(np.any(pushed)),
-                 reason=np.zeros(frames, np.int64), reason_names=(), audit=audit)
+    audit = {"force_balance": zero, "min_det_f": zero + 1.0, "energy": energy, "penetration": zero,
+             "contact_points": none, "contact_radius": zero}
+    return Touch(0.1 * np.arange(frames), pose, axis, target, -axis, force, force, zero == 0.0, zero, none + 1,
+                 bool(np.any(pushed)), none, audit=audit)
 
 
 def _truth(points: np.ndarray, spring: np.ndarray) -> Truth:
@@ -106,8 +99,7 @@ def _truth(points: np.ndarray, spring: np.ndarray) -> Truth:
     spots = np.stack([*np.meshgrid(x, x, indexing="ij"), np.full((6, 6), BLOCK[2])], axis=-1).reshape(-1, 3)
     # The spring constant of the column under a spot represents the stiffness that a small cone would measure there.
     near = np.linalg.norm(points[None, :, :2] - spots[:, None, :2], axis=2) < 0.006
-    normals = np.tile([0.0, 0.0, 1.0], (len(spots), 1))
-    region = (points[:, 0] > 0).astype(np.int64)
-    return Truth(points=points, young_modulus=spring / SPACING, region=region, region_names=("soft", "stiff"),
-                 probe_points=spots, probe_normals=normals, probe_stiffness=near @ spring, vsf_points=points,
-                 vsf_stiffness=spring, vsf_touched=np.ones(len(points), bool))
+    return Truth(points=points, young_modulus=spring / SPACING, region=(points[:, 0] > 0).astype(np.int64),
+                 region_names=("soft", "stiff"), probe_points=spots, probe_stiffness=near @ spring,
+                 probe_normals=np.tile([0.0, 0.0, 1.0], (len(spots), 1)),
+                 vsf_points=points, vsf_stiffness=spring, vsf_touched=np.ones(len(points), bool))
