@@ -148,11 +148,10 @@ def result(name: str) -> str:
     return study(what.removesuffix("-standard"), "standard" if what.endswith("-standard") else "mini")
 
 
-def measurement(name: str, tables: int, module: str = "", **settings: Any) -> str:
-    """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes; ``module`` of
-    measurements/ is by default that of the name."""
+def measurement(name: str, tables: int, **settings: Any) -> str:
+    """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes."""
     sys.path.insert(0, str(ROOT))
-    found = importlib.import_module(f"measurements.{module or name}").measure(progress=print, **settings)
+    found = importlib.import_module(f"measurements.{MODULES.get(name, name)}").measure(progress=print, **settings)
     words = name + (f" --tier {settings['tier']}" if "tier" in settings else "")
     return with_notes(found, words, found.tables[:tables])
 
@@ -169,9 +168,8 @@ def recorded(name: str, files: list[Path]) -> str:
     records = [json.loads(file.read_text()) for file in files]
     if name.startswith("tradeoff-"):
         return tradeoff_table(name.removeprefix("tradeoff-"), MEASURED[name].keywords, records[0])
-    module = importlib.import_module(f"measurements.{MODULES[name]}")
-    more = [records[-1]["split"]] if "split" in records[-1] else []  # the second table of a ranking
-    found = module.found_of([row for record in records for row in record[name]], records[0]["settings"], *more)
+    module = importlib.import_module(f"measurements.{MODULES.get(name, name)}")
+    found = module.found_of([row for record in records for row in record[name]], records[0]["settings"])
     of = {key: records[-1][key] for key in ("machine", "version", "commit", "date")}
     tier = records[0]["settings"].get("tier")
     return with_notes(dataclasses.replace(found, **of), name + (f" --tier {tier}" if tier else ""), list(found.tables))
@@ -235,20 +233,16 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
 
 MEASURED: dict[str, partial[str]] = {
     **{name: partial(result, name) for name in included()},
-    "plant-ceilings": partial(kept, "plant-ceilings", "artificial_plants.ceilings"),
+    "plant-ceilings": partial(kept, "plant-ceilings", "plant_ceilings"),
     "solver": partial(measurement, "solver", 2),
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
-    "compile": partial(measurement, "compile", 1, module="datasets.compiling"),
-    "peers": partial(measurement, "peers", 1, module="indent", tier="fem-coarse", folder=ROOT / "peers",
+    "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None),
-    "promise": partial(measurement, "promise", 1, module="trade.promise", out=ROOT / "promise",
-                       workers=os.cpu_count() or 1),
-    "ranking": partial(measurement, "ranking", 1, module="trade.ranking", objects=8, touches=12, out=ROOT / "ranking",
-                       workers=os.cpu_count() or 1)}
+    "promise": partial(measurement, "promise", 1, out=ROOT / "promise", workers=os.cpu_count() or 1)}
 """Table by name of its file."""
-MODULES = {"promise": "trade.promise", "ranking": "trade.ranking", "peers": "indent"}
-"""Of measurements/, by the name of a table that is made of records: `found_of` makes the measurement of its rows."""
+MODULES = {"peers": "indent"}
+"""Of measurements/, where its name is not that of the table."""
 
 
 def readme(text: str) -> str:

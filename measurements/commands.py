@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from vsfsim.cli.console import report, step
-from vsfsim.cli.options import Device, JsonFile, check_choice
+from vsfsim.cli.options import JsonFile, check_choice, seconds_of, share_of
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -20,14 +20,7 @@ def _report(measurement: Any, out: Path | None) -> None:
 
 
 @app.command()
-def solver(device: Device = "cpu",
-           tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
-           touches: Annotated[int | None, typer.Option(min=1,
-                                                       help="Touches of a batch; default: 4 on a CPU, 256 (linear: "
-                                                            "4096) on a GPU.")] = None,
-           compare: Annotated[bool,
-                              typer.Option(help="On a GPU: run a few touches on the CPU as well and compare "
-                                                "the forces.")] = True,
+def solver(tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
            without: Annotated[list[str] | None,
                               typer.Option(help="Press the gate's cells with and without this mechanism; given again: "
                                                 "without all of them.")] = None,
@@ -38,8 +31,8 @@ def solver(device: Device = "cpu",
                            typer.Option(help="Press this cell of the gate alone, small for eight quick ones, or all "
                                              "for 40; may be given again.")] = None,
            out: JsonFile = None) -> None:
-    """Force error, iterations, back-solve and assembly times of every tier, and touches a second of a batch;
-    or what every mechanism of the solver buys on 40 fixed presses."""
+    """Force error, iterations and CPU time of every tier; or what every mechanism of the solver buys on 40 fixed
+    presses."""
     if without or cell or against is not None:
         from measurements.gate.compare import measure as measure_gate
 
@@ -49,31 +42,7 @@ def solver(device: Device = "cpu",
 
     for name in tier or []:
         check_choice("--tier", name, TIERS)
-    _report(measure(device=device, tier=tuple(tier) if tier else None, touches=touches, compare=compare, progress=step),
-            out)
-
-
-@app.command()
-def methods(paper: Annotated[bool,
-                             typer.Option("--paper",
-                                          help="The paper's size: 20,000 particles, 60 touches, 900 frames.")] = False,
-            particles: Annotated[int | None, typer.Option(min=1,
-                                                          help="Particles of the model, about; default 2,000.")] = None,
-            touches: Annotated[int | None, typer.Option(min=1,
-                                                        help="Touches of a dome of 217 vertices; default 100.")] = None,
-            frames: Annotated[int | None, typer.Option(min=2, help="Frames of a touch; default 20.")] = None,
-            literal: Annotated[bool,
-                               typer.Option(help="Also run each estimator's literal dense form; it takes most "
-                                                 "of the time.")] = True,
-            device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu",
-            out: JsonFile = None) -> None:
-    """Time and memory of every estimator beside its literal dense form, at equal answers."""
-    from measurements import estimators
-    from measurements.workload import Workload
-
-    sizes = estimators.PAPER if paper else estimators.MINI
-    load = Workload.of(*(one or default for one, default in zip((particles, touches, frames), sizes)))
-    _report(estimators.measure(load, literal=literal, device=device, progress=step), out)
+    _report(measure(tier or TIERS, progress=step), out)
 
 
 @app.command()
@@ -87,3 +56,88 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Presses, the first one
     from measurements.trust import measure
 
     _report(measure(cells, seed, limit=limit, workers=workers or os.cpu_count() or 1, progress=step), out)
+
+
+@app.command()
+def faults(kills: Annotated[int, typer.Option(min=1, help="At random moments, of a run and of a worker.")] = 3,
+           seed: Annotated[int, typer.Option(help="Of the moments.")] = 0, json: JsonFile = None) -> None:
+    """Faults that making a dataset survives: kills, SIGTERM, a full disk, a read-only place, two writers, the clock.
+
+    Exit code 2 if one is not survived.
+    """
+    from measurements.faults import measure, text
+
+    rows = measure(kills=kills, seed=seed, progress=step)
+    report(text(rows), rows, json)
+    raise typer.Exit(0 if all(row["survived"] for row in rows) else 2)
+
+
+@app.command(name="plant-ceilings")
+def plant_ceilings(scene: Annotated[str, typer.Option(help="Scene of plants, with [arm].")] = "plants-v4-mini",
+                   objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
+                   first: Annotated[int, typer.Option(min=0, help="Number of the first plant.")] = 0,
+                   touches: Annotated[int, typer.Option(min=26, help="Touches of each plant; the last 15 are "
+                                                                     "predicted.")] = 26,
+                   jitter: Annotated[list[float] | None, typer.Option(min=0.0, help="RMS displacement of the skeleton "
+                                                                                    "[m]; may be given again. Default: "
+                                                                                    "0, 0.002 and 0.005.")] = None,
+                   shots: Annotated[list[int] | None, typer.Option(min=1, help="Touches that the moduli are fitted to; "
+                                                                               "may be given again. Default: 5 and 10.")
+                                    ] = None,
+                   seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0,
+                   out: Annotated[Path | None, typer.Option(help="Keeps each row, from which a later run goes on; rows "
+                                                                 "of other plants that it has are printed, too.")
+                                  ] = None,
+                   json: JsonFile = None) -> None:
+    """The skeleton of a plant off by 0, 2, 5 mm: with its true moduli, and with a modulus a class fitted to touches."""
+    from measurements.plant_ceilings import JITTERS, SHOTS, measure
+
+    found = measure(scene=scene, objects=objects, first=first, touches=touches, shots=shots or SHOTS,
+                    jitters=jitter or JITTERS, seed=seed, file=out, progress=step)
+    _report(found, json)
+
+
+@app.command()
+def promise(scene: Annotated[list[str] | None,
+                             typer.Argument(metavar="[SCENE]...", help="Names or paths of scenes; default: a block, a "
+                                                                       "shoe, a column, a bubble, a plant.")] = None,
+            accuracy: Annotated[list[str] | None, typer.Option(help="That is asked for; may be given again. Default: "
+                                                                    "5%, 2% and 1%.")] = None,
+            objects: Annotated[int, typer.Option(min=1, help="That are held out.")] = 5,
+            touches: Annotated[int, typer.Option(min=1, help="Of each of these.")] = 4,
+            workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+            out: Annotated[Path, typer.Option(help="Folder of what was made; a later run goes on with it.")] =
+            Path("promise"),
+            budget: Annotated[str | None, typer.Option(metavar="TIME", help="Begin nothing new after this time, e.g. "
+                                                                            "90s or 10m.")] = None,
+            json: JsonFile = None) -> None:
+    """Measure whether an accuracy that `generate --accuracy` buys is kept on fresh objects, and at what price."""
+    from measurements.promise import ACCURACIES, measure
+    from vsfsim.generate.trade.buy import check_accuracy
+
+    asked = tuple(share_of("--accuracy", text) for text in accuracy or ()) or ACCURACIES
+    for one in asked:
+        check_accuracy(one, None)
+    found = measure(scene or (), accuracies=asked, objects=objects, touches=touches, workers=workers, out=out,
+                    budget=None if budget is None else seconds_of("--budget", budget), progress=step)
+    _report(found, json)
+
+
+@app.command()
+def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; may be given again.")] = None,
+          case: Annotated[list[str] | None, typer.Option(help="S1, S2 or foam; may be given again.")] = None,
+          tier: Annotated[str, typer.Option(help="Whose mesh all press: fem-coarse or fem.")] = "fem",
+          out: Annotated[Path, typer.Option(help="Folder of their venvs, made on the first run.")] = Path("peers"),
+          here: Annotated[bool, typer.Option("--here", help="Use this Python, which has the packages, in place of "
+                                                            "venvs.")] = False,
+          json: JsonFile = None) -> None:
+    """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own."""
+    from measurements.indent import CASES, PEERS, measure
+
+    for name in peer or []:
+        check_choice("--peer", name, PEERS)
+    for name in case or []:
+        check_choice("--case", name, CASES)
+    check_choice("--tier", tier, ("fem-coarse", "fem"))
+    found = measure(peer or (), case or (), tier=tier, folder=out, here=here, progress=step)
+    _report(found, json)

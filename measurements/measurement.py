@@ -18,8 +18,7 @@ from vsfsim.data.provenance import commit
 Progress = Callable[[str], None]
 """Called with a sentence about what is going on."""
 
-_FACTORS = {("m", "mm"): 1e3, ("s", "ms"): 1e3, ("s", "min"): 1.0 / 60.0, ("rad", "deg"): 57.29577951308232,
-            ("1", "%"): 100.0, ("B", "GB"): 1e-9, ("B", "MB"): 1e-6, ("m^2", "1e-3 m^2"): 1e3}
+_FACTORS = {("m", "mm"): 1e3, ("1", "%"): 100.0}
 """What a value in the first unit is multiplied by to be printed in the second."""
 
 
@@ -71,15 +70,9 @@ class Table:
     """One mapping a row; it may hold more than is printed."""
     name: str = ""
     """Key of the rows in the JSON; empty where another key holds the same numbers."""
-    single: bool = False
-    """There is one row: it is printed as one line a column, and stored as a mapping instead of a list."""
 
     def text(self) -> str:
         """For a terminal."""
-        if self.single:
-            row = self.rows[0]
-            width = max(len(c.title()) for c in self.columns)
-            return "\n".join([f"{self.title}:", *(f"  {c.title():<{width}}  {c.cell(row)}" for c in self.columns)])
         return f"{self.title}:\n" + text_table([c.title() for c in self.columns],
                                                [[c.cell(row) for c in self.columns] for row in self.rows],
                                                right=True, left=len(list(takewhile(Column.is_text, self.columns))))
@@ -125,7 +118,7 @@ class Measurement:
     def record(self) -> dict[str, Any]:
         """Every number, the units of the tables' columns, and the circumstances of the run, as JSON values."""
         stored = [table for table in self.tables if table.name]
-        rows = {table.name: table.rows[0] if table.single else list(table.rows) for table in stored}
+        rows = {table.name: list(table.rows) for table in stored}
         units = {table.name: {c.key: c.unit for c in table.columns if c.unit} for table in stored}
         run = {"command": f"vsfsim measure {self.command}", "settings": dict(self.settings),
                "notes": list(self.notes), "machine": self.machine, "version": self.version, "commit": self.commit,

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from palpation import palpate
 
-from measurements.palpation import palpate
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf
 from vsfsim.baselines.known_object import touched_points

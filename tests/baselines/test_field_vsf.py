@@ -5,9 +5,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from palpation import palpate
 from scipy import sparse
 
-from measurements.palpation import palpate
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
 from vsfsim.baselines.known_object import PoseSearch, locate

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from test_generate import SCENE, command
 
-from measurements.datasets.faults import descendants
+from measurements.faults import descendants
 from vsfsim.core.engines import ray_cluster
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene

@@ -4,10 +4,10 @@ to end."""
 import numpy as np
 import pytest
 import torch
+from palpation import palpate
 from scipy import sparse
 from test_localise import pose, wedge
 
-from measurements.palpation import palpate
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from palpation import layer_with_inclusion, palpate
 
-from measurements.palpation import layer_with_inclusion, palpate
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
 from vsfsim.vsf.fields.neural import Fitting, density, fit, predict_totals

@@ -1,5 +1,5 @@
 """`vsfsim measure ...`: time and error, measured by the scripts in `measurements/` of a checkout, whose commands are in
-`measurements/commands.py` and the `commands.py` of the folders in `measurements/`."""
+`measurements/commands.py`."""
 
 from __future__ import annotations
 
@@ -22,9 +22,7 @@ OLD_NAME = "bench"
 def _commands() -> dict[str, Any]:
     """The commands of the checkout by their names, imported when one is asked for."""
     checkout()
-    modules = ("commands", "artificial_plants.commands", "datasets.commands", "trade.commands")
-    return {name: command for module in modules for name, command in
-            typer.main.get_group(importlib.import_module(f"measurements.{module}").app).commands.items()}
+    return typer.main.get_group(importlib.import_module("measurements.commands").app).commands
 
 
 class _Group(WholeSentences):
@@ -40,7 +38,7 @@ class _Group(WholeSentences):
 
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=_Group,
-                  help="Measure time and error of the solver and of the estimators.")
+                  help="Measure time and error of the solver, and what datasets and plants allow.")
 
 
 @app.callback()

@@ -67,7 +67,7 @@ class Solid:
     """By which share of its own the stiffness of a part inside is off in the mesh, the largest of all parts [-]."""
 
     def volume(self) -> float:
-        """Volume of the body [m^3]."""
+        """Volume of the tetrahedra, whose sides are flat [m^3]; a solver's mesh has round faces."""
         return float(tet_volumes(self.vertices, self.tets).sum())
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
-from vsfsim.core.solid import tet_volumes
 from vsfsim.data.records import ObjectView, Truth
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import Drawing
@@ -19,6 +18,7 @@ from vsfsim.generate.trade.audit import audited
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
+from vsfsim.physics.mesh.quadratic import quadratic_mesh
 
 
 class OnSolids(Retouching):
@@ -56,9 +56,9 @@ class OnSolids(Retouching):
         tier = tiers.choose(scene)
         solid, values = tiers.body(scene, tier, seed=seed)
         mean = values.mean(axis=1)
-        lines = [f"{len(solid.tets)} tetrahedra, {1e6 * solid.volume():.1f} cm^3, E {mean.min():.3g} to "
+        volume = quadratic_mesh(solid).volume
+        lines = [f"{len(solid.tets)} tetrahedra, {1e6 * volume.sum():.1f} cm^3, E {mean.min():.3g} to "
                  f"{mean.max():.3g} Pa, tier {tier}"]
-        volume = tet_volumes(solid.vertices, solid.tets)
         for index, region in enumerate(solid.region_names):
             inside = np.asarray(solid.region) == index
             if inside.any():

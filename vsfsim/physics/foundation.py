@@ -29,7 +29,7 @@ _CHUNK = 128  # rays against all triangles at once
 
 def inward_thickness(mesh: QuadraticMesh, nodes: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """Way through the body from ``nodes`` (s,) along ``inward`` (s, 3) to where it ends (s,) [m] (Möller and Trumbore
-    1997)."""
+    1997). A node of a curved face lies outside the flat triangles beside it, which its ray passes without ending."""
     a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
     reach = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
@@ -45,7 +45,8 @@ def inward_thickness(mesh: QuadraticMesh, nodes: np.ndarray, inward: np.ndarray)
             q = np.cross(s, e1[None])
             v = (d * q).sum(axis=2) / det
             way = (e2 * q).sum(axis=2) / det
-            hit = (u > -1e-9) & (v > -1e-9) & (u + v < 1.0 + 1e-9) & (way > 1e-6 * reach)
+            beside = (mesh.faces == nodes[part, None, None]).any(axis=2)
+            hit = (u > -1e-9) & (v > -1e-9) & (u + v < 1.0 + 1e-9) & (way > 1e-6 * reach) & ~beside
         out[part] = np.where(hit, way, np.inf).min(axis=1)
     # a ray that slips through an edge of the surface: as thick as the body is elsewhere
     usual = np.median(out[np.isfinite(out)]) if np.isfinite(out).any() else reach

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk
 
+from references.closed_forms import hertz_layer
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.presses.probe import press
@@ -154,6 +157,39 @@ def test_contact_with_a_round_body_is_that_of_hertz_or_marked(shape, probe, top,
     assert result.converged.all() and ((off < 0.05) | ~result.resolved & (off < told)).all(), (off, told)
 
 
+def crossed(radius, across, depth, nu=0.3):
+    """Hertz's force [N] between rigid balls and a cylinder of other radii, E = 1e5 Pa (Johnson 1985, section 4.2)."""
+    one, other = 0.5 / radius, 0.5 / radius + 0.5 / across  # along and across the cylinder, the sharper one second
+
+    def sharper(m):
+        return (ellipe(m) / (1.0 - m) - ellipk(m)) / (ellipk(m) - ellipe(m)) - other / one
+
+    m = brentq(sharper, 1e-6, 1.0 - 1e-9)
+    k, e = ellipk(m), ellipe(m)
+    return 2.0 * np.pi / 3.0 * 1e5 / (1.0 - nu**2) * depth / k * np.sqrt(depth * (k - e) / (one * m * k))
+
+
+@pytest.mark.parametrize(("length", "radius", "ball", "resolution"), [
+    (0.04, 0.02, 0.02, None), (0.03, 0.006, 0.01, None), (0.02, 0.006, 0.02, 0.0015)],
+    ids=["thick rod", "rod", "rod of small elements"])
+def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, resolution):
+    """Hertz's bodies are half-spaces. This one is held 1.6 radii below the contact, as a bonded layer is, which is
+    stiffer, and its sides are free: its force lies between the two."""
+    body = f"fixed = [-1.0, -1.0, -1.0, 1.0, 1.0, {0.4 * radius}]\npoisson_ratio = 0.3\nyoung_modulus = 1e5\n"
+    body += "" if resolution is None else f"resolution = {resolution}"
+    depths = [0.02 * radius, 0.04 * radius]  # 1 and 2 % of the diameter
+    result = press_of(f"rod = [{length}, {radius}]", body, f"sphere = {ball}", 2.0 * radius + ball, depths[-1],
+                      x=0.5 * length, frames=2, tier="fem-coarse")
+    exact, mean = np.array([crossed(ball, radius, depth) for depth in depths]), ball / np.sqrt(1.0 + ball / radius)
+    layers = [hertz_layer(depth, young_modulus=1e5, poisson_ratio=0.3, radius=mean, height=1.6 * radius)
+              for depth in depths]
+    off, told = result.normal_force / exact - 1.0, result.more["mesh_error"]
+    layer = np.array([bonded / free for free, bonded in layers])
+    fits = (off > -0.05) & (off < 1.05 * layer - 1.0)
+    assert result.converged.all() and (fits | ~result.resolved & (np.abs(off) < told)).all(), (off, layer, told)
+    assert resolution is None or result.resolved[-1]
+
+
 FOAM = "fixed = \"bottom\"\nmaterial = \"pe-foam\""
 
 
@@ -165,6 +201,19 @@ def test_the_error_under_a_foam_is_not_told_as_that_of_rubber(depth, exact):
     off = abs(float(result.normal_force[-1]) / exact - 1.0)
     assert off < result.more["mesh_error"][-1] + 0.02, "2 % is the reference's own"
     assert not result.resolved[-1] or off < 0.1
+
+
+@pytest.mark.parametrize("beta", [0.0, 0.5, 3.0])
+def test_a_foam_of_another_poissons_ratio_is_that_of_hertz_or_marked(beta):
+    """nu = beta / (1 + 2 beta), 0 to 0.43, on a bonded block (`references/closed_forms.py`)."""
+    nu = beta / (1.0 + 2.0 * beta)
+    law = f"{{ name = \"hyperfoam\", mu = 1e5, alpha = 4.0, beta = {beta} }}"
+    body = f"fixed = \"bottom\"\nlaw = {law}\npoisson_ratio = {nu!r}\nyoung_modulus = 1e5"
+    depths = np.array([0.0005, 0.001])
+    result = press_of("box = [0.10, 0.10, 0.05]", body, "sphere = 0.02", 0.07, depths[-1], frames=2, tier="fem-coarse")
+    exact = [hertz_layer(depth, young_modulus=1e5, poisson_ratio=nu, radius=0.02, height=0.05)[1] for depth in depths]
+    off, told = np.abs(result.normal_force / exact - 1.0), result.more["mesh_error"]
+    assert result.converged.all() and ((off < 0.05) | ~result.resolved & (off < told + 0.02)).all(), (off, told)
 
 
 PLATE = """resolution = {}

@@ -2,15 +2,26 @@
 
 import numpy as np
 import pytest
+from palpation import layer_with_inclusion, palpate
 from scipy import optimize, sparse
 
-from measurements.palpation import layer_with_inclusion, palpate
-from measurements.workload import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.pivoting import _line_search, principal_pivoting
 from vsfsim.vsf.estimate.projected_cg import projected_cg
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
+
+FIELD = layer_with_inclusion()
+
+
+def dense_forces(spacing, half, *, touches, frames, **more):
+    """Particles (n, 3) on a lattice of half-widths ``half`` under z = 0, touches, and their rows of contact forces."""
+    axes = [np.arange(-h + 0.5 * spacing, h, spacing) for h in half] + [np.arange(-0.015 + 0.5 * spacing, 0.0, spacing)]
+    particles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    pressed = palpate(FIELD, touches=touches, frames=frames, extent=(0.12, 0.08), **more)
+    rows = [dense_force_rows(stick(particles, t.vertices, t.triangles), len(particles), t.triangles,
+                             t.vertices.shape[1]) for t in pressed]
+    return particles, pressed, sparse.vstack(rows).tocsr()
 
 
 @pytest.mark.parametrize("m, n, strength", [(20, 8, 1.0), (8, 20, 1.0), (60, 40, 30.0), (40, 60, 100.0)])
@@ -25,12 +36,13 @@ def test_it_finds_the_minimiser(m, n, strength):
 
 
 def test_it_agrees_with_principal_pivoting_on_dense_forces():
-    load = Workload.of(6000, 15, 8)
-    touched = np.unique(load.dense.indices)
-    a = sparse.csr_matrix(load.dense[:, touched]) * (STD / NOISE)
-    b, x0 = load.dense_z / NOISE, np.full(len(touched), MEAN / STD)
+    noise, mean, std, spacing = 0.05, 20.0, 30.0, 0.00363
+    particles, _, w = dense_forces(spacing, (0.08, 0.06), touches=15, frames=8, substeps=1)
+    z = w @ (FIELD(particles) * spacing**3) + noise * np.random.default_rng(1).standard_normal(w.shape[0])
+    a = sparse.csr_matrix(w[:, np.unique(w.indices)]) * (std / noise)
+    b, x0 = z / noise, np.full(a.shape[1], mean / std)
     x, _ = projected_cg(a, b, x0, start=x0)
-    exact, _ = principal_pivoting(a, b, x0, scale=np.full(len(x0), STD), tolerance=1e-11)
+    exact, _ = principal_pivoting(a, b, x0, scale=np.full(len(x0), std), tolerance=1e-11)
     assert np.count_nonzero(exact == 0.0) > 100
     np.testing.assert_allclose(x, exact, atol=1e-4 * exact.max())
 
@@ -55,12 +67,8 @@ def test_no_unknown_and_no_reading():
 
 
 def test_dense_contact_forces_of_ten_thousand_particles():
-    touches = palpate(layer_with_inclusion(), touches=20, frames=8, extent=(0.12, 0.08), noise=0.002)
-    axes = [np.arange(-0.09, 0.09, 0.003), np.arange(-0.07, 0.07, 0.003), np.arange(-0.0145, 0.0, 0.003)]
-    particles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    rows = [dense_force_rows(stick(particles, t.vertices, t.triangles), len(particles), t.triangles,
-                             t.vertices.shape[1]) for t in touches]
-    w, z = sparse.vstack(rows).tocsr(), np.concatenate([t.force.ravel() for t in touches])
+    _, touches, w = dense_forces(0.003, (0.09, 0.07), touches=20, frames=8, noise=0.002)
+    z = np.concatenate([t.force.ravel() for t in touches])
     result = map_estimate(w, z, noise_std=0.002, prior_mean=0.0, prior_var=200.0**2)
     assert result.kkt_residual < 1e-3
     # The optimality conditions in the units of the problem: no free stiffness wants to move, no held one wants to rise.

@@ -11,13 +11,13 @@ from __future__ import annotations
 import codecs
 import operator
 import re
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import recfunctions
 
 from vsfsim.core.errors import MeshError
 
@@ -150,9 +150,10 @@ def _obj(content: bytes, path: Path) -> Facets:
 
 # ---------------------------------------------------------------------------------------------- PLY
 
-_PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-              "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-              "double": "f8", "float64": "f8"}
+_PLY_TYPES = {"char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H",
+              "uint16": "H", "int": "i", "int32": "i", "uint": "I", "uint32": "I", "float": "f", "float32": "f",
+              "double": "d", "float64": "d"}
+"""Of each name of a type its letter in `struct`."""
 
 
 @dataclass
@@ -194,7 +195,7 @@ def _ply(content: bytes, path: Path) -> Facets:
         raise _Bad("its header announces more rows than the file has bytes")
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     source = _PlyBody(order, body if order else body.split())
-    rows = {element.name: source.columns(element) for element in elements}
+    rows = {element.name: _rows(element, source) for element in elements}
     left = source.left[source.at:]
     if left.strip(b"\r\n\0 ") if isinstance(left, bytes) else left:
         raise _Bad(f"its header announces {', '.join(f'{e.count} of {e.name}' for e in elements)}, and more data "
@@ -216,63 +217,39 @@ def _ply(content: bytes, path: Path) -> Facets:
     return Facets(points, _triangles(points, polygons), colours, tuple(notes))
 
 
+def _rows(element: _Element, source: _PlyBody) -> dict[str, list[Any]]:
+    """Every property by its name: a number a row, or of a list a tuple."""
+    out: dict[str, list[Any]] = {name: [] for name, _, _ in element.properties}
+    for done in range(element.count):
+        try:
+            for name, kind, length in element.properties:
+                found = source.take(kind, source.take(length, 1)[0] if length else 1)
+                out[name].append(found if length else found[0])
+        except IndexError:
+            raise _Bad(f"its header announces {element.count} of {element.name}, and it ends after {done}") from None
+    return out
+
+
 @dataclass
 class _PlyBody:
-    """What follows a header, read row by row."""
+    """What follows a header: words of an ASCII file, or bytes in an ``order`` of `struct`."""
 
     order: str
-    left: Any  # bytes of a binary file, words of an ASCII one
+    left: Any
     at: int = 0
 
-    def columns(self, element: _Element) -> dict[str, Any]:
-        """Every property by its name: (count,), and of a list its rows."""
-        table = self._rows(element, element.count)
-        if table is not None:
-            return {name: table[name] if length else table[name][:, 0] for name, _, length in element.properties}
-        rows = []
-        for done in range(element.count):
-            row = self._rows(element, 1)
-            if row is None:
-                raise _Bad(f"its header announces {element.count} of {element.name}, and it ends after {done}")
-            rows.append(row[0])
-        return {name: [row[name] if length else row[name][0] for row in rows] for name, _, length in element.properties}
-
-    def _rows(self, element: _Element, count: int) -> np.ndarray | None:
-        """The next rows (count,); None if fewer are left, or if a list is not as long as that of the first row."""
-        fields: list[tuple[str, str, tuple[int, ...]]] = []
-        at, lengths = self.at, {}
-        for name, kind, length in element.properties:
-            many = 1
-            if length:
-                size = np.dtype(length).itemsize if self.order else 1
-                if at + size > len(self.left):
-                    return None
-                many = int(np.frombuffer(self.left, self.order + length, 1, at)[0] if self.order else self.left[at])
-                lengths[f"length of {name}"] = many
-                fields.append((f"length of {name}", length, (1,)))
-                at += size
-            at += many * (np.dtype(kind).itemsize if self.order else 1)
-            if many < 0 or at > len(self.left):
-                return None
-            fields.append((name, kind, (many,)))
-        row, width = np.dtype(fields), at - self.at
-        part = self.left[self.at:self.at + width * count]
-        if len(part) < width * count:
-            return None
+    def take(self, kind: str, many: int) -> tuple[Any, ...]:
+        """The next numbers of a kind; raises IndexError if fewer are left."""
+        stop = self.at + many * (struct.calcsize(f"<{kind}") if self.order else 1)
+        part, self.at = self.left[self.at:stop], stop
+        if many < 0 or stop > len(self.left):
+            raise IndexError
         if self.order:
-            table = np.frombuffer(part, row.newbyteorder(self.order))
-        else:
-            words = np.array(part, float).reshape(count, width)
-            with np.errstate(invalid="ignore"):  # NaN and numbers too large are found below
-                table = recfunctions.unstructured_to_structured(words, row)
-        if any((table[name] != many).any() for name, many in lengths.items()):
-            return None
-        if not self.order:
-            whole = np.repeat([kind[0] != "f" for _, kind, _ in fields], [many for _, _, (many,) in fields])
-            if (recfunctions.structured_to_unstructured(table, float) != words)[:, whole].any():
-                raise _Bad(f"its header announces whole numbers of {element.name}, and others follow")
-        self.at += width * count
-        return table
+            return struct.unpack(f"{self.order}{many}{kind}", part)
+        found = tuple(map(float, part))
+        if kind not in "fd" and not all(map(float.is_integer, found)):
+            raise _Bad("its header announces whole numbers, and others follow")
+        return found if kind in "fd" else tuple(map(int, found))
 
 
 # ---------------------------------------------------------------------------------------------- STL, OFF

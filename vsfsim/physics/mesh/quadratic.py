@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 from vsfsim.core.system.exact import inverse3
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, jacobians
+from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS, jacobians, shape_derivatives
 
 # The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
 _EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
@@ -19,7 +19,10 @@ FACE_NODES = np.array([
      _EDGE_OF[frozenset(map(int, f[[2, 0]]))]] for f in TET_FACES
 ])
 
+_FACE_SLOPES = shape_derivatives(np.pad(1 / 6 + 0.5 * np.eye(3), ((0, 0), (0, 1))))[:, [0, 1, 2, 4, 5, 6], :2]
+"""Derivatives of a face's shape functions by its last two barycentric coordinates at three points (3, 6, 2) [-]."""
 _NODES = np.vstack([np.eye(4), 0.5 * (np.eye(4)[EDGES[:, 0]] + np.eye(4)[EDGES[:, 1]])])
+_STRAIGHT = 1e-18  # squared bulge of an edge over its squared length up to which it is rounding error
 _FOLDED = 0.2  # least Jacobian at a node over that of straight edges
 _ON_SURFACE = 1e-2  # distance of a corner from the true surface over the shortest side of its face
 _MOST_BENT = 0.15  # of an edge's middle over its length: an arc of 67 degrees; beyond it the edge crosses a sharp one
@@ -52,20 +55,27 @@ class QuadraticMesh:
         return np.unique(self.faces)
 
     def face_area(self) -> np.ndarray:
-        """Areas of the boundary triangles (f,) [m^2]."""
+        """Areas of the boundary triangles (f,) [m^2]; of curved ones by a rule of three points."""
         a, b, c = (self.points[self.faces[:, k]] for k in range(3))
-        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        area, (chord, bulge) = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1), self._sides()
+        bent = ((bulge**2).sum(axis=2) > _STRAIGHT * (chord**2).sum(axis=2)).any(axis=1)
+        u, v = np.moveaxis(np.einsum("qal,fac->fqlc", _FACE_SLOPES, self.points[self.faces[bent]]), 2, 0)
+        area[bent] = 0.5 * np.linalg.norm(np.cross(u, v), axis=2).mean(axis=1)
+        return area
 
     def curvature(self) -> np.ndarray:
         """Mean curvature of the boundary triangles at rest (f,) [1/m], by how far their edges bulge outwards."""
-        corners = self.points[self.faces[:, :3]]
-        chord = np.roll(corners, -1, axis=1) - corners
+        chord, bulge = self._sides()
         outward = np.cross(chord[:, 0], chord[:, 1])
-        bulge = self.points[self.faces[:, 3:]] - corners - 0.5 * chord
         sagitta = np.einsum("fei,fi->fe", bulge, outward) / np.linalg.norm(outward, axis=1)[:, None]
         square = (chord**2).sum(axis=2)
-        # a straight edge bulges by rounding error
-        return np.where(sagitta**2 > 1e-18 * square, 8.0 * sagitta / square, 0.0).mean(axis=1)
+        return np.where(sagitta**2 > _STRAIGHT * square, 8.0 * sagitta / square, 0.0).mean(axis=1)
+
+    def _sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """Chords of the edges of the boundary triangles (f, 3, 3) [m], and how far their middles are from them."""
+        corners = self.points[self.faces[:, :3]]
+        chord = np.roll(corners, -1, axis=1) - corners
+        return chord, self.points[self.faces[:, 3:]] - corners - 0.5 * chord
 
 
 def gauss_points(solid: Solid) -> np.ndarray:

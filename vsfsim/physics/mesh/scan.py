@@ -72,8 +72,9 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
             found = _read(stored) or found
     vertices, tets, colour, notes = (found[name] for name in ("vertices", "tets", "colour", "notes"))
     notes = [*map(str, notes), f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
-    return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes),
-                 appearance=_look(colour) if len(colour) else None,
+    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    look = Appearance(linear[None], ("plain",), np.ones(1), np.zeros(1)) if len(colour) else None
+    return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes), appearance=look,
                  nearest=functools.partial(nearest_on, found["surface"], found["faces"]))
 
 
@@ -211,11 +212,6 @@ def features(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
 def _digest(vertices: np.ndarray, tets: np.ndarray) -> str:
     """sha256 of corners to a nanometre and tetrahedra, hexadecimal; processors differ in the last bits."""
     return hashlib.sha256(np.round(1e9 * vertices).astype("<i8").tobytes() + tets.astype("<i8").tobytes()).hexdigest()
-
-
-def _look(colour: np.ndarray) -> Appearance:
-    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-    return Appearance(linear[None], ("plain",), np.ones(1), np.zeros(1))
 
 
 # ---------------------------------------------------------------------------------------------- the cache

@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 import warp as wp
 
-from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import SolverOptions
@@ -90,21 +89,19 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
 
     def multiply(x: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
-        with clock.measure("products"):
-            out = torch.empty_like(x)
-            elasticity.multiply(own.index, wp.from_torch(x), wp.from_torch(out))
+        out = torch.empty_like(x)
+        elasticity.multiply(own.index, wp.from_torch(x), wp.from_torch(out))
         if touched:
             out.scatter_add_(0, own.at, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0].T)
         return out
 
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
-        with clock.measure("back-solves"):
-            y = torch.empty_like(r) if len(own.factors) == r.shape[1] else response.solve(r)
-            if block is not None:
-                y = y - response.patch(own.columns, own.resting * own.block.apply(own.patch(y)))
-            for j, factor in own.factors:
-                y[:, j:j + 1] = torch.as_tensor(factor.solve(r[:, j:j + 1].numpy()))
+        y = torch.empty_like(r) if len(own.factors) == r.shape[1] else response.solve(r)
+        if block is not None:
+            y = y - response.patch(own.columns, own.resting * own.block.apply(own.patch(y)))
+        for j, factor in own.factors:
+            y[:, j:j + 1] = torch.as_tensor(factor.solve(r[:, j:j + 1].numpy()))
         return y
 
     if not contact.symmetric:

@@ -101,8 +101,7 @@ class Equilibrium:
         return wp.to_torch(self.elasticity.least_det)[columns]
 
     def _strain(self, columns: torch.Tensor) -> None:
-        with clock.measure("forces"):
-            self.elasticity.forces(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
+        self.elasticity.forces(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
 
     def contact_force(self) -> torch.Tensor:
         """Contact forces (3 n, B) [N] that the last evaluation found, of all touches."""
@@ -225,8 +224,7 @@ class Equilibrium:
         self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
-        with clock.measure("tangents"):
-            self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
+        self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _descend(self, columns: torch.Tensor, residual: torch.Tensor,
                  near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

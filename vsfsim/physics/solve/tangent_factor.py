@@ -67,8 +67,7 @@ class TangentFactors:
             if (self._spent[b] <= order.work / _WORK or clock.now() + expected > deadline
                     or 8.0 * order.entries * self._contact.batch > _BYTES):
                 continue
-            with clock.measure("tangent factors"):
-                self._own[b] = self._make(order, columns[k:k + 1], u)
+            self._own[b] = self._make(order, columns[k:k + 1], u)
             made[k], self._spent[b] = True, 0
         return made
 

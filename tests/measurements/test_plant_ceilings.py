@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from measurements.artificial_plants import ceilings
-from measurements.artificial_plants.ceilings import (
+from measurements import plant_ceilings as ceilings
+from measurements.plant_ceilings import (
     REACH,
     class_means,
     displaced,

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from measurements.trade import promise
-from measurements.trade.pieces import Piece, Pieces
+from measurements import promise
+from measurements.pieces import Piece, Pieces
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.generate.trade.curve import Curve

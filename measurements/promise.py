@@ -19,7 +19,7 @@ import numpy as np
 
 import vsfsim
 from measurements.measurement import Column, Measurement, Progress, Table
-from measurements.trade.pieces import Piece, Pieces
+from measurements.pieces import Piece, Pieces
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.shelf import find_scene
@@ -45,7 +45,7 @@ from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Ground, Setting
 from vsfsim.physics.convergence import Limit
 
 UNKNOWN = "refused: of no touch of the pilot is the limit known"
-OWN = {name: Path(__file__).parent / f"{name}.toml" for name in ("column", "bubble")}
+OWN = {name: Path(__file__).parent / "scenes" / f"{name}.toml" for name in ("column", "bubble")}
 SCENES = ("foam-block", "shoes-v3-mini", "column", "bubble")
 """An even body, a shell of many parts, layers and a bubble on an even body."""
 ACCURACIES = (0.05, 0.02, 0.01)

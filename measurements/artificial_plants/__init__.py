@@ -1,1 +1,0 @@
-"""Measurements of artificial plants and their touches."""

@@ -1,1 +1,0 @@
-"""Measurements on datasets: how fast they are read."""

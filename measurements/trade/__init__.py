@@ -1,1 +1,0 @@
-"""Speed against accuracy: what is promised, how it is estimated, and what it does to a ranking of methods."""

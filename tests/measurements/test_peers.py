@@ -1,0 +1,44 @@
+"""Peers and fronts: what is computed from what was measured."""
+
+import subprocess
+
+import numpy as np
+import pytest
+
+from measurements import indent
+from vsfsim.generate.trade.front import Point
+from vsfsim.generate.trade.plot import draw
+
+
+def test_a_peer_that_is_not_there_is_skipped_with_the_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(indent.venv, "create", lambda *_, **__: None)
+    failed = subprocess.CompletedProcess([], 1, "", "WARNING: a\nERROR: No matching distribution\n")
+    monkeypatch.setattr(indent.subprocess, "run", lambda *_, **__: failed)
+    with pytest.raises(indent.Skipped, match="mujoco cannot be installed here: No matching distribution"):
+        indent.python_of("mujoco", tmp_path, ["mujoco"])
+    made = {"forces": [1.1, 1.8], "balance": [1e-6, 1e-7], "seconds": [1.0, 3.0], "tets": 8, "said": ""}
+    found = indent.compared(made, np.array([0.001, 0.005]), np.array([1.0, 2.0]))
+    assert found["at_5"] == pytest.approx(-0.1) and found["at_1"] == found["worst"] == pytest.approx(0.1)
+    assert found["rms"] == pytest.approx(0.1) and found["seconds"] == 2.0 and found["balance"] == 1e-6
+
+
+def test_a_peer_that_stops_leaves_the_depths_that_it_reached(tmp_path, monkeypatch):
+    case, script = tmp_path / "S1.npz", tmp_path / "toy.py"
+    np.savez(case, depths=np.array([0.001, 0.002]), tets=np.zeros((3, 4)))
+    text = "def make(given):\n    return '1.0', '', lambda depth: (1000.0 * depth / (depth < MOST), 0.0)\n"
+    script.write_text(text.replace("MOST", "0.0015"))
+    monkeypatch.setitem(indent.PEERS, "toy", (str(script), "", False, False))
+    found = indent.pressed("toy", case, None)
+    assert found["forces"] == [1.0] and found["said"].startswith("stopped at 1 mm after") and found["tets"] == 3
+    assert indent.compared(found, np.array([0.001, 0.002]), np.array([2.0, 4.0]))["rms"] == 0.5
+    script.write_text(text.replace("MOST", "1.0"))  # another script: its figures are made again
+    assert indent.pressed("toy", case, None)["forces"] == [1.0, 2.0]
+    monkeypatch.setattr(indent.subprocess, "run", None)  # what is whole is kept
+    assert indent.pressed("toy", case, None)["said"] == ""
+
+
+def test_the_front_is_drawn(tmp_path):
+    points = [Point(f"fem, {k} mm", "fem", 1.0 / k, 1, 1, 1, 1, 0, 0.01 * k, 0.015, {}, front=k == 2)
+              for k in (1, 2, 3)]
+    draw(points, "a block", tmp_path / "front.png")
+    assert (tmp_path / "front.png").read_bytes()[:4] == b"\x89PNG"

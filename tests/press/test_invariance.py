@@ -1,0 +1,117 @@
+"""What must not change a force: scale, turn, mirror, the order of parts, the number of frames; with friction, at every
+tier.
+
+A frame is balanced to the tolerance of its tier, up to which displacements are known; the force is known to five times
+that. Two presses of bodies that are the same but for rounding agree as far. With friction, and under a body with edges,
+whose contact points are made on the way, the number of frames may change a force by 3 %.
+"""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vsfsim.core.scene import parse_scene
+from vsfsim.physics.tiers import TIERS
+from vsfsim.press.command import press
+
+SLANTED = ((-0.004, 0.002, 0.041), (0.002, 0.005, 0.036))
+DOWN = ((0.006, 0.004, 0.041), (0.006, 0.004, 0.036))
+LOWER, HIGHER = (tuple((x, y, z + by) for x, y, z in DOWN) for by in (-0.0005, 0.008))
+PARTS = ((0.02, 0.0, 0.012, 0.008, 1e6), (-0.015, 0.01, 0.02, 0.007, 1e4))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A block of 60 x 50 x 30 mm under a ball of 10 mm."""
+
+    tier: str
+    path: tuple = DOWN
+    friction: float = 0.0
+    probe: tuple = ("sphere", 0.01)
+    parts: tuple = ()
+    weight: float = 0.0
+
+
+CASES = {
+    "vsf": Case("vsf"), "vsf, friction": Case("vsf", SLANTED, 0.5),
+    "linear": Case("linear"), "linear, friction": Case("linear", SLANTED, 0.5),
+    "coarse": Case("fem-coarse"), "coarse, friction": Case("fem-coarse", SLANTED, 0.5),
+    "fem": Case("fem"), "fem, friction": Case("fem", SLANTED, 0.5),
+    "parts": Case("linear", parts=PARTS), "large parts": Case("fem-coarse", SLANTED, parts=PARTS),
+    "capsule": Case("fem-coarse", HIGHER, probe=("capsule", 0.008, 0.02)),
+    "punch": Case("vsf", LOWER, probe=("box", 0.02, 0.016, 0.02)),
+    "heavy": Case("fem-coarse", weight=5.0),
+}
+
+
+@functools.cache
+def force(name, *, scale=1.0, modulus=1.0, turn=0.0, mirror=1.0, order=1, frames=1):
+    """At full depth (3,) [N]."""
+    c, spin = CASES[name], Rotation.from_rotvec([0.0, 0.0, turn])
+    aside = np.array([mirror, 1.0, 1.0])
+
+    def place(point):
+        return (scale * spin.apply(aside * point)).tolist()
+
+    parts = ", ".join(f"{{ sphere = {[*(scale * aside * p[:3]).tolist(), scale * p[3]]}, value = {modulus * p[4]!r} }}"
+                      for p in c.parts[::order])
+    kind, *size = c.probe
+    size = [scale * v for v in size] if len(size) > 1 else scale * size[0]
+    text = f'''
+needs = []
+gravity = [0.0, 0.0, {-c.weight}]
+[object]
+shape = {{ box = [{0.06 * scale}, {0.05 * scale}, {0.03 * scale}] }}
+resolution = {0.015 * scale}
+yaw = {turn}
+tier = "{c.tier}"
+poisson_ratio = 0.4
+density = {1000.0 * modulus / scale}
+friction = {c.friction}
+young_modulus = {{ base = {1e5 * modulus}, inclusions = [{parts}] }}
+[probe]
+shape = {{ {kind} = {size} }}
+[press]
+path = {[place(p) for p in c.path]}
+rotation = [0.0, 0.0, {turn}]
+frames = {frames}'''
+    made = press(parse_scene(text, "block.toml"))
+    assert made.converged, made.text()
+    return made.force[-1]
+
+
+def same(name, found, share=None):
+    """Whether a force is that of a case, to a ``share`` [-] of it."""
+    wanted = force(name)
+    off = float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+    return off < (5.0 * TIERS[CASES[name].tier].tolerance if share is None else share)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_scale_and_modulus(name):
+    assert np.linalg.norm(force(name)) > 0.05
+    assert same(name, force(name, scale=1.7, modulus=3.0) / (3.0 * 1.7**2))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_turn(name):
+    assert same(name, Rotation.from_rotvec([0.0, 0.0, -0.7]).apply(force(name, turn=0.7)))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_mirror(name):
+    assert same(name, force(name, mirror=-1.0) * [-1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", [name for name, c in CASES.items() if c.parts])
+def test_order_of_parts(name):
+    assert same(name, force(name, order=-1))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_number_of_frames(name):
+    way = CASES[name].friction or CASES[name].probe[0] == "box"
+    assert same(name, force(name, frames=4), 0.03 if way else None)
