@@ -11,7 +11,6 @@ import functools
 import importlib.util
 import json
 import math
-import os
 import re
 import sys
 from collections.abc import Mapping
@@ -204,24 +203,24 @@ def tradeoff(scene: str, **options: Any) -> str:
     from vsfsim.core.shelf import find_scene
     from vsfsim.generate.trade.command import tradeoff as run
 
-    found, _ = run(load_scene(find_scene(scene)), ROOT / "tradeoff" / scene,
-                   progress=lambda done, total, what: print(f"{done}/{total} {what}"), **options)
+    found = run(load_scene(find_scene(scene)), ROOT / "tradeoff" / scene,
+                progress=lambda done, total, what: print(f"{done}/{total} {what}"), **options)
     return tradeoff_table(scene, options, found.table())
 
 
 def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, Any]) -> str:
     """The front of a scene, drawn too, and what each goal costs, from the JSON of `vsfsim tradeoff` with options."""
+    from vsfsim.data.disk import write_figure
     from vsfsim.generate.trade import front
-    from vsfsim.generate.trade.plot import draw
+    from vsfsim.generate.trade.page import draw
 
     points = [front.Point(**{**p, "error": math.nan if p["error"] is None else p["error"]}) for p in table["points"]]
     if scene in DRAWN:
-        draw(points, f"{scene}: {table['what']}", ROOT / "docs" / "pictures" / f"{DRAWN[scene]}.png")
+        write_figure(draw(points, f"{scene}: {table['what']}"), ROOT / "docs" / "pictures" / f"{DRAWN[scene]}.png")
     head, rows = front.cells(points)
     kept = [k for k, name in enumerate(head) if name not in ("clock s/touch", "MiB", "worst %")]
     said = [front.sentence(goal, points) for goal in front.GOALS]
-    left = [f"{table['left']} settings were not reached in the time"] * bool(table["left"])
-    about = "\n".join(f"- {line[0].upper()}{line[1:]}." for line in (*table["limit"], *said, *left))
+    about = "\n".join(f"- {line[0].upper()}{line[1:]}." for line in (*table["limit"], *said))
     words = scene + "".join(f" --{name} {value}" for name, value in options.items())
     what = f"{table['what'][0].upper()}{table['what'][1:]}, on {table['machine']}"
     return (f"<!-- vsfsim tradeoff {words} -->\n{what}:\n\n"
@@ -238,8 +237,7 @@ MEASURED: dict[str, partial[str]] = {
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),
     "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
-                     here=importlib.util.find_spec("skfem") is not None),
-    "promise": partial(measurement, "promise", 1, out=ROOT / "promise", workers=os.cpu_count() or 1)}
+                     here=importlib.util.find_spec("skfem") is not None)}
 """Table by name of its file."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""

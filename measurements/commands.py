@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from vsfsim.cli.console import report, step
-from vsfsim.cli.options import JsonFile, check_choice, seconds_of, share_of
+from vsfsim.cli.options import JsonFile, check_choice
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -94,32 +94,6 @@ def plant_ceilings(scene: Annotated[str, typer.Option(help="Scene of plants, wit
 
     found = measure(scene=scene, objects=objects, first=first, touches=touches, shots=shots or SHOTS,
                     jitters=jitter or JITTERS, seed=seed, file=out, progress=step)
-    _report(found, json)
-
-
-@app.command()
-def promise(scene: Annotated[list[str] | None,
-                             typer.Argument(metavar="[SCENE]...", help="Names or paths of scenes; default: a block, a "
-                                                                       "shoe, a column, a bubble, a plant.")] = None,
-            accuracy: Annotated[list[str] | None, typer.Option(help="That is asked for; may be given again. Default: "
-                                                                    "5%, 2% and 1%.")] = None,
-            objects: Annotated[int, typer.Option(min=1, help="That are held out.")] = 5,
-            touches: Annotated[int, typer.Option(min=1, help="Of each of these.")] = 4,
-            workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-            out: Annotated[Path, typer.Option(help="Folder of what was made; a later run goes on with it.")] =
-            Path("promise"),
-            budget: Annotated[str | None, typer.Option(metavar="TIME", help="Begin nothing new after this time, e.g. "
-                                                                            "90s or 10m.")] = None,
-            json: JsonFile = None) -> None:
-    """Measure whether an accuracy that `generate --accuracy` buys is kept on fresh objects, and at what price."""
-    from measurements.promise import ACCURACIES, measure
-    from vsfsim.generate.trade.buy import check_accuracy
-
-    asked = tuple(share_of("--accuracy", text) for text in accuracy or ()) or ACCURACIES
-    for one in asked:
-        check_accuracy(one, None)
-    found = measure(scene or (), accuracies=asked, objects=objects, touches=touches, workers=workers, out=out,
-                    budget=None if budget is None else seconds_of("--budget", budget), progress=step)
     _report(found, json)
 
 

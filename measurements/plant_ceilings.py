@@ -176,7 +176,7 @@ def fit(subject: Subject, plant: Plant, mean: np.ndarray, made: Sequence[Touch])
 
 def touched(subjects: Sequence[Subject]) -> list[list[Touch]]:
     """The touches of each subject."""
-    return [finish_touches(one, frames) for one, frames in zip(subjects, solve(subjects, device="cpu"), strict=True)]
+    return [finish_touches(one, solve(one, device="cpu")) for one in subjects]
 
 
 def predicted(touch: Touch, true: Touch) -> np.ndarray:
@@ -200,7 +200,7 @@ def error(found: Sequence[Touch], true: Sequence[Touch]) -> float:
 def some(subject: Subject, numbers: Sequence[int]) -> Subject:
     """A subject with some of its touches."""
     at = list(numbers)
-    return dataclasses.replace(subject, aims=[subject.aims[k] for k in at], poses=subject.poses[:, at])
+    return dataclasses.replace(subject, aims=tuple(subject.aims[k] for k in at), poses=subject.poses[:, at])
 
 
 def with_plant(subject: Subject, plant: Plant) -> Subject:

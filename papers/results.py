@@ -20,9 +20,9 @@ from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
-from vsfsim.core.engines.shard import HERE, Fan
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
+from vsfsim.core.system.engines import HERE, Fan
 
 MADE = Path("results")
 

@@ -58,7 +58,7 @@ HEAVY = {
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
-    "generate": {"numpy", "scipy", "warp", "matplotlib"},
+    "generate": {"numpy", "scipy", "warp", "matplotlib", "msgspec"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy"},
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
@@ -79,7 +79,7 @@ HEAVY = {
 HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 """The same for one file, which nothing imports at its top: a class that inherits from one of the package's."""
 
-HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray", "submitit"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
+HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
                 "cli": {"rich"},
                 "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`."""

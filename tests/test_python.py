@@ -19,8 +19,7 @@ from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 
 FILES = {"json", "plot", "picture", "gif", "save", "every"}
-CLUSTER = {"shard", "finish", "mixed", "poison", "on", "address", "gpus_per_task", "shards", "printed", "dry_run",
-           "machines", "price"}
+CLUSTER = {"shard", "on", "address", "gpus_per_task", "shards", "printed"}
 TASK = """
 name = "toy-v1"
 description = "A toy."
@@ -93,8 +92,8 @@ def test_the_functions_have_signatures_for_help(name, first):
 
 def test_python_takes_every_option_of_the_command():
     """`vsfsim press`, `generate` and `evaluate` have no option that the functions or their request lack. Files of
-    pictures are methods, --all is a loop over `vsfsim.methods()`, and what concerns a cluster is `share`
-    (`vsfsim.generate.run.Share`)."""
+    pictures are methods, --all is a loop over `vsfsim.methods()`, and what concerns a cluster is `fan`
+    (`vsfsim.core.system.engines.Fan`)."""
     from vsfsim.cli import bench, generate, simulate
 
     for command, function in ((simulate.press, vsfsim.press), (generate.generate, vsfsim.generate),
@@ -143,7 +142,7 @@ def test_representations_are_one_line_and_escaped_html(dataset):
     assert "3 object views (1 train, 2 test), 36 touches" in repr(dataset)
     for thing in (dataset, view):
         assert thing._repr_html_().count("<tr>") == (4 if thing is dataset else 13)
-    from vsfsim.core.interactive.html_table import html_table
+    from vsfsim.core.system.interactive import html_table
 
     assert "<b>" not in html_table("<b>", ["<b>"], [["<b>"]]) and "and 2 more" in html_table("t", ["h"], [["r"]] * 62)
 

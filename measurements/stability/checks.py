@@ -14,7 +14,7 @@ from trimesh.triangles import closest_point
 
 from measurements.stability.evidence import Evidence
 from vsfsim.core.shape import Plane, ProbeShape
-from vsfsim.generate.presses.boundary import deformed_surface
+from vsfsim.generate.boundary import deformed_surface
 from vsfsim.physics.contact import sdf
 from vsfsim.sensing.tessellate import tessellate
 

@@ -104,7 +104,7 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
 
 
 def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float, device: str) -> Evidence:
-    from vsfsim.generate.presses.boundary import deformed_surface
+    from vsfsim.generate.boundary import deformed_surface
 
     request = Request(tier=tier, device=device, limit=limit, cache=folder)
     scene = loaded.sample(0)
@@ -124,8 +124,8 @@ def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float,
 
 
 def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
-    from vsfsim.generate.presses.boundary import deformed_surface
-    from vsfsim.generate.presses.bubble import result_of, solve
+    from vsfsim.generate.boundary import deformed_surface
+    from vsfsim.generate.effectors.bubble import result_of, solve
 
     request = Request(device=device, limit=limit)
     made = solve(loaded.sample(0), request)

@@ -14,11 +14,10 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.data.checks.kept import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
-from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
 from vsfsim.generate.trade.curve import Curve
-from vsfsim.generate.trade.made import Run
 from vsfsim.generate.trade.setting import Ground
+from vsfsim.generate.trade.touches import Run
 
 SCENE = 'name = "small"' + BLOCK + """
 [touches]
@@ -72,36 +71,6 @@ def test_the_cheapest_setting_that_keeps_it_is_chosen_once(scene, tmp_path, monk
     assert options["accuracy"]["expected"] == pytest.approx(100 * (0.02 / 1.3) ** 2 * np.sqrt(0.625), rel=0.02)
     with pytest.raises(SceneError, match=r"--accuracy is 0.2 %, but the most exact setting of the pilot, .* Ask for"):
         buy.bought(scene, tmp_path / "new", 0.002, **given)
-
-
-class Classes(Imagined):
-    """Objects of three classes: as above, with five times the error, and with limits that are not known."""
-
-    def __init__(self, *_, first, objects, **__):
-        assert objects == 1
-        self.first = first
-
-    def _curve(self, setting, part=1.0):
-        curve = super()._curve(setting, part * (5.0 if self.first == 1 else 1.0))
-        return dataclasses.replace(curve, converged=curve.converged & (self.first != 2))
-
-
-def test_each_class_has_a_choice_of_its_own(tmp_path, monkeypatch):
-    plain = parse_scene(SCENE, tmp_path / "small.toml")
-    shape = {"family": "footwear", "style": {"each": ["boot", "runner", "sneaker"]}}
-    loaded = dataclasses.replace(plain, tree={**plain.tree, "object": {**plain.tree["object"], "shape": shape}})
-    assert buy.classes(loaded) == ["boot", "runner", "sneaker"] and buy.classes(plain) == [""]
-    monkeypatch.setattr(buy, "DatasetTouches", Classes)
-    said = []
-    tier, options = buy.bought(loaded, tmp_path / "new", 0.1, seed=0, objects=9, device="cpu", cache=None,
-                               note=said.append)
-    sizes = [one["resolution"] for one in options["classes"]]
-    assert sizes == pytest.approx([0.02 / 1.3, 0.02 / 1.3**2, 0.02 / 1.3**2]), said
-    assert tier == "fem" and said[-1].endswith("no touch of the pilot is the limit known")
-    assert options["accuracy"]["touches"] == 4 and "resolution" not in options
-    recipe = dataclasses.replace(make_recipe(plain), tier=tier, options=options)
-    assert recipe.of(7).options["resolution"] == sizes[1] and "classes" not in recipe.of(7).options
-    assert observed(options, tier, [0.01])["chosen"] == options["classes"]
 
 
 @pytest.mark.parametrize(("given", "said"), [("0", "may be 0.1 % to 50 %"), ("300%", "is 300 %"), ("5", "is 500 %"),
@@ -172,4 +141,4 @@ def _in_this_process(jobs, *, device, workers):
 
     for job in jobs:
         make_one(job, device)
-        yield 1, job.name
+        yield job.name

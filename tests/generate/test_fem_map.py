@@ -12,17 +12,8 @@ from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, SceneError
 from vsfsim.core.scene import load_scene
-from vsfsim.core.shelf import find_scene
-from vsfsim.generate.effector import effector_of
 from vsfsim.generate.fem_map import fitted
-from vsfsim.generate.job import jobs_of
-from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import generate
-from vsfsim.generate.solid import prepare
-from vsfsim.physics import tiers
-from vsfsim.physics.inverse.sensitivity import Sensitivity
-from vsfsim.physics.solve.mount import Mount
-from vsfsim.robot.path import touch_path
 
 TRIED = parse_task(TASK, "sprung-v1.toml")
 COARSE = [text.replace('"linear"', '"fem-coarse"').replace("sprung", "sprung-coarse") for text in (SCENE, TASK)]
@@ -71,30 +62,3 @@ def test_what_it_cannot_fit_is_refused(made):
     rubs = made.recipe.scene_text.replace("young_modulus", "friction = 0.3\nyoung_modulus")
     with pytest.raises(SceneError, match=r"friction = 0\.3"):
         fitted(dataclasses.replace(made.recipe, scene_text=rubs), name, [])
-
-
-@pytest.mark.slow
-def test_derivatives_by_the_parts_of_a_shoe_are_those_of_central_differences():
-    loaded = load_scene(find_scene("shoes-v3-mini"))
-    recipe = make_recipe(loaded, seed=0, objects=2, views=1, touches=2)
-    subject = prepare(jobs_of(recipe, loaded.path, "", None)[1], device="cpu")
-    scene, model = subject.scene, subject.model
-    aims = effector_of(scene).aim(subject, device="cpu")
-    poses = np.stack([touch_path(scene.required_touches, scene.probe, a.contact, a.axis, depth=a.depth,
-                                 approach=a.approach) for a in aims], axis=1)
-    axis, region = np.stack([a.axis for a in aims]), np.asarray(model.solid.region)
-
-    def run(factor, near=None):
-        changed = tiers.model_of(scene, recipe.tier, model.solid, model.young_modulus * factor[:, None])
-        made = Sensitivity(dataclasses.replace(changed, factor=model.factor), scene.probe, axis,
-                           options=dataclasses.replace(subject.limits(), tolerance=1e-5), near=near)
-        frames = made.run(poses, mount=Mount(scene.mount_stiffness, axis), keep=True)
-        assert frames.converged.all()
-        return -(frames.force * axis).sum(axis=2), made
-
-    force, first = run(np.ones(len(region)))
-    for part in (model.solid.region_names.index(name) for name in ("upper", "sole")):
-        up, down = (run(np.where(region == part, np.exp(sign * 0.02), 1.0), first)[0] for sign in (1.0, -1.0))
-        slope = np.stack([one[:, region == part].sum(axis=1) for one in first.derivative])
-        np.testing.assert_allclose(slope, (up - down) / 0.04, atol=0.01 * force.max())
-        assert slope.max() > 0.03 * force.max()

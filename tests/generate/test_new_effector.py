@@ -17,7 +17,6 @@ import h5py
 import numpy as np
 import pytest
 from small_scenes import CAMERA, TWO_OBJECTS
-from test_layers import ROOT, files, imports, module_name
 
 import vsfsim
 from vsfsim.bench.evaluate import evaluate
@@ -91,8 +90,8 @@ class LoadCell(Probe):
     def channels(self, scene):
         return (*super().channels(scene), "cell_force")
 
-    def make_view(self, job, *, device, progress=None):
-        view, (most, step) = super().make_view(job, device=device, progress=progress), self.settings(job.scene())
+    def make_view(self, job, *, device):
+        view, (most, step) = super().make_view(job, device=device), self.settings(job.scene())
         return dataclasses.replace(view, touches=tuple(
             dataclasses.replace(touch, channels={"cell_force": self.reading(touch.normal_force(), most, step)})
             for touch in view.touches))
@@ -305,23 +304,6 @@ def test_a_file_of_the_folder_is_an_effector():
         find_effector("prob")
 
 
-def test_loading_a_probe_starts_no_arm():
-    """One effector does not import another: a scene with a probe needs no robot simulator. By the imports at the top of
-    each module that is loaded then."""
-    where = {module_name(path): path for path in files()}
-    loaded, waiting = set(), ["vsfsim.generate.effector", "vsfsim.generate.effectors.probe"]
-    while waiting:
-        name = waiting.pop()
-        while name and name not in where and name.partition(".")[0] == "vsfsim":
-            name = name.rpartition(".")[0]  # a name in a module
-        if name not in loaded:
-            loaded.add(name)
-            waiting += [name.rpartition(".")[0]] if "." in name else []
-            if name in where:
-                waiting += [used for _, used, inside in imports((ROOT / where[name]).read_text(), name) if not inside]
-    assert {"vsfsim.physics.solve.touches", "warp"} < loaded and "mujoco" not in loaded
-
-
 def test_only_effectors_ask_which_sensor_or_arm_a_scene_has():
     """`generate`, `press`, `inspect`, the harness and the baselines do not mention a scene's [sensor] or [arm]; nobody
     but the scene itself branches on whether there is one."""
@@ -331,7 +313,7 @@ def test_only_effectors_ask_which_sensor_or_arm_a_scene_has():
     ask = re.compile(r"scene\.(sensor|arm) is|\bif (not )?scene\.(sensor|arm)\b")
     assert [str(p) for p, text in files.items() if p.name != "scene.py" and ask.search(text)] == []
     know = re.compile(r"\bscene\.(required_)?(sensor|arm)\b")
-    free = {"effectors", "plants", "presses", "measurements"}
+    free = {"effectors", "plants", "measurements"}
     beyond = [p for p in files if free & set(p.parts) or p.name in ("arm.py", "bubble_touch.py")]
     assert [str(p) for p, text in files.items() if p not in beyond and know.search(text)] == []
     assert any(know.search(files[p]) for p in beyond)

@@ -7,8 +7,6 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from stems import crossing
-from stems import touch as push
 
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
@@ -21,12 +19,10 @@ from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants.batches import make_together
 from vsfsim.generate.plants.prepare import prepare_job
-from vsfsim.generate.plants.touches import make_views
+from vsfsim.generate.plants.touches import make_view
 from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.robot.reach import LINE_POSITION
-from vsfsim.scenes.plant import grow
-from vsfsim.sensing.kinect import kinect_depth
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +41,7 @@ def made(scene_file, tmp_path_factory):
     """One object view of three touches, through the file, and its job."""
     recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2)
     job = jobs_of(recipe, scene_file.path, tmp_path_factory.mktemp("plants"), None)[1]
-    view = make_views([job], device="cpu")[0]
+    view = make_view(job, device="cpu")
     write_view(job.file, view)
     return read_view(job.file), view, job
 
@@ -77,7 +73,7 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
     text = text.replace("force_limit = 40.0", "force_limit = 3.0")
     recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3)
     job = jobs_of(recipe, scene_file.path, tmp_path, None)[0]
-    touches, prepared = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu")
+    touches, prepared = make_view(job, device="cpu").touches, prepare_job(job, device="cpu")
     aims, turned = prepared.aims, 0
     for touch, a in zip(touches, aims, strict=True):
         assert (touch.ended == 0 and len(touch.time) == len(a.plan)
@@ -97,14 +93,6 @@ def off_line(arm, aim):
     """Furthest that the tool leaves the line of an aim, between its rows [m]."""
     off = arm.postures(aim.angles(np.linspace(0.0, len(aim.line) - 1.0, 20 * len(aim.line)))).tool[:, :3, 3] - aim.start
     return float(np.linalg.norm(off - (off @ aim.axis)[:, None] * aim.axis, axis=1).max())
-
-
-def test_with_the_rows_of_shipped_scenes_the_tool_is_on_its_line_between_them_too(scene_file, tmp_path):
-    text = scene_file.text.replace("in = 14, hold = 1, out = 4", "in = 64, hold = 2, out = 14")
-    job = jobs_of(make_recipe(parse_scene(text, scene_file.path), seed=5, objects=1, views=1, touches=4),
-                  scene_file.path, tmp_path, None)[0]
-    prepared = prepare_job(job, device="cpu")
-    assert max(off_line(prepared.arm, a) for a in prepared.aims) < 2.0 * LINE_POSITION, "measured: 0.8 at most"
 
 
 def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
@@ -148,7 +136,7 @@ def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the
 
 def test_the_same_job_gives_the_same_bits_and_another_view_another_turn(made, prepared):
     _, view, job = made
-    again = make_views([job], device="cpu")[0]
+    again = make_view(job, device="cpu")
     assert all(np.array_equal(a.torque, b.torque, equal_nan=True)
                for a, b in zip(view.touches, again.touches, strict=True))
     fewer = dataclasses.replace(job.recipe, touches=1)
@@ -193,19 +181,6 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
         record(bare, task)
 
 
-def test_kinect_noise_is_seeded_grows_with_distance_and_loses_edges(made):
-    view = made[0].view
-    flat = dataclasses.replace(view, depth=np.full((60, 80), 2.0, np.float32), mask=np.pad(np.ones((40, 60), bool), 10))
-    a, b = kinect_depth(flat, 3), kinect_depth(flat, 3)
-    assert (a.depth == b.depth).all() and (a.depth != kinect_depth(flat, 4).depth).any()
-    inside = a.depth[15:-15, 15:-15]
-    assert inside.std() == pytest.approx(0.0041,
-                                         rel=0.1) and (np.abs(a.depth * 1000 - np.rint(a.depth * 1000)) < 1e-3).all()
-    lost = flat.mask & ~a.mask
-    # of the 196 pixels of the mask's edge
-    assert lost.sum() == pytest.approx(0.35 * 196, rel=0.35) and not lost[11:-11, 11:-11].any()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("old", "new", "word"), [
     ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"',
@@ -228,9 +203,9 @@ def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, t
     batch."""
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, device=device)
     jobs = jobs_of(recipe, scene_file.path, tmp_path, None)
-    assert sum(frames for frames, _ in make_together(jobs, device=device, workers=2, part=1)) > 0
+    assert {*make_together(jobs, device=device, workers=2, part=1)} == {job.name for job in jobs}
     for job in jobs:
-        together, alone = read_view(job.file), make_views([job], device=device)[0]
+        together, alone = read_view(job.file), make_view(job, device=device)
         assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target)
                    for a, b in zip(together.touches, alone.touches, strict=True))
 
@@ -243,39 +218,10 @@ def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_
     for mode in ("kinematic", "dynamic"):
         scene = parse_scene(scene_file.text.replace('mode = "kinematic"', f'mode = "{mode}"'), scene_file.path)
         recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1)
-        made[mode] = make_views(jobs_of(recipe, scene.path, tmp_path, None), device="cpu")[0].touches[0]
+        made[mode] = make_view(jobs_of(recipe, scene.path, tmp_path, None)[0], device="cpu").touches[0]
     a, b = made["kinematic"], made["dynamic"]
     assert (a.force == b.force).all() and not np.array_equal(a.q, b.q) and np.abs(a.q - b.q).max() < 0.05
     gap = np.abs(a.torque - b.torque).max()
     print(f"largest difference {gap:.3f} N m of {np.abs(a.torque).max():.3f} N m")
     # measured: 0.38. A large joint's sensor measures 0.1 of 3.5 N m and of 2 N m s/rad at 0.3 rad/s, 0.41 N m in all
     assert 0.2 < gap < 0.5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("step", [0.0001, 0.02])
-def test_a_sweep_through_the_whole_crown(step, device):
-    """Four links drive through all of a plant, a reading every 0.1 mm or every 20 mm: converged or marked, finite,
-    nothing left bent when the arm is past."""
-    plant = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
-    travel = np.arange(0.0, 0.9 if step > 0.001 else 0.03, step)
-    height = plant.nodes[:, 2].max()
-    start = plant.nodes[:, 0].min() - (0.2 if step > 0.001 else 0.035)
-    poses = np.concatenate([crossing(travel, height=h * height, start=start) for h in (0.55, 0.7, 0.85, 1.0)], axis=2)
-    frames = push(plant, poses, radius=0.03, length=0.8, friction=0.4, device=device)
-    solved = int(frames.frames[0])
-    assert solved == len(travel) and np.isfinite(frames.force).all() and np.isfinite(frames.nodes).all()
-    assert ((frames.reason[:, 0] > 0) == ~frames.converged[:, 0]).all()
-    print(f"{len(travel)} readings, {frames.converged.mean():.3f} converged, reasons {np.unique(frames.reason)}, "
-          f"deepest {1e3 * np.nanmax(frames.penetration):.2g} mm, most contacts {frames.contacts.max()}")
-    converged = frames.converged[:, 0]
-    assert frames.contacts.max() >= (4 if step > 0.001 else 1) and frames.penetration[converged].max() < 1e-3
-    if step < 0.001:  # all converge here; the margin is for a reading of 300 that rounds otherwise elsewhere
-        assert converged.mean() > 0.97
-        return
-    # On the last 0.3 m the links pull at the stem with 24 N and go through it at last: 26 of 45 readings converge,
-    # those of the first half and single ones after it. What went through stays marked, though the plant is at rest.
-    assert converged[:20].all() and frames.contacts[:20].max() >= 4
-    lost = np.flatnonzero(frames.penetration[:, 0].reshape(len(travel), -1).max(axis=1) > 1e-3)
-    assert len(lost) and not converged[lost[0]:].any()
-    assert np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9

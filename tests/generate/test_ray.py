@@ -12,10 +12,11 @@ import pytest
 from test_generate import SCENE, command
 
 from measurements.faults import descendants
-from vsfsim.core.engines import ray_cluster
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
-from vsfsim.generate.run import Share, generate
+from vsfsim.core.system import engines
+from vsfsim.core.system.engines import Fan
+from vsfsim.generate.run import generate
 
 ray = pytest.importorskip("ray")
 
@@ -58,7 +59,7 @@ def test_a_cluster_that_is_not_there_is_said_within_ten_seconds():
     began = time.perf_counter()
     for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:x"):
         with pytest.raises(VsfsimError, match=r"no Ray cluster at '.*127.0.0.1.*ray start --head"):
-            list(ray_cluster.run(print, [1], address=address))
+            list(engines.on_ray(print, [1], address=address))
     assert time.perf_counter() - began < 10.0
 
 
@@ -66,7 +67,7 @@ def test_a_cluster_that_is_not_there_is_said_within_ten_seconds():
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_any_number_of_workers_gives_the_bytes_of_one_process(scene, made, tmp_path, workers):
     with cluster(workers) as there:
-        found = generate(scene, tmp_path / "d", objects=OBJECTS, share=Share(ray=there.address))
+        found = generate(scene, tmp_path / "d", objects=OBJECTS, fan=Fan(ray=there.address))
     assert found.sha256 == made.sha256 and contents(tmp_path / "d") == contents(made.path)
 
 
@@ -99,5 +100,5 @@ def test_after_twenty_kills_of_workers_and_one_of_the_head_the_bytes_are_the_sam
     assert kills == 20 and run.returncode == 2 and "was lost" in said and "Traceback" not in said
     assert not (tmp_path / "d" / "dataset.json").exists()
     with cluster(2) as there:
-        found = generate(scene, tmp_path / "d", objects=OBJECTS, share=Share(ray=there.address))
+        found = generate(scene, tmp_path / "d", objects=OBJECTS, fan=Fan(ray=there.address))
     assert found.sha256 == made.sha256 and contents(tmp_path / "d") == contents(made.path)

@@ -53,7 +53,7 @@ def in_this_process(monkeypatch):
     def make_each(jobs, *, device, **_):
         for job in jobs:
             workers.write(job, probe.EFFECTOR.make_view(job, device=device), device)
-            yield 3, job.name
+            yield job.name
 
     monkeypatch.setattr(on_solids, "make_each", make_each)
 

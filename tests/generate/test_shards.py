@@ -8,25 +8,23 @@ import signal
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import pytest
 from test_generate import SCENE, command
 
-from vsfsim.core.engines import scheduler
-from vsfsim.core.engines.shard import shard_of
 from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.core.scene import load_scene
+from vsfsim.core.system import engines
+from vsfsim.core.system.engines import Fan, shard_of
 from vsfsim.data import lines
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.store import open_store
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate import costs, workers
+from vsfsim.generate import workers
 from vsfsim.generate.effector import find_effector
-from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.run import Share, generate, make, planned
+from vsfsim.generate.run import generate, make, planned
 
 RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2, splits={"test": 2},
                 device="cpu", tier="vsf", precision="float64", renderer="warp")
@@ -48,7 +46,7 @@ def here(monkeypatch):
 
         for job in jobs:
             make_one(job, device)
-            yield 1, job.name
+            yield job.name
 
     monkeypatch.setattr(type(find_effector("probe")), "make_all", make_all)
 
@@ -65,7 +63,7 @@ def contents(folder):
 def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp_path, here):
     out = tmp_path / "d"
     for k in (2, 0, 3, 1):
-        found = make(planned(scene, out, objects=4), share=Share(shard=(k, 4)))
+        found = make(planned(scene, out, objects=4, fan=Fan((k, 4))))
         assert len(found.names) == 1 and found.dataset is None
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(out)
@@ -74,26 +72,26 @@ def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp
     content = (out / "tiny-0000-v0.h5").read_bytes()
     assert line["sha256"] == hashlib.sha256(content).hexdigest() and line["bytes"] == len(content)
     assert line["seed"] == 0 and line["made_on"]
-    assert make(planned(scene, out, objects=4), share=Share(finish=True)).dataset.sha256 == made.sha256
+    assert make(planned(scene, out, objects=4, finish=True)).dataset.sha256 == made.sha256
     assert contents(out) == contents(made.path) and verify(out).ok
     assert "4 object views" in (out / "README.md").read_text()
 
 
 def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp_path, here):
     out = tmp_path / "d"
-    make(planned(scene, out, objects=2), share=Share(shard=(0, 2)))
+    make(planned(scene, out, objects=2, fan=Fan((0, 2))))
     (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
     with pytest.raises(DatasetError, match=r"'tiny-0001-v0' is missing; .*`vsfsim generate` again"):
-        make(planned(scene, out, objects=2), share=Share(finish=True))
+        make(planned(scene, out, objects=2, finish=True))
     assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
 
 
 def test_another_number_of_shards_and_another_recipe_are_refused(scene, tmp_path, here):
-    make(planned(scene, tmp_path, objects=2), share=Share(shard=(0, 2)))
+    make(planned(scene, tmp_path, objects=2, fan=Fan((0, 2))))
     with pytest.raises(DatasetError, match="is being made in 2 shards, and --shard asks for 3"):
-        make(planned(scene, tmp_path, objects=2), share=Share(shard=(1, 3)))
+        make(planned(scene, tmp_path, objects=2, fan=Fan((1, 3))))
     with pytest.raises(DatasetError, match="holds another dataset: seed 0 there, 1 asked for"):
-        make(planned(scene, tmp_path, objects=2, seed=1), share=Share(shard=(1, 2)))
+        make(planned(scene, tmp_path, objects=2, seed=1, fan=Fan((1, 2))))
 
 
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
@@ -107,14 +105,14 @@ def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, 
 
 
 def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path, here, monkeypatch):
-    make(planned(scene, tmp_path, objects=4), share=Share(shard=(0, 2)))
+    make(planned(scene, tmp_path, objects=4, fan=Fan((0, 2))))
     monkeypatch.setattr(workers, "machine_kind", lambda *_: "another CPU")
     with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--mixed"):
-        make(planned(scene, tmp_path, objects=4), share=Share(shard=(1, 2)))
-    make(planned(scene, tmp_path, objects=4), share=Share(shard=(1, 2), mixed=True))
+        make(planned(scene, tmp_path, objects=4, fan=Fan((1, 2))))
+    make(planned(scene, tmp_path, objects=4, mixed=True, fan=Fan((1, 2))))
     with pytest.raises(DatasetError, match="machines of 2 kinds"):
-        make(planned(scene, tmp_path, objects=4), share=Share(finish=True))
-    found = make(planned(scene, tmp_path, objects=4), share=Share(finish=True, mixed=True)).dataset
+        make(planned(scene, tmp_path, objects=4, finish=True))
+    found = make(planned(scene, tmp_path, objects=4, finish=True, mixed=True)).dataset
     assert {e.made_on for e in found.entries} == {made.entries[0].made_on, "another CPU"}
     assert found.sha256 == made.sha256 and verify(tmp_path).ok
 
@@ -130,11 +128,11 @@ def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made
         return real(self, job, **options)
 
     monkeypatch.setattr(type(probe), "make_view", make_view)
-    found = make(planned(scene, tmp_path / "d", objects=4), share=Share(poison=True))
+    found = make(planned(scene, tmp_path / "d", objects=4, poison=True))
     assert calls.count("tiny-0001-v0") == 2 and len(found.dataset) == 3 and verify(tmp_path / "d").ok
     assert found.left_out == {"tiny-0001-v0": "RuntimeError: no luck"}
     assert "no luck" in (tmp_path / "d" / "README.md").read_text()
-    again = make(planned(scene, tmp_path / "d", objects=4), share=Share(poison=True))
+    again = make(planned(scene, tmp_path / "d", objects=4, poison=True))
     assert again.left_out == found.left_out and len(calls) == 5, "what is finished is left"
 
 
@@ -143,10 +141,10 @@ def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, mon
     monkeypatch.setenv("VSFSIM_FETCHED", str(tmp_path))
     url = f"memory://{tmp_path.name}/d"
     for k in range(2):
-        make(planned(scene, url, objects=4), share=Share(shard=(k, 2)))
+        make(planned(scene, url, objects=4, fan=Fan((k, 2))))
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(url)
-    found = make(planned(scene, url, objects=4), share=Share(finish=True)).dataset
+    found = make(planned(scene, url, objects=4, finish=True)).dataset
     assert found.sha256 == made.sha256 and found.origin == url
     assert found[1].touches[0].force.tobytes() == made[1].touches[0].force.tobytes()
     assert sorted(open_store(url).sizes()) == sorted(contents(made.path))
@@ -191,18 +189,18 @@ def test_shards_that_are_none_are_refused(given, env):
 
 def test_the_files_for_schedulers_hold_the_command():
     words = ["vsfsim", "generate", "x", "--out", "a b"]
-    batch = scheduler.job_file("slurm", words, 4, finish=[*words, "--finish"])
+    batch = engines.job_file("slurm", words, 4, finish=[*words, "--finish"])
     assert "--array=0-3" in batch and "srun vsfsim generate x --out 'a b' --shard auto" in batch
     with pytest.raises(VsfsimError, match="at most 1000"):
-        scheduler.job_file("slurm", words, 1001, finish=[])
+        engines.job_file("slurm", words, 1001, finish=[])
     yaml = pytest.importorskip("yaml")
-    job = yaml.safe_load(scheduler.job_file("k8s", words, 3, finish=[*words, "--finish"], gpus=1))
+    job = yaml.safe_load(engines.job_file("k8s", words, 3, finish=[*words, "--finish"], gpus=1))
     assert job["spec"]["completions"] == 3 and job["spec"]["completionMode"] == "Indexed"
     (container,) = job["spec"]["template"]["spec"]["containers"]
     assert container["command"][:7] == [*words, "--shard", "auto/3"]
     assert container["resources"]["limits"]["nvidia.com/gpu"] == "1"
     assert container["workingDir"] == "/work" and job["spec"]["template"]["spec"]["volumes"]
-    other = yaml.safe_load(scheduler.job_file("k8s", [*words[:-1], "s3://b/Data_1.x"], 3, finish=words))
+    other = yaml.safe_load(engines.job_file("k8s", [*words[:-1], "s3://b/Data_1.x"], 3, finish=words))
     assert "volumes" not in other["spec"]["template"]["spec"], "an object store needs none"
     names = [one["metadata"]["name"] for one in (job, other)]
     assert len(set(names)) == 2 and all(re.fullmatch(r"[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?", name) for name in names)
@@ -215,7 +213,7 @@ def test_the_files_for_schedulers_hold_the_command():
     ("slurm", "a\u2028b", "a character that ends a line")])
 def test_words_that_a_job_cannot_have_are_refused(engine, word, message):
     with pytest.raises(VsfsimError, match=message):
-        scheduler.job_file(engine, ["vsfsim", "generate", word], 3, finish=())
+        engines.job_file(engine, ["vsfsim", "generate", word], 3, finish=())
 
 
 def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim):
@@ -258,40 +256,24 @@ def test_sigterm_drops_the_touch_and_the_same_command_goes_on(scene, made, tmp_p
 
 
 @pytest.mark.slow
-def test_slurm_by_processes_of_this_machine(scene, made, tmp_path):
-    pytest.importorskip("submitit")
-    out = tmp_path / "d"
-    words = [str(w) for w in command("generate", scene.path, "--out", out, "--objects", 4, "--workers", 1)]
-    assert scheduler.submit(words, 2, tmp_path / "logs", cluster="local") == []
-    assert make(planned(scene, out, objects=4), share=Share(finish=True)).dataset.sha256 == made.sha256
+def test_the_batch_file_makes_all_shards(scene, made, tmp_path, monkeypatch):
+    """With an `sbatch` that runs the tasks of the array here, one after the other."""
+    out, bin = tmp_path / "d", tmp_path / "bin"
+    words = [str(w) for w in command("generate", scene.path, "--out", out, "--objects", 4)]
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(VsfsimError, match="there is no Slurm on this machine"):
+        engines.submit(words, 2)
+    bin.mkdir()
+    task = "SLURM_ARRAY_TASK_ID=$k SLURM_ARRAY_TASK_COUNT=2 SLURM_CPUS_PER_TASK=1 bash $0.job || exit 1"
+    for name, text in (("sbatch", f"cat > $0.job\nfor k in 0 1; do {task}; done"), ("srun", 'exec "$@"')):
+        (bin / name).write_text(f"#!/bin/bash\n{text}\n")
+        (bin / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{bin}:/usr/bin:/bin")
+    engines.submit(words, 2)
+    with pytest.raises(VsfsimError, match="sbatch ended with code 1: shards failed"):
+        engines.submit([*words, "--tier", "no"], 2)
+    assert make(planned(scene, out, objects=4, finish=True)).dataset.sha256 == made.sha256
     assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()
-
-
-@pytest.mark.slow
-def test_a_dry_run_is_within_a_quarter_of_the_run(scene, tmp_path, here, monkeypatch):
-    """On CPU time, from two small runs of other sizes."""
-    monkeypatch.setenv("VSFSIM_COSTS", str(tmp_path / "costs.jsonl"))
-    with pytest.raises(DatasetError, match="no view of the scene 'tiny'"):
-        costs.estimate(make_recipe(scene, objects=2), 2)
-    for touches in (1, 3):
-        generate(scene, tmp_path / f"small-{touches}", objects=3, touches=touches)
-    before = (tmp_path / "costs.jsonl").read_text().splitlines()
-    said = costs.estimate(make_recipe(scene, objects=3, touches=5, seed=1), 3)
-    generate(scene, tmp_path / "real", objects=3, touches=5, seed=1)
-    rows = [json.loads(line) for line in (tmp_path / "costs.jsonl").read_text().splitlines()[len(before):]]
-    took, size = sum(row["seconds"] for row in rows), sum(row["bytes"] for row in rows)
-    assert said.touches == 15 and said.seen == 6 and len(rows) == 3
-    assert abs(said.cpu_seconds / took - 1.0) < 0.25 and abs(said.bytes / size - 1.0) < 0.25
-    assert said.hours(2, 2) == pytest.approx(said.cpu_seconds / 3 / 3600.0)
-
-
-def test_a_killed_server_of_workers_is_told_as_a_killed_worker(scene, tmp_path, monkeypatch):
-    def killed(*_):
-        raise EOFError
-
-    monkeypatch.setattr(workers, "submit", killed)
-    with pytest.raises(DatasetError, match=r"a worker process ended before .*Run the same command again"):
-        generate(scene, tmp_path / "d", objects=2, workers=2)
 
 
 def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
@@ -309,13 +291,3 @@ def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
     assert asked[-2:] == [32, 17]
     with pytest.raises(RuntimeError, match="another"):
         workers.largest(lambda size: make(size, room=3, words="another"), 4096, 17, "plants", "cuda:0")
-
-
-@pytest.mark.parametrize(("gibibytes", "processes"), [(140, 16), (80, 16), (24, 4), (8, 1)])
-def test_as_many_processes_share_a_gpu_as_its_memory_holds(monkeypatch, gibibytes, processes):
-    monkeypatch.setattr("os.cpu_count", lambda: 64)
-    monkeypatch.setattr("warp.get_device", lambda device: SimpleNamespace(total_memory=gibibytes * 2**30))
-    asked = []
-    monkeypatch.setattr(workers, "_make_in_pool", lambda jobs, device, count: iter(asked.append(count) or ()))
-    assert list(workers.make_each(["a view"], device="cuda:0", workers=None)) == [] and asked == [processes]
-    assert list(workers.make_each(["a view"], device="cuda:0", workers=3)) == [] and asked[1:] == [3]

@@ -4,7 +4,6 @@ import dataclasses
 import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
 from vsfsim.generate import bubble_touch as touch_bubble
 from vsfsim.generate.aim import Aim, tilted
-from vsfsim.generate.inspect import inspect
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.resim import again
 from vsfsim.physics.bubble.sensor import build_bubble
@@ -142,32 +140,6 @@ def test_a_plan_made_again_is_the_touch(made):
         view.touches[1].pressure - view.touches[1].rest_pressure, rel=1e-3, abs=1e-2)
 
 
-@pytest.mark.slow
-def test_killed_and_resumed_and_by_two_workers_the_bits_are_the_same(tmp_path):
-    """Two views: made in one go by one worker, by two, and killed when the first file is there and started again."""
-    (tmp_path / "felt.toml").write_text(SCENE.replace("objects = 1",
-                                                      "objects = 2").replace("test = 1", "train = 1, test = 1"))
-
-    def generate(out, workers):
-        done = command("generate", "felt.toml", "--out", out, "--workers", workers, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        return {p.name: p.read_bytes() for p in sorted((tmp_path / out).iterdir())}
-
-    one = generate("one", 1)
-    assert sum(name.endswith(".h5") for name in one) == 2
-    assert generate("two", 2) == one
-    words = [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "generate", "felt.toml", "--out",
-             "killed", "--workers", "1"]
-    process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while process.poll() is None and not list(tmp_path.glob("killed/*.h5")):
-        time.sleep(0.005)
-    process.kill()
-    process.wait()
-    left = {p.name for p in (tmp_path / "killed").glob("*.h5")}
-    assert 1 <= len(left) <= 2
-    assert generate("killed", 2) == one and verify(tmp_path / "killed").ok
-
-
 def test_a_read_out_that_loses_force_is_found(made):
     touch = Dataset.open(made).load("felt-0000-v0").touches[0]
     assert skin_loss(touch) is None and skin_loss(dataclasses.replace(touch, node_force=None)) is None
@@ -180,11 +152,6 @@ def dome_volume(points, triangles):
     a, b, c = (points[triangles[:, k]] for k in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     return float((area * (a[:, 2] + b[:, 2] + c[:, 2]) / 3.0).sum())
-
-
-def test_its_summary_and_contact_sheet(made, tmp_path):
-    text = "\n".join(inspect(str(made), tmp_path / "sheet.png", seed=0, device="cpu")[0])
-    assert "Pa over the free dome's" in text and (tmp_path / "sheet.png").stat().st_size > 20_000
 
 
 def test_a_dome_is_read_back_and_knows_its_heights(made):

@@ -1,4 +1,4 @@
-"""Peers and fronts: what is computed from what was measured."""
+"""Peers: what is computed from what was measured."""
 
 import subprocess
 
@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from measurements import indent
-from vsfsim.generate.trade.front import Point
-from vsfsim.generate.trade.plot import draw
 
 
 def test_a_peer_that_is_not_there_is_skipped_with_the_reason(tmp_path, monkeypatch):
@@ -35,10 +33,3 @@ def test_a_peer_that_stops_leaves_the_depths_that_it_reached(tmp_path, monkeypat
     assert indent.pressed("toy", case, None)["forces"] == [1.0, 2.0]
     monkeypatch.setattr(indent.subprocess, "run", None)  # what is whole is kept
     assert indent.pressed("toy", case, None)["said"] == ""
-
-
-def test_the_front_is_drawn(tmp_path):
-    points = [Point(f"fem, {k} mm", "fem", 1.0 / k, 1, 1, 1, 1, 0, 0.01 * k, 0.015, {}, front=k == 2)
-              for k in (1, 2, 3)]
-    draw(points, "a block", tmp_path / "front.png")
-    assert (tmp_path / "front.png").read_bytes()[:4] == b"\x89PNG"

@@ -13,7 +13,7 @@ from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.presses.bubble import solve as solve_bubble
+from vsfsim.generate.effectors.bubble import solve as solve_bubble
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies

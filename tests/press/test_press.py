@@ -10,9 +10,9 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.generate.presses.assume import with_probe
-from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
-from vsfsim.generate.presses.probe import prepare, solve
+from vsfsim.generate.assume import with_probe
+from vsfsim.generate.boundary import deformed_surface, face_pressure
+from vsfsim.generate.effectors.probe import prepare, solve
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.convergence import convergence

@@ -11,8 +11,8 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
+from vsfsim.generate.effectors.bubble import inward_distance, outside, result_of, solve
 from vsfsim.generate.press_result import Colours
-from vsfsim.generate.presses.bubble import inward_distance, outside, result_of, solve
 from vsfsim.press import figures
 from vsfsim.press.command import Press
 from vsfsim.press.command import press as command

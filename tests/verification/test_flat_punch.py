@@ -6,7 +6,7 @@ import pytest
 import references
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.generate.presses.probe import prepare, solve
+from vsfsim.generate.effectors.probe import prepare, solve
 
 REFERENCE = references.load("flat_punch")
 SCENE = """

@@ -13,8 +13,8 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.presses.probe import prepare
-from vsfsim.generate.presses.probe import solve as solve_press
+from vsfsim.generate.effectors.probe import prepare
+from vsfsim.generate.effectors.probe import solve as solve_press
 from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
 

@@ -7,7 +7,7 @@ import pytest
 
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.generate.presses.probe import press
+from vsfsim.generate.effectors.probe import press
 
 SCENE = """
 gravity = [0.0, 0.0, 0.0]

@@ -15,7 +15,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.generate.presses.bubble import solve
+from vsfsim.generate.effectors.bubble import solve
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.elements import stop
 from vsfsim.physics.mesh.membrane import TriangleMesh

@@ -17,8 +17,8 @@ METHOD, SCORER = "the method", "the harness"
 """Names of the two digests in `contents_of`."""
 _ANSWERS = ("vsfsim.baselines", "vsfsim.vsf", "vsfsim.physics", "vsfsim.generate", "vsfsim.robot", "vsfsim.sensing",
             "vsfsim.active", "vsfsim.core", "vsfsim.bench.observations")
-_PLUMBING = ("vsfsim.core.shelf", "vsfsim.core.system", "vsfsim.core.engines", "vsfsim.core.interactive",
-             "vsfsim.core.errors", "vsfsim.core.extras", "vsfsim.core.plain_text", "vsfsim.core.text_table")
+_PLUMBING = ("vsfsim.core.shelf", "vsfsim.core.system", "vsfsim.core.errors", "vsfsim.core.extras",
+             "vsfsim.core.plain_text", "vsfsim.core.text_table")
 """Modules of vsfsim, with all below them, that a method's answers pass through, and those of them that answer nothing:
 the particle model and the solver count, a message does not."""
 _SCORES = ("folds", "inclusions", "metric_functions", "metrics", "noise", "observations", "protocol", "reached_points",

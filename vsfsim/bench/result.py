@@ -19,9 +19,8 @@ from vsfsim.bench.metrics import Answer, Score, scores_of
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result_file import SCHEMA_VERSION, Count, Size, as_rows, beside_zero, checked, pack, read_json
 from vsfsim.core.errors import TaskError, did_you_mean
-from vsfsim.core.interactive.figure import new_figure
-from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.plain_text import plain
+from vsfsim.core.system.interactive import html_table, new_figure
 from vsfsim.data.disk import write_atomic, write_figure
 
 FORMAT = "vsfsim-result"

@@ -20,8 +20,8 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
-from vsfsim.core.engines.shard import HERE
 from vsfsim.core.errors import MethodError, TaskError, VsfsimError
+from vsfsim.core.system.engines import HERE
 
 if TYPE_CHECKING:
     from vsfsim.bench.task import Task
@@ -173,8 +173,7 @@ def evaluate(task: TaskName,
                           f"{task}-{on}.")
     wanted = load_task(task)
     fan = fan_of(on, shard, printed, address, gpus_per_task)
-    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, Path("slurm-logs"), printed,
-                                                    int(gpus_per_task)):
+    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, printed, int(gpus_per_task)):
         return
     shared: dict[str, Any] = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout,
                               "memory": memory, "sandbox": sandbox, "processes": processes, "keep": keep}

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from vsfsim.cli.options import check_choice
-from vsfsim.core.engines.shard import Fan, shard_of
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.system.engines import Fan, shard_of
 
 ENGINES = ("ray", "slurm", "k8s")
 _ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
@@ -29,16 +28,6 @@ ShardOf = Annotated[str | None, typer.Option("--shard", rich_help_panel=GROUP, m
 Shards = Annotated[int | None, typer.Option("--shards", rich_help_panel=GROUP, min=1,
                                             help="Tasks of a Slurm array or pods of a Kubernetes job; default: 100, at "
                                                  "most one a part.")]
-Finish = Annotated[bool, typer.Option("--finish", rich_help_panel=GROUP,
-                                      help="Check what shards have made, and write dataset.json.")]
-Mixed = Annotated[bool, typer.Option("--mixed", rich_help_panel=GROUP,
-                                     help="Allow machines of several kinds, which round otherwise.")]
-Poison = Annotated[bool, typer.Option("--poison", rich_help_panel=GROUP,
-                                      help="Leave out a view that fails twice and make the others; exit code 4.")]
-Machines = Annotated[int, typer.Option("--machines", rich_help_panel=GROUP, min=1,
-                                       help="With --dry-run: how many machines like this one.")]
-Price = Annotated[float | None, typer.Option("--price", rich_help_panel=GROUP, min=0.0,
-                                             help="With --dry-run: of an hour of a machine.")]
 Printed = Annotated[bool, typer.Option("--print", rich_help_panel=GROUP,
                                        help="Print the file for Slurm or Kubernetes and make nothing.")]
 
@@ -70,12 +59,12 @@ def fan_of(on: str | None, shard: str | None, printed: bool, address: str, gpus:
     return Fan(check_engine(on, shard, printed), address if on == "ray" else "", gpus)
 
 
-def by_shards(engine: str, shards: int, logs: Path, printed: bool, gpus: int, finish: Sequence[str] = ()) -> bool:
+def by_shards(engine: str, shards: int, printed: bool, gpus: int, finish: Sequence[str] = ()) -> bool:
     """Print the file of a scheduler, or make all shards of this command by Slurm.
 
     Args:
-        engine: "slurm" or "k8s". shards: how many. logs: folder of Slurm's. printed: print and make nothing. gpus: of
-        each. finish: words that the command which ends the work has besides.
+        engine: "slurm" or "k8s". shards: how many. printed: print and make nothing. gpus: of each. finish: words that
+        the command which ends the work has besides.
 
     Returns:
         Whether the shards were made.
@@ -83,18 +72,14 @@ def by_shards(engine: str, shards: int, logs: Path, printed: bool, gpus: int, fi
     Raises:
         VsfsimError: shards failed, or there is no Slurm.
     """
-    from vsfsim.core.engines import scheduler
+    from vsfsim.core.system import engines
 
     words = shard_words(sys.argv[1:])
-    last = [*words, *finish]
     if printed:
-        print(scheduler.job_file(engine, words, shards, finish=last, gpus=gpus), end="")
-        return False
-    failed = scheduler.submit(words, shards, logs, gpus=gpus)
-    if failed:
-        raise VsfsimError(f"{len(failed)} of {shards} shards failed; their logs are in {logs}. {'; '.join(failed[:3])} "
-                          f"Run the same command again, which makes what is missing.")
-    return True
+        print(engines.job_file(engine, words, shards, finish=[*words, *finish], gpus=gpus), end="")
+    else:
+        engines.submit(words, shards, gpus=gpus)
+    return not printed
 
 
 def shard_words(given: Sequence[str]) -> list[str]:

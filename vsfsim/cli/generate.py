@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import signal
 import time
 from pathlib import Path
@@ -13,18 +12,13 @@ import typer
 
 from vsfsim.cli.cluster import (
     Address,
-    Finish,
     GpusPerTask,
-    Machines,
-    Mixed,
     On,
-    Poison,
-    Price,
     Printed,
     ShardOf,
     Shards,
     by_shards,
-    check_engine,
+    fan_of,
 )
 from vsfsim.cli.console import Progress, note, report
 from vsfsim.cli.groups import Sections
@@ -36,17 +30,15 @@ app = typer.Typer()
 
 
 @app.command(cls=Sections)
-@asks("objects", "views", "touches", "seed", "tier", "device", "renderer", "accuracy", "workers")
+@asks("objects", "views", "touches", "seed", "tier", "device", "renderer", "accuracy", "workers",
+      "finish", "mixed", "poison")
 def generate(request: Request, scene: SceneName,
              out: Annotated[str | None, typer.Option(help="Folder of the dataset, or the address of an object store "
                                                           "(s3://...); default: where a task looks for it, "
                                                           "datasets/SCENE-v1 say, else datasets/SCENE "
                                                           "($VSFSIM_DATASETS in place of datasets).")] = None,
-             dry_run: Annotated[bool, typer.Option("--dry-run", help="Make nothing: touches, bytes and time, from the "
-                                                                     "views of this scene made here before.")] = False,
-             json: JsonFile = None, shard: ShardOf = None, finish: Finish = False, mixed: Mixed = False,
-             poison: Poison = False, on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0,
-             shards: Shards = None, printed: Printed = False, machines: Machines = 1, price: Price = None) -> None:
+             json: JsonFile = None, shard: ShardOf = None, on: On = None, address: Address = "auto",
+             gpus_per_task: GpusPerTask = 0.0, shards: Shards = None, printed: Printed = False) -> None:
     """Make a dataset from a scene, or finish one.
 
     Run the same command again after an interruption: it makes only what is missing, to the same bits.
@@ -54,32 +46,26 @@ def generate(request: Request, scene: SceneName,
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
 
-    part = check_engine(on, shard, printed)
-    if part and finish:
+    fan = fan_of(on, shard, printed, address, gpus_per_task)
+    part = fan.shard
+    if part and request.finish:
         raise VsfsimError("--shard and --finish do not go together. Each machine makes a --shard; --finish ends the "
                           "work.")
     loaded = load_scene(find_scene(scene))
-    from vsfsim.generate.run import Share, make, planned  # takes seconds; a mistake in the scene is reported before
+    from vsfsim.generate.run import make, planned  # takes seconds; a mistake in the scene is reported before
 
     began = time.perf_counter()
-    plan = planned(loaded, out, request.but(note=note))
-    folder, count = plan.folder, plan.recipe.objects * plan.recipe.views
-    if dry_run:
-        from vsfsim.generate.costs import estimate
-
-        cost, processes = estimate(plan.recipe, count), request.workers or os.cpu_count() or 1
-        report(cost.text(processes, machines, price), cost.table(processes, machines, price), json)
-        return
+    plan = planned(loaded, out, request.but(note=note, fan=fan))
+    folder = plan.folder
     if on in ("slurm", "k8s"):
-        logs = Path("slurm-logs") if "://" in str(folder) else Path(folder).with_name(f"{Path(folder).name}-slurm")
-        if not by_shards(on, shards or min(100, count), logs, printed, int(gpus_per_task), ["--finish"]):
+        count = plan.recipe.objects * plan.recipe.views
+        if not by_shards(on, shards or min(100, count), printed, int(gpus_per_task), ["--finish"]):
             return
-        finish = True
-    share = Share(part, finish, mixed, poison, address if on == "ray" else "", gpus_per_task)
+        request = request.but(finish=True)
     signal.signal(signal.SIGTERM, _terminated)
     try:
         with Progress("generate") as progress:
-            made = make(dataclasses.replace(plan, request=plan.request.but(progress=progress)), share=share)
+            made = make(dataclasses.replace(plan, request=plan.request.but(progress=progress, finish=request.finish)))
     except KeyboardInterrupt as stop:
         raise Interrupted(_kept(folder)) from stop
     seconds = time.perf_counter() - began

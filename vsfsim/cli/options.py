@@ -126,7 +126,14 @@ Accuracy = Annotated[str | None, typer.Option("--accuracy", metavar="SHARE",
 ASKED: dict[str, Any] = {
     "seed": Seed, "tier": Tier, "device": Device, "objects": Objects, "views": Views, "touches": Touches,
     "workers": Workers, "limit": Limit, "accuracy": Accuracy,
-    "renderer": Annotated[str, typer.Option("--renderer", help="warp or pyrender.")]}
+    "renderer": Annotated[str, typer.Option("--renderer", help="warp or pyrender.")],
+    "finish": Annotated[bool, typer.Option("--finish", rich_help_panel="Machines",
+                                           help="Check what shards have made, and write dataset.json.")],
+    "mixed": Annotated[bool, typer.Option("--mixed", rich_help_panel="Machines",
+                                          help="Allow machines of several kinds, which round otherwise.")],
+    "poison": Annotated[bool, typer.Option("--poison", rich_help_panel="Machines",
+                                           help="Leave out a view that fails twice and make the others; exit code "
+                                                "4.")]}
 """The option of each field of `Request` that a command may have."""
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim methods`), or module:attribute.")]

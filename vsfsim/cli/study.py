@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -63,7 +62,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     wanted = [(one, v) for one in known if size in one.tasks or not one.tasks
               for v in ([one.variant(name) for name in variant] if variant else one.variants)]
     failed = []
-    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, Path("slurm-logs"), printed, int(gpus_per_task)):
+    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, printed, int(gpus_per_task)):
         return
     if not show:
         quiet = str(json) == "-"

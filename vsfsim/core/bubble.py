@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.rigid import MAX_FRICTION
 from vsfsim.core.shelf import effectors
-from vsfsim.core.table import Table
+from vsfsim.core.table import Table, flag, integer, number, read, vector
 
 NODES = 1493  # the read-out mesh of 390 nodes with every triangle cut in four
 ATMOSPHERE = 101325.0  # [Pa]
@@ -25,34 +26,34 @@ class Bubble:
     out of the dome.
     """
 
-    semi_axes: tuple[float, float] = (0.05725, 0.040)
+    semi_axes: tuple[float, float] = vector((0.05725, 0.040), 2)
     """Of the clamped, planar rim, long and short (2,) [m]."""
-    young_modulus: float = 1.36e6
+    young_modulus: float = number(1.36e6, 1e3, 1e10, "Pa")
     """Of the rubber [Pa]."""
     thickness: float = 0.0005
     """Before stretching [m]. Only the product E h matters, except for bending."""
-    pre_stretch: float = 1.10
+    pre_stretch: float = number(1.10, 1.0, 3.0)
     """Of the flat membrane when it was clamped, over its own length [-]."""
-    gauge_pressure: float = 7820.0
+    gauge_pressure: float = number(7820.0, 1.0, 1e8, "Pa")
     """Of the free dome [Pa]."""
-    gas_volume: float = 150e-6
+    gas_volume: float = number(150e-6, 1e-12, 10.0, "m^3")
     """Volume of the enclosed air, dome and chamber together, with the dome free [m^3]."""
-    chamber: float = 0.0
+    chamber: float = number(0.0, 0.0, 1.0, "m")
     """Depth of the chamber behind the plane of the rim, at whose rigid floor membrane and obstacles end [m]."""
-    gamma: float = 1.4
+    gamma: float = number(1.4, 1.0, 1.67)
     """Exponent of p V^gamma, from 1 (isothermal) to 1.4 (adiabatic) [-]."""
-    ambient_pressure: float = ATMOSPHERE
+    ambient_pressure: float = number(ATMOSPHERE, 0.0, 1e8, "Pa")
     """Absolute, outside [Pa]."""
-    sealed: bool = True
+    sealed: bool = flag(True)
     """Whether the air is enclosed; if not, a supply keeps the gauge pressure."""
-    nodes: int = NODES
+    nodes: int = integer(NODES, 100, 20_000)
     """Number of nodes of the mesh."""
-    contact_edge: float | None = None
+    contact_edge: float | None = number(None, 1e-4, 0.1, "m")
     """Longest edge of the triangles where a rigid body touches, for which the mesh is refined there [m]; None: a
     third of the radius of balls and capsules, and three fifths of the membrane's edges under bodies with edges."""
-    friction: float = 2.0
+    friction: float = number(2.0, 0.0, MAX_FRICTION)
     """Coulomb coefficient against what it touches [-]."""
-    fine: bool = False
+    fine: bool = flag(False)
     """Whether a dataset also keeps the mesh of ``nodes`` nodes that was solved, beside the read-out mesh."""
     camera: tuple[int, int] | None = None
     """Width and height of the pictures of the skin from inside that a dataset keeps (2,) [px]; None for none."""
@@ -90,31 +91,15 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
     where = f"{path} [sensor]"
     if not isinstance(node, Mapping):
         raise SceneError(f"{where} is {node!r}; it must be a table, e.g. kind = \"bubble\".")
-    t = Table(node, where, ("kind", *Bubble.__dataclass_fields__))
-    if "kind" not in t.table:
+    found = read(Bubble, node, where, ("kind", "thickness", "camera"))
+    if "kind" not in node:
         raise SceneError(f"{where}: kind is missing; write kind = \"bubble\".")
-    real = Bubble()
-    long, short = t.vector("semi_axes", real.semi_axes, 2)
+    long, short = found.semi_axes
     if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:
         raise SceneError(f"{where}: semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the "
                          f"first not the smaller, and at most ten times the second.")
-    return Bubble(
-        semi_axes=(long, short),
-        young_modulus=t.number("young_modulus", real.young_modulus, 1e3, 1e10, "Pa"),
-        thickness=t.number("thickness", real.thickness, 1e-5, 0.1 * short, "m"),
-        pre_stretch=t.number("pre_stretch", real.pre_stretch, 1.0, 3.0),
-        gauge_pressure=t.number("gauge_pressure", real.gauge_pressure, 1.0, 1e8, "Pa"),
-        gas_volume=t.number("gas_volume", real.gas_volume, 1e-12, 10.0, "m^3"),
-        chamber=t.number("chamber", real.chamber, 0.0, 1.0, "m"),
-        gamma=t.number("gamma", real.gamma, 1.0, 1.67),
-        ambient_pressure=t.number("ambient_pressure", real.ambient_pressure, 0.0, 1e8, "Pa"),
-        sealed=t.flag("sealed", real.sealed),
-        nodes=t.count("nodes", real.nodes, 100, 20_000),
-        contact_edge=t.number("contact_edge", 0.0, 1e-4, 0.1, "m") if "contact_edge" in t.table else None,
-        friction=t.number("friction", real.friction, 0.0, MAX_FRICTION),
-        fine=t.flag("fine", real.fine),
-        camera=_camera(t.table.get("camera", False), where),
-    )
+    thickness = Table(node, where, tuple(node)).number("thickness", found.thickness, 1e-5, 0.1 * short, "m")
+    return dataclasses.replace(found, thickness=thickness, camera=_camera(node.get("camera", False), where))
 
 
 def _camera(value: Any, where: str) -> tuple[int, int] | None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import MeshFile, ProbeShape, Sphere, parse_probe_shape
-from vsfsim.core.table import Table, numbers, whole
+from vsfsim.core.table import Table, integer, numbers, read, whole
 
 Vector = tuple[float, float, float]
 ORIGIN: Vector = (0.0, 0.0, 0.0)
@@ -42,9 +42,9 @@ class PressSpec:
     """Corner points (k >= 2, 3) [m], world; straight in between."""
     frames: tuple[int, ...]
     """Equilibria on each of the k - 1 parts, the last of them at its end; the first point itself is no frame."""
-    hold: int = 0
+    hold: int = integer(0, 0, 10_000)
     """Frames that stay at the last point."""
-    retract: int = 0
+    retract: int = integer(0, 0, 10_000)
     """Frames on the way back along the path."""
     rotation: tuple[Vector, ...] | None = None
     """Rotation vectors (k, 3) [rad] of the probe in the world at the corner points, between two of them the shortest
@@ -133,7 +133,8 @@ def _turn(where: str, key: str, value: Any) -> Vector:
 def parse_press(node: Any, path: Path) -> PressSpec:
     """``[press]``: ``from`` and ``to``, or ``path``; see `PressSpec`."""
     where = f"{path} [press]"
-    t = Table(node, where, ("from", "to", "path", "rotation", "frames", "hold", "retract"))
+    own = ("from", "to", "path", "rotation", "frames")
+    t = Table(node, where, (*own, "hold", "retract"))
     if "path" in t.table:
         for key in ("from", "to"):
             if key in t.table:
@@ -163,7 +164,7 @@ def parse_press(node: Any, path: Path) -> PressSpec:
         counts = tuple(whole(where, f"frames[{i}]", n, 1, 10_000) for i, n in enumerate(frames))
     else:
         counts = (whole(where, "frames", frames, 1, 10_000),) * (len(points) - 1)
-    return PressSpec(points, counts, t.count("hold", 0, 0, 10_000), t.count("retract", 0, 0, 10_000), rotation)
+    return read(PressSpec, node, where, own, path=points, frames=counts, rotation=rotation)
 
 
 def _rotations(where: str, table: Mapping[str, Any], points: int) -> tuple[Vector, ...] | None:

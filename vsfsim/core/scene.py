@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.arm_spec import ArmSpec, parse_arm
+from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_mount, parse_obstacles, parse_press, parse_probe
@@ -24,7 +24,7 @@ from vsfsim.core.scene_tables.dataset import DatasetSpec, TouchSpec, parse_datas
 from vsfsim.core.scene_tables.distribution import ends, sample
 from vsfsim.core.scene_tables.object import ObjectSpec, parse_object
 from vsfsim.core.shape import MeshFile, ProbeShape
-from vsfsim.core.table import Table, parse_toml, read_text
+from vsfsim.core.table import Table, parse_toml, read, read_text
 
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
 """Words that a scene's ``needs`` may hold."""
@@ -79,20 +79,12 @@ class Scene:
 
     @property
     def required_sensor(self) -> Bubble:
-        """The bubble of ``[sensor]``.
-
-        Raises:
-            SceneError: there is none.
-        """
+        """The bubble of ``[sensor]``. Raises a `SceneError` without the table."""
         return self._required(self.sensor, "sensor")
 
     @property
     def required_object(self) -> ObjectSpec:
-        """The body of ``[object]``.
-
-        Raises:
-            SceneError: there is none.
-        """
+        """The body of ``[object]``. Raises a `SceneError` without the table."""
         return self._required(self.object, "object")
 
     @property
@@ -108,20 +100,12 @@ class Scene:
 
     @property
     def required_arm(self) -> ArmSpec:
-        """The arm of ``[arm]``.
-
-        Raises:
-            SceneError: there is none.
-        """
+        """The arm of ``[arm]``. Raises a `SceneError` without the table."""
         return self._required(self.arm, "arm")
 
     @property
     def required_touches(self) -> TouchSpec:
-        """The touches of ``[touches]``.
-
-        Raises:
-            SceneError: there are none.
-        """
+        """The touches of ``[touches]``. Raises a `SceneError` without the table."""
         return self._required(self.touches, "touches")
 
     def varied(self, options: Mapping[str, Any]) -> Scene:
@@ -274,7 +258,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         source=path,
         given=frozenset(tree),
         sensor=sensor,
-        arm=parse_arm(tree["arm"], path) if "arm" in tree else None,
+        arm=read(ArmSpec, tree["arm"], f"{path} [arm]") if "arm" in tree else None,
         effector=effector,
         mount_stiffness=parse_mount(tree, path),
         effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),

@@ -94,6 +94,11 @@ ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile | Chain | Dome
 
 UP = ("x", "y", "z")
 """Axes of a mesh file that may point up."""
+_SIZES: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "box": (lambda *size: Box(size), ("x", "y", "z")), "sphere": (Sphere, ("radius",)),
+    "cylinder": (Cylinder, ("radius", "height")), "rod": (Rod, ("length", "radius")),
+    "capsule": (Capsule, ("radius", "length"))}
+"""What a shape of this name is made by, and of which lengths."""
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 
@@ -117,25 +122,13 @@ LEAST = 1e-5
 usual cause."""
 
 
-def _length(where: str, name: str, value: Any) -> float:
-    length = _positive(where, name, value)
-    if length < LEAST:
-        raise SceneError(f"{where}: {name} is {value!r}; it must be a length in metres, at least {LEAST:g}.")
-    return length
-
-
-def _positive(where: str, name: str, value: Any) -> float:
+def _length(where: str, name: str, value: Any, least: float = LEAST) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < float(value) < 1e3:
-        raise SceneError(
-            f"{where}: {name} is {value!r}; it must be a length in metres, greater than 0 (and under 1000)."
-        )
+        raise SceneError(f"{where}: {name} is {value!r}; it must be a length in metres, greater than 0 (and under "
+                         f"1000).")
+    if value < least:
+        raise SceneError(f"{where}: {name} is {value!r}; it must be a length in metres, at least {least:g}.")
     return float(value)
-
-
-def _numbers(where: str, key: str, value: Any, names: tuple[str, ...]) -> list[float]:
-    if not isinstance(value, (list, tuple)) or len(value) != len(names):
-        raise SceneError(f"{where}: {key} is {value!r}; give [{', '.join(names)}] in metres.")
-    return [_length(where, f"{key} {name}", v) for name, v in zip(names, value, strict=True)]
 
 
 def parse_object_shape(table: Any, where: str) -> ObjectShape:
@@ -148,47 +141,37 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
     Raises:
         SceneError: not a table, an unknown shape, or sizes that are not positive lengths.
     """
-    if not isinstance(table, Mapping) or not table:
-        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(OBJECT_SHAPES)}, e.g. "
-                         f"{{ box = [0.1, 0.1, 0.05] }}.")
-    if "family" in table:
-        rest = {k: v for k, v in table.items() if k != "family"}
-        return Family(str(table["family"]), rest)
-    if "mesh" in table:
-        return _mesh(table, where)
-    key = _only_key(table, OBJECT_SHAPES, where)
-    value = table[key]
-    if key == "box":
-        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))  # type: ignore[arg-type]
-    if key == "sphere":
-        return Sphere(_length(where, "sphere radius", value))
-    if key == "cylinder":
-        return Cylinder(*_numbers(where, key, value, ("radius", "height")))
-    return Rod(*_numbers(where, key, value, ("length", "radius")))
+    if isinstance(table, Mapping) and "family" in table:
+        return Family(str(table["family"]), {k: v for k, v in table.items() if k != "family"})
+    return _shape(table, where, OBJECT_SHAPES, "box = [0.1, 0.1, 0.05]")
 
 
 def parse_probe_shape(table: Any, where: str) -> ProbeShape:
     """The shape of ``[probe]`` from its TOML table; see `parse_object_shape`."""
+    for name, read in (("chain", read_chain), ("dome", read_dome)):  # of a dataset's file; a scene says [arm], [sensor]
+        if isinstance(table, Mapping) and name in table:
+            return read(table[name], where)
+    return _shape(table, where, PROBE_SHAPES, "sphere = 0.02")
+
+
+def _shape(table: Any, where: str, allowed: tuple[str, ...], example: str) -> Any:
     if not isinstance(table, Mapping) or not table:
-        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(PROBE_SHAPES)}, e.g. "
-                         f"{{ sphere = 0.02 }}.")
+        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(allowed)}, e.g. {{ {example} }}.")
     if "mesh" in table:
         return _mesh(table, where)
-    if "chain" in table:  # of a dataset's file; a scene says [arm]
-        return read_chain(table["chain"], where)
-    if "dome" in table:  # likewise; a scene says [sensor]
-        return read_dome(table["dome"], where)
-    key = _only_key(table, PROBE_SHAPES, where)
-    value = table[key]
-    if key == "sphere":
-        return Sphere(_length(where, "sphere radius", value))
-    if key == "capsule":
-        return Capsule(*_numbers(where, key, value, ("radius", "length")))
-    if key == "cylinder":
-        return Cylinder(*_numbers(where, key, value, ("radius", "height")))
-    if key == "box":
-        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))  # type: ignore[arg-type]
-    return Plane()
+    for key in table:
+        if key not in allowed:
+            raise SceneError(f"{where}: unknown shape '{key}'. {did_you_mean(key, allowed)}")
+    if len(table) != 1:
+        raise SceneError(f"{where}: a shape has one kind, this one has {len(table)}: {', '.join(table)}.")
+    ((key, value),) = table.items()
+    if key == "plane":
+        return Plane()
+    make, names = _SIZES[key]
+    given = [value] if len(names) == 1 else value
+    if not isinstance(given, (list, tuple)) or len(given) != len(names):
+        raise SceneError(f"{where}: {key} is {value!r}; give [{', '.join(names)}] in metres.")
+    return make(*(_length(where, f"{key} {name}", v) for name, v in zip(names, given, strict=True)))
 
 
 def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
@@ -202,7 +185,7 @@ def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
     if up not in UP:
         raise SceneError(f"{where}: up is {up!r}; it is the axis of the mesh file that points up, one of "
                          f"{', '.join(UP)}.")
-    return MeshFile(table["mesh"], None if scale is None else _positive(where, "scale", scale), up)
+    return MeshFile(table["mesh"], None if scale is None else _length(where, "scale", scale, 0.0), up)
 
 
 def parse_probe_shapes(tables: Any, where: str) -> tuple[ProbeShape, ...]:
@@ -220,14 +203,6 @@ def probe_tables(shapes: Sequence[ProbeShape]) -> Any:
 def probe_table(shape: ProbeShape) -> dict[str, Any]:
     """The TOML/JSON table of a probe; `parse_probe_shape` reads it back."""
     match shape:
-        case Sphere(radius):
-            return {"sphere": radius}
-        case Capsule(radius, length):
-            return {"capsule": [radius, length]}
-        case Cylinder(radius, height):
-            return {"cylinder": [radius, height]}
-        case Box(size):
-            return {"box": list(size)}
         case Plane():
             return {"plane": True}
         case Chain():
@@ -236,13 +211,6 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
             return {"dome": shape.table()}
         case MeshFile(path, scale, up):
             return {"mesh": path, **({} if scale is None else {"scale": scale}), **({} if up == "z" else {"up": up})}
-    raise AssertionError(shape)
-
-
-def _only_key(table: Mapping[str, Any], allowed: tuple[str, ...], where: str) -> str:
-    for key in table:
-        if key not in allowed:
-            raise SceneError(f"{where}: unknown shape '{key}'. {did_you_mean(key, allowed)}")
-    if len(table) != 1:
-        raise SceneError(f"{where}: a shape has one kind, this one has {len(table)}: {', '.join(table)}.")
-    return next(iter(table))
+    name = type(shape).__name__.lower()
+    sizes = [*shape.size] if isinstance(shape, Box) else [getattr(shape, key) for key in _SIZES[name][1]]
+    return {name: sizes if len(sizes) > 1 else sizes[0]}

@@ -18,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file
 from vsfsim.core.plain_text import plain
+from vsfsim.core.system.content import texts_of
 
 METHOD_GROUP = "vsfsim.methods"
 CEILING_GROUP = "vsfsim.ceilings"
@@ -103,17 +104,9 @@ def plug_ins(scene: Mapping[str, Any], effector: str) -> list[importlib.metadata
     Args:
         scene: its tables. effector: the name of its effector.
     """
-    texts = {effector, *_texts(scene.get("object", {}))}
+    texts = {effector, *texts_of(scene.get("object", {}))}
     return [entry for group in (EFFECTOR_GROUP, FAMILY_GROUP, LAW_GROUP)
             for entry in importlib.metadata.entry_points(group=group) if entry.name in texts]
-
-
-def _texts(tree: Any) -> Iterator[str]:
-    if isinstance(tree, str):
-        yield tree
-    elif isinstance(tree, (Mapping, list)):
-        for part in tree.values() if isinstance(tree, Mapping) else tree:
-            yield from _texts(part)
 
 
 def _find(given: str, shelf: dict[str, Path], kind: str, error: type[VsfsimError]) -> Path:

@@ -1,12 +1,23 @@
-"""The reader of TOML files: scenes and tasks. A table knows its place in the file, for the messages."""
+"""The reader of TOML files: scenes and tasks. A table knows its place in the file, for the messages.
+
+What a key may hold can stand beside the field of the dataclass that it becomes::
+
+    @dataclass(frozen=True)
+    class Arm:
+        model: str = word("gen3", "menagerie")
+        yaw: float = number(0.0, -6.3, 6.3, "rad")
+
+    read(Arm, {"yaw": 1.0}, "scene.toml [arm]")
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from vsfsim.core.errors import SceneError, VsfsimError, did_you_mean, unknown_key
 from vsfsim.core.plain_text import plain
@@ -162,3 +173,49 @@ def numbers(where: str, key: str, value: Any, size: int) -> Any:
     ):
         raise SceneError(f"{where}: {key} is {value!r}; it must be {size} numbers.")
     return tuple(float(v) for v in value)
+
+
+def number(default: float | None, low: float, high: float, unit: str = "") -> Any:
+    """The field of a number from ``low`` to ``high``."""
+    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.number(key, None, low, high, unit)})
+
+
+def integer(default: int, low: int, high: int) -> Any:
+    """The field of a whole number from ``low`` to ``high``."""
+    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.count(key, None, low, high)})
+
+
+def flag(default: bool) -> Any:
+    """The field of true or false."""
+    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.flag(key)})
+
+
+def word(default: str, *others: str) -> Any:
+    """The field of one of some words."""
+    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.word(key, default, (default, *others))})
+
+
+def vector(default: tuple[float, ...], size: int = 3) -> Any:
+    """The field of ``size`` numbers."""
+    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.vector(key, None, size)})
+
+
+Row = TypeVar("Row")
+
+
+def read(cls: type[Row], node: Any, where: str, more: tuple[str, ...] = (), **given: Any) -> Row:
+    """The dataclass that a table describes; a key that is not there leaves the field's default.
+
+    Args:
+        cls: its fields made by `number`, `integer`, `flag`, `word` and `vector` are keys of the table.
+        node: the parsed TOML.
+        where: file and section, for the messages.
+        more: further keys that the table may have, which are read elsewhere.
+        given: other fields.
+
+    Raises:
+        SceneError: not a table, an unknown key, or a value that is not allowed.
+    """
+    known = {f.name: f.metadata["get"] for f in dataclasses.fields(cls) if "get" in f.metadata}  # type: ignore[arg-type]
+    t = Table(node, where, (*known, *more))
+    return cls(**{key: get(t, key) for key, get in known.items() if key in t.table}, **given)

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.interactive.figure import new_figure
+from vsfsim.core.system.interactive import new_figure
 from vsfsim.data.disk import write_figure
 
 ObjectView: TypeAlias = Any

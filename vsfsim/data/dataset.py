@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
-from vsfsim.core.interactive.html_table import html_table
+from vsfsim.core.system.interactive import html_table
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.fetched import fetch, fetch_manifest
 from vsfsim.data.hdf5 import CLOSE_IT, in_use, read_picture, read_shown, read_view

@@ -49,17 +49,6 @@ class Recipe:
         """sha256 of the scene text."""
         return text_sha256(self.scene_text)
 
-    def of(self, number: int) -> Recipe:
-        """That of object ``number`` alone: where its options hold `classes`, which objects belong to in turn, with the
-        tier and the elements of its class."""
-        options = dict(self.options)
-        own = options.pop("classes", None)
-        if own is None:
-            return self
-        one = own[number % len(own)]
-        sizes = {name: value for name, value in one.items() if name not in ("class", "tier")}
-        return dataclasses.replace(self, tier=one["tier"], options={**options, **sizes})
-
     def table(self) -> dict[str, Any]:
         """As JSON values; `Recipe.read` takes them back."""
         out = dataclasses.asdict(self)

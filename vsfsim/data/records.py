@@ -16,8 +16,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.shape import ProbeShape
+from vsfsim.core.system.interactive import html_table
 
 TEXT = "text"
 """dtype of a row of strings: UTF-8, padded with zero bytes to the longest."""

@@ -6,7 +6,7 @@ The package can be called: `vsfsim.generate(scene, out)` is `vsfsim.generate.run
 from collections.abc import Callable
 from typing import Any
 
-from vsfsim.core.interactive.callable_package import make_callable
+from vsfsim.core.system.interactive import make_callable
 
 
 def _function() -> Callable[..., Any]:

@@ -22,9 +22,12 @@ from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import Plane
 from vsfsim.data.records import Touch, View
 from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, starts, surface_samples, tilted
+from vsfsim.generate.effector import Drawing
 from vsfsim.generate.record import audit, batches, verdict
 from vsfsim.physics import tiers
-from vsfsim.physics.bubble.sensor import BubbleModel
+from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
+from vsfsim.physics.bubble.shape import punyo_rms, stretches
+from vsfsim.physics.elements import gas
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.coupled import CoupledSolver
 from vsfsim.physics.solve.frames import Frames, SolverOptions
@@ -33,6 +36,7 @@ from vsfsim.robot.path import times, touch_path, turn_to
 from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera
 from vsfsim.sensing.bubble_touch import touch_fields
+from vsfsim.sensing.surface import Surface
 
 BATCH = {"cpu": 9, "cuda": 256}  # touches that are solved together; part of what fixes the bits
 LEADING = Plane()  # a sensor's +z leads, as a plane's does
@@ -62,6 +66,31 @@ def dome_of(model: BubbleModel) -> Dome:
     """The free dome on the read-out mesh: what a dataset says of its sensor's shape."""
     seen = readout_of(model)
     return Dome.of(seen.positions(model.mesh.points[None])[0], seen.readout.triangles)
+
+
+def draw_dome(scene: Scene) -> Drawing:
+    """The free dome of a scene without an object, and its figures."""
+    spec = scene.required_sensor
+    model = build_bubble(spec, where=f"{scene.source} [sensor]")
+    mesh = model.mesh
+    apex = int(mesh.points[:, 2].argmax())
+    largest, least = stretches(model)[(mesh.faces == apex).any(axis=1)].mean(axis=0)
+    rate = gas.at_rest(model.blocks[2])[2]
+    lines = [f"a bubble of {len(mesh.points)} nodes and {len(mesh.faces)} triangles, mean edge "
+             f"{1e3 * model.element_size:.2f} mm; "
+             f"read-out mesh of {len(model.read_out.flat)} nodes, {len(model.read_out.faces)} triangles, "
+             f"{len(model.read_out.rim)} on the rim",
+             f"  rim            {2e3 * spec.semi_axes[0]:.1f} x {2e3 * spec.semi_axes[1]:.1f} mm, E h "
+             f"{spec.modulus:.0f} N/m, pre-stretch {spec.pre_stretch:g}",
+             f"  free dome      apex {1e3 * mesh.points[apex, 2]:.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at "
+             f"{model.pressure:.0f} Pa gauge; stretch at the apex {least:.3f} x {largest:.3f}",
+             f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, "
+             + (f"sealed: dp/dV {-1e-9 * rate:.3f} kPa/mL" if spec.sealed else "open")]
+    if spec.semi_axes == type(spec)().semi_axes:
+        lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - rho^2)^0.763, a "
+                     f"real Punyo's")
+    surface = Surface(mesh.points, mesh.faces, np.zeros(len(mesh.faces), np.int64), None, mesh.points)
+    return Drawing(surface, None, "free dome", tuple(lines))
 
 
 def aim(scene: Scene, model: Model, sensor: BubbleModel, view: View,

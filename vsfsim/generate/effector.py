@@ -22,7 +22,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import importlib.metadata
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -86,21 +86,20 @@ class Effector(Protocol):
         the tier."""
         ...
 
-    def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
+    def make_view(self, job: Job, *, device: str) -> ObjectView:
         """Make one object view: build the object, take its picture, aim, touch, and record the truth.
 
         Args:
             job: which view of which recipe.
             device: Warp device.
-            progress: called with the number of frames newly done.
 
         Raises:
             SceneError, MeshError: the object cannot be built, or no touch can be aimed.
         """
         ...
 
-    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
-        """Make and write the views of some jobs; yields (frames newly done, name of the view) as they come.
+    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
+        """Make and write the views of some jobs; yields the name of each as they come.
 
         Args:
             jobs: what to make.

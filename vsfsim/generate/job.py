@@ -66,4 +66,4 @@ def jobs_of(recipe: Recipe, path: Path, store: Path | str, cache: Path | None, *
     """One job for every object view, in order; their files lie in ``store``."""
     split_of = [name for name, n in recipe.splits.items() for _ in range(n)]
     names = [(o, v, f"{recipe.scene}-{o:04d}-v{v}") for o in range(recipe.objects) for v in range(recipe.views)]
-    return [Job(recipe.of(o), path, name, split_of[o], o, v, str(store), cache, mixed, poison) for o, v, name in names]
+    return [Job(recipe, path, name, split_of[o], o, v, str(store), cache, mixed, poison) for o, v, name in names]

@@ -3,27 +3,44 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
-from vsfsim.data.records import ObjectView, Truth
+from vsfsim.data.records import ObjectView, Touch, Truth
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
-from vsfsim.generate.solid import Retouching, Subject, prepare, surface_of
-from vsfsim.generate.trade.audit import audited
+from vsfsim.generate.solid import Subject, prepare, surface_of
+from vsfsim.generate.trade.near import audited
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
 
 
-class OnSolids(Retouching):
+@dataclass(frozen=True)
+class Manner:
+    """How an effector meets a solid."""
+
+    reach: float
+    """Radius of what leads, about [m]."""
+    tiers: tuple[str, ...]
+    """At which it can press the solid, cheapest first."""
+    nodes: int | None = None
+    """Of its own mesh; None if it is rigid."""
+
+
+class OnSolids(abc.ABC):
     """An effector that touches solids, whose touches can be made again, as they were aimed, on another model of the
     object; see `vsfsim.generate.effector.Effector`."""
+
+    @abc.abstractmethod
+    def manner(self, scene: Scene) -> Manner:
+        """How it meets the solid of a scene."""
 
     @abc.abstractmethod
     def shapes(self, subject: Subject, aims: Sequence[Aim]) -> tuple[ProbeShape, list[ProbeShape], float]:
@@ -37,17 +54,27 @@ class OnSolids(Retouching):
             SceneError: nothing is visible, or no target can be reached.
         """
 
-    def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
+    @abc.abstractmethod
+    def touch(self, subject: Subject, aims: Sequence[Aim], *, device: str) -> list[Touch]:
+        """What is read of some touches.
+
+        Args:
+            subject: the object; its recipe says the tier and the tolerance.
+            aims: the touches, which may have been aimed at another model of it.
+            device: Warp device.
+        """
+
+    def make_view(self, job: Job, *, device: str) -> ObjectView:
         """Build, look, aim, press."""
         subject = prepare(job, device=device)
         aims = self.aim(subject, device=device)
-        touches = audited(self, subject, aims, device=device, progress=progress)
+        touches = audited(self.touch, self.manner(subject.scene).reach, subject, aims, device=device)
         probe, each, friction = self.shapes(subject, aims)
         truth = truth_of(subject.model, subject.view, touches, each, friction=friction, device=device)
         return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, subject.recorded,
                           tuple(touches), truth, tuple(press.probe for press in subject.scene.presses[1:]))
 
-    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
+    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
         """Each view in a process of its own."""
         return make_each(jobs, device=device, workers=workers)
 

@@ -34,24 +34,6 @@ RENDERERS = ("warp", "pyrender")
 
 
 @dataclass(frozen=True)
-class Share:
-    """What one call makes of a dataset, and how."""
-
-    shard: tuple[int, int] | None = None
-    """(i, n): the i-th of n shards, from 0; None for all that is missing."""
-    finish: bool = False
-    """Only check what shards have made, and write dataset.json."""
-    mixed: bool = False
-    """Whether machines of several kinds may make the dataset."""
-    poison: bool = False
-    """Whether a view that fails twice is left out and the others are made."""
-    ray: str = ""
-    """Address of the Ray cluster that makes the views, "" for this machine."""
-    gpus: float = 0.0
-    """Of each task of the cluster [1]."""
-
-
-@dataclass(frozen=True)
 class Made:
     """What a call has made."""
 
@@ -100,83 +82,79 @@ def planned(scene: str | Path | SceneFile, out: str | Path | None = None, reques
     return Plan(loaded, asked, recipe, folder, Path(known).name)
 
 
-def generate(scene: str | Path | SceneFile, out: str | Path | None = None, request: Request | None = None, *,
-             share: Share | None = None, **options: Any) -> Dataset:
+def generate(scene: str | Path | SceneFile, out: str | Path | None = None, request: Request | None = None,
+             **options: Any) -> Dataset:
     """Make a dataset, or finish one that was interrupted, to the same bits; `vsfsim.generate` is this function.
-
-    With ``share`` it may be made by a cluster; a shard alone is made by `make`.
 
     Args:
         scene: name of a shipped scene, path of a .toml file, or a loaded scene; it has ``[touches]``.
         out: the folder, or the address of an object store; None for the folder in which a task looks for this dataset
             (`vsfsim.core.shelf.dataset_folder`).
         request: what is asked, None for the scene's own.
-        share: what is made and where (`Share`), None for all of it on this machine.
         options: fields of `vsfsim.core.scene_tables.request.Request` that are others than those of ``request``.
 
     Raises:
         VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
     """
-    made = make(planned(scene, out, request, **options), share=share)
+    made = make(planned(scene, out, request, **options))
     if made.dataset is None:
         raise DatasetError(f"{out}: a shard was made; the dataset is finished by `vsfsim generate --finish`.")
     return made.dataset
 
 
-def make(plan: Plan, *, share: Share | None = None) -> Made:
-    """Make a dataset or a share of it.
+def make(plan: Plan) -> Made:
+    """Make a dataset, or the share of it that its request names.
 
     Raises:
         VsfsimError: as `generate`.
     """
     loaded, asked, recipe, folder = plan.loaded, plan.request, plan.recipe, plan.folder
-    share, note = share or Share(), asked.note or (lambda _: None)
-    if share == Share() and isinstance(folder, Path) and (asked.device, asked.renderer,
-                                                          asked.accuracy) == ("cpu", "warp", None):
+    shard, note = asked.fan.shard, asked.note or (lambda _: None)
+    usual = Request(seed=asked.seed, tier=asked.tier, cache=asked.cache, progress=asked.progress, note=asked.note,
+                    objects=asked.objects, views=asked.views, touches=asked.touches, workers=asked.workers)
+    if isinstance(folder, Path) and asked == usual:
         found = taken(folder, plan.name, progress=asked.progress, note=asked.note)  # with other options: other bits
         if found is not None:
             return Made((), 0, found, {})
-    if share.ray and isinstance(folder, Path):
+    if asked.fan.ray and isinstance(folder, Path):
         folder = folder.resolve()  # tasks have working folders of their own
     if asked.accuracy is not None:
         tier, options = bought(loaded, folder, asked.accuracy, seed=asked.seed, objects=recipe.objects,
                                device=asked.device, cache=asked.cache, note=asked.note)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
-    jobs = jobs_of(recipe, loaded.path, folder, asked.cache, mixed=share.mixed, poison=share.poison)
-    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=share.shard, mixed=share.mixed) as writer:
+    jobs = jobs_of(recipe, loaded.path, folder, asked.cache, mixed=asked.mixed, poison=asked.poison)
+    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard, mixed=asked.mixed) as writer:
         missing = set(writer.missing())
-        mine = [job for k, job in enumerate(jobs) if job.name in missing and not share.finish
-                and (share.shard is None or k % share.shard[1] == share.shard[0])]
+        mine = [job for k, job in enumerate(jobs) if job.name in missing and not asked.finish
+                and (shard is None or k % shard[1] == shard[0])]
         for sentence in writer.notes:
             note(sentence)
         if mine:
-            frames = recipe.touches * sum(mine[0].scene().required_touches.frames)
-            done = 0
-            for new, what in _on_ray(mine, frames, asked, share) if share.ray else _here(mine, asked):
-                done += new
+            for done, name in enumerate(_on_ray(mine, asked) if asked.fan.ray else _here(mine, asked), start=1):
                 if asked.progress is not None:
-                    asked.progress(done, len(mine) * frames, what)
-        if share.shard is not None:
+                    asked.progress(done, len(mine), name)
+        if shard is not None:
             there = finished_names(writer.store)
-            failed = poisoned(writer.store) if share.poison else {}
+            failed = poisoned(writer.store) if asked.poison else {}
             return Made(tuple(job.name for job in mine if job.name in there), len(jobs) - len(there) - len(failed),
                         None, failed)
-        dataset = writer.finish(leave_out=share.poison)
+        dataset = writer.finish(leave_out=asked.poison)
         return Made(tuple(job.name for job in mine), 0, dataset, dataset.left_out)
 
 
-def _here(jobs: Sequence[Job], asked: Request) -> Iterator[tuple[int, str]]:
+def _here(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
     scene = jobs[0].scene()
-    kernels = [one for tier in dict.fromkeys(job.recipe.tier for job in jobs) for one in kernels_of(scene, tier)]
-    compile_kernels(kernels, asked.device, progress=asked.progress)
+    compile_kernels(kernels_of(scene, jobs[0].recipe.tier), asked.device, progress=asked.progress)
+    if asked.progress is not None:
+        asked.progress(0, len(jobs), jobs[0].name)
     yield from effector_of(scene).make_all(jobs, device=asked.device, workers=asked.workers)
 
 
-def _on_ray(jobs: Sequence[Job], frames: int, asked: Request, share: Share) -> Iterator[tuple[int, str]]:
-    from vsfsim.core.engines import ray_cluster
+def _on_ray(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
+    from vsfsim.core.system import engines
 
-    for number, error in ray_cluster.run(partial(make_one, device=asked.device), jobs, address=share.ray,
-                                         gpus=share.gpus):
-        if error and not share.poison:
+    for number, error in engines.on_ray(partial(make_one, device=asked.device), jobs, address=asked.fan.ray,
+                                         gpus=asked.fan.gpus):
+        if error and not asked.poison:
             raise DatasetError(f"{jobs[number].name}: {error}")
-        yield frames, jobs[number].name
+        yield jobs[number].name

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import abc
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +11,8 @@ import numpy as np
 
 from vsfsim.core.scene import CameraSpec, Scene
 from vsfsim.core.solid import Solid
-from vsfsim.data.records import Touch, View
+from vsfsim.data.records import View
 from vsfsim.data.streams import Stream
-from vsfsim.generate.aim import Aim
 from vsfsim.generate.effects import check_body
 from vsfsim.generate.job import Job
 from vsfsim.physics import tiers
@@ -63,38 +61,6 @@ class Subject:
         """Solver limits of the recipe's tier, with the recipe's own tolerance if its options name one."""
         own, tolerance = tiers.options(self.job.recipe.tier), self.job.recipe.options.get("tolerance")
         return own if tolerance is None else dataclasses.replace(own, tolerance=tolerance)
-
-
-@dataclass(frozen=True)
-class Manner:
-    """How an effector meets a solid."""
-
-    reach: float
-    """Radius of what leads, about [m]."""
-    tiers: tuple[str, ...]
-    """At which it can press the solid, cheapest first."""
-    nodes: int | None = None
-    """Of its own mesh; None if it is rigid."""
-
-
-class Retouching(abc.ABC):
-    """What can touch a solid again, as it was aimed, on another model of it."""
-
-    @abc.abstractmethod
-    def manner(self, scene: Scene) -> Manner:
-        """How it meets the solid of a scene."""
-
-    @abc.abstractmethod
-    def touch(self, subject: Subject, aims: Sequence[Aim], *, device: str,
-              progress: Callable[[int], None] | None = None) -> list[Touch]:
-        """What is read of some touches.
-
-        Args:
-            subject: the object; its recipe says the tier and the tolerance.
-            aims: the touches, which may have been aimed at another model of it.
-            device: Warp device.
-            progress: called with the number of frames newly done.
-        """
 
 
 def prepare(job: Job, *, device: str) -> Subject:

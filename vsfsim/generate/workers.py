@@ -9,7 +9,6 @@ import signal
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -22,7 +21,6 @@ from vsfsim.data.manifest import Entry
 from vsfsim.data.provenance import machine_kind
 from vsfsim.data.records import ObjectView
 from vsfsim.data.store import open_store
-from vsfsim.generate.costs import record
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
@@ -50,16 +48,15 @@ def _processes(device: str) -> Any:
 
 
 @contextlib.contextmanager
-def process_pool(jobs: int, workers: int | None, *, device: str = "cpu", begin: Callable[..., None] | None = None,
-                 given: Sequence[Any] = ()) -> Iterator[ProcessPoolExecutor]:
+def process_pool(jobs: int, workers: int | None, *, device: str = "cpu") -> Iterator[ProcessPoolExecutor]:
     """New processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``.
 
-    Each process calls ``begin`` with the operands ``given`` first. ``device`` is the one that they will use.
+    ``device`` is the one that they will use.
     """
     with one_thread():
         pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
                                    mp_context=_processes(device), initializer=_set_up,
-                                   initargs=(dict(os.environ), begin, tuple(given)))
+                                   initargs=(dict(os.environ),))
         before_us = set(multiprocessing.active_children())
         try:
             yield pool
@@ -86,9 +83,8 @@ def submit(pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: 
         vars(script).update(hidden)
 
 
-def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
-    """Make and write views, each in one process from the start to the end; yields (frames newly done, name) as they
-    come.
+def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
+    """Make and write views, each in one process from the start to the end; yields the name of each as they come.
 
     If a process dies and the jobs are of a run with ``poison``, those that were under way are made again one by one, so
     that only the one that kills its process is blamed.
@@ -129,29 +125,25 @@ def sharing(device: str) -> int:
     return max(1, min(_ON_A_GPU, os.cpu_count() or 1, warp.get_device(device).total_memory // _ROOM))
 
 
-def _make_in_pool(jobs: Sequence[Job], device: str, count: int | None) -> Iterator[tuple[int, str]]:
-    queue = _processes(device).Queue()
-    with process_pool(len(jobs), count, device=device, begin=_begin, given=(queue,)) as pool:
+def _make_in_pool(jobs: Sequence[Job], device: str, count: int | None) -> Iterator[str]:
+    with process_pool(len(jobs), count, device=device) as pool:
         try:
-            futures = [submit(pool, _make, job, device) for job in jobs]
+            futures = {submit(pool, make_one, job, device): job.name for job in jobs}
         except (EOFError, ConnectionError) as error:  # the server that forks the workers was killed
             raise BrokenProcessPool("no worker could be started") from error
-        threading.Thread(target=_close, args=(futures, queue), daemon=True).start()
-        while (item := queue.get()) is not None:
-            yield item
         for future in as_completed(futures):
-            if not future.cancelled():
-                future.result()
+            future.result()
+            yield futures[future]
 
 
-def make_one(job: Job, device: str, report: Callable[[int], None] | None = None) -> None:
+def make_one(job: Job, device: str) -> None:
     """Make one view here and write it: what every engine does, in whatever process.
 
     With ``job.poison`` an attempt is written down before it begins, so that one that kills its process is known too; a
     view that has failed `MOST_FAILURES` times is left.
 
     Args:
-        job: what to make. device: Warp device. report: called with the number of frames newly done.
+        job: what to make. device: Warp device.
 
     Raises:
         VsfsimError: the view cannot be made, and the job is not of a run with ``poison``; or the machine is of another
@@ -166,9 +158,7 @@ def make_one(job: Job, device: str, report: Callable[[int], None] | None = None)
         try:
             if job.poison:
                 put_failure(store, job.name, Failure(before.count + 1, "its process died"))
-            began = time.process_time()
-            entry = write(job, effector_of(job.scene()).make_view(job, device=device, progress=report), device)
-            record(job.recipe, time.process_time() - began, entry.bytes)
+            write(job, effector_of(job.scene()).make_view(job, device=device), device)
             if job.poison:
                 put_failure(store, job.name, Failure(0, ""))
             return
@@ -240,20 +230,10 @@ def write(job: Job, view: ObjectView, device: str) -> Entry:
 
 # ---------------------------------------------------------------------------------------------- in a worker
 
-_report: Callable[[tuple[int, str] | None], None]  # set when the worker starts
-
-
-def _set_up(environment: dict[str, str], begin: Callable[..., None] | None, given: tuple[Any, ...]) -> None:
+def _set_up(environment: dict[str, str]) -> None:
     """The environment of the process that asks, which may have changed since the server began."""
     os.environ.clear()
     os.environ.update(environment)
-    if begin is not None:
-        begin(*given)
-
-
-def _begin(queue: Any) -> None:
-    global _report
-    _report = queue.put
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches every process of a terminal: end without a traceback
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -264,17 +244,3 @@ def _begin(queue: Any) -> None:
 def _end_with(parent: multiprocessing.process.BaseProcess) -> None:
     parent.join()
     os._exit(1)
-
-
-def _make(job: Job, device: str) -> None:
-    make_one(job, device, lambda frames: _report((frames, job.name)))
-
-
-def _close(futures: list[Future[None]], queue: Any) -> None:
-    """End the reports when all jobs are done, or at the first that fails; the others are then cancelled."""
-    for future in as_completed(futures):
-        if future.exception() is not None:
-            for other in futures:
-                other.cancel()
-            break
-    queue.put(None)

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
+from vsfsim.core.system.interactive import html_table
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.press_result import PressResult

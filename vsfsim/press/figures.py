@@ -14,7 +14,7 @@ from matplotlib.tri import Triangulation
 from PIL import Image
 
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.interactive.figure import new_figure
+from vsfsim.core.system.interactive import new_figure
 from vsfsim.data.disk import write_atomic, write_figure
 from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
 from vsfsim.press.text import marks

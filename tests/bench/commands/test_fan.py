@@ -10,8 +10,8 @@ from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.cli.cluster import shard_words
-from vsfsim.core.engines.shard import Fan
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.system.engines import Fan
 
 ROWS = [Choice("toy_methods:Constant", "", {"value": 2.0}), Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
 FOLDS = 'protocol = { folds = 3, draws = 1, trainings = 1, shots = [0, 1, 5], query = 4, seed = 0 }'

@@ -14,7 +14,7 @@ from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Cylinder, Sphere
-from vsfsim.generate.presses.bubble import solve
+from vsfsim.generate.effectors.bubble import solve
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver

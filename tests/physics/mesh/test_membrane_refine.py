@@ -8,7 +8,7 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Plane, Sphere
-from vsfsim.generate.presses import bubble
+from vsfsim.generate.effectors import bubble
 from vsfsim.physics.bubble import sensor
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -82,7 +82,8 @@ def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
 
 
 def tip(extra=""):
-    return bubble.press(parse_scene(TIP.replace("EXTRA", extra), "tip.toml").sample(0), Request())
+    return bubble.result_of(bubble.solve(parse_scene(TIP.replace("EXTRA", extra), "tip.toml").sample(0), Request()),
+                            Request())
 
 
 def test_a_small_tip_is_met_by_small_triangles_unless_they_are_declined():

@@ -11,7 +11,7 @@ from scipy.special import ellipe, ellipk
 from references.closed_forms import hertz_layer
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.generate.presses.probe import press
+from vsfsim.generate.effectors.probe import press
 from vsfsim.physics.mesh.resolved import LIMIT, SHARE, corner_det_f, mesh_error, resolved
 from vsfsim.press.text import text
 

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 from vsfsim.bench.task import Task, load_task
 from vsfsim.core import shelf
 from vsfsim.core.errors import VsfsimError, did_you_mean
-from vsfsim.core.interactive.html_table import html_table
+from vsfsim.core.system.interactive import html_table
 from vsfsim.core.text_table import text_table
 
 T = TypeVar("T")

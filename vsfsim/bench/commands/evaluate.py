@@ -20,9 +20,9 @@ from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
-from vsfsim.core.engines.shard import HERE, Fan
 from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
 from vsfsim.core.shelf import ceilings
+from vsfsim.core.system.engines import HERE, Fan
 from vsfsim.data.dataset import Dataset
 
 

@@ -3,7 +3,7 @@
 A job's work is in processes of the method's own, so that threads suffice here. What a job answered is kept beside the
 result, and a second call with the same operands makes only what is missing. Where a method's ``device`` is "cuda",
 without a number, each of its trainings is shown one GPU, that with the fewest of them. Instead of this machine, a Ray
-cluster or the shards of a job array may run the jobs (`vsfsim.core.engines.shard`), over a folder that their machines
+cluster or the shards of a job array may run the jobs (`vsfsim.core.system.engines`), over a folder that their machines
 share.
 """
 
@@ -21,9 +21,9 @@ from typing import Any, Protocol, TypeVar
 
 from vsfsim.bench.trials.answers import Reader
 from vsfsim.bench.trials.jobs import Evaluation, Job
-from vsfsim.core.engines import ray_cluster
-from vsfsim.core.engines.shard import HERE, Fan
 from vsfsim.core.errors import Interrupted, MethodError, VsfsimError
+from vsfsim.core.system import engines
+from vsfsim.core.system.engines import HERE, Fan
 from vsfsim.core.system.file_lock import Held, release, take
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -165,7 +165,7 @@ def _by_ray(queue: Sequence[tuple[Row, Job]], fan: Fan) -> Iterator[tuple[int, s
     """As `_by_threads`, on a cluster; a path must mean the same there."""
     items = [(replace(row.of, dataset=replace(row.of.dataset, path=row.of.dataset.path.absolute())), job)
              for row, job in queue]
-    yield from ray_cluster.run(_train, items, address=fan.ray, gpus=fan.gpus)
+    yield from engines.on_ray(_train, items, address=fan.ray, gpus=fan.gpus)
 
 
 def _train(item: tuple[Evaluation, Job]) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.table import Table
+from vsfsim.core.table import integer, number, read, word
 
 
 @dataclass(frozen=True)
@@ -54,21 +55,21 @@ DEPTH_CAMERAS: dict[str, DepthCamera] = {
 class CameraSpec:
     """``[camera]``: a pinhole camera that looks at the object."""
 
-    width: int
+    width: int = integer(640, 8, 8192)
     """Of the picture [px]."""
-    height: int
+    height: int = integer(480, 8, 8192)
     """Of the picture [px]."""
-    fov: float
+    fov: float = number(0.8, 0.05, 2.8, "rad")
     """Vertical field of view [rad]."""
-    distance: float
+    distance: float = number(0.6, 0.01, 100.0, "m")
     """To the look-at point [m]."""
-    azimuth: float
+    azimuth: float = number(0.9, -2 * math.pi, 2 * math.pi, "rad")
     """Direction from the object to the camera, about +z from +x [rad]."""
-    elevation: float
+    elevation: float = number(0.7, -1.55, 1.55, "rad")
     """Direction from the object to the camera, above the horizontal plane [rad]."""
-    noise: str = "none"
+    noise: str = word("none", "kinect")
     """Of its depth, "none" or "kinect" (`vsfsim.sensing.kinect`)."""
-    model: str = ""
+    model: str = word("", *DEPTH_CAMERAS)
     """Key of `DEPTH_CAMERAS`, whose picture and depth errors it has; "" for an ideal camera."""
 
 
@@ -78,16 +79,12 @@ def parse_camera(node: Any, path: Path) -> CameraSpec:
     Raises:
         SceneError: an unknown key, or a value that is not allowed.
     """
-    t = Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation", "noise",
-                                           "model"))
-    model = t.word("model", "", ("", *DEPTH_CAMERAS))
-    if model and "noise" in t.table:
-        raise SceneError(f"{t.where}: there is a model, '{model}', which has its own errors of depth, and a noise; "
-                         f"take one of them out.")
-    usual = DEPTH_CAMERAS.get(model)
-    width, height, fov = (usual.width, usual.height, usual.fov) if usual else (640, 480, 0.8)
-    return CameraSpec(t.count("width", width, 8, 8192), t.count("height", height, 8, 8192),
-                      t.number("fov", fov, 0.05, 2.8, "rad"), t.number("distance", 0.6, 0.01, 100.0, "m"),
-                      t.number("azimuth", 0.9, -2 * math.pi, 2 * math.pi, "rad"),
-                      t.number("elevation", 0.7, -1.55, 1.55, "rad"),
-                      t.word("noise", "none", ("none", "kinect")), model)
+    found = read(CameraSpec, node, f"{path} [camera]")
+    if not found.model:
+        return found
+    if "noise" in node:
+        raise SceneError(f"{path} [camera]: there is a model, '{found.model}', which has its own errors of depth, and "
+                         f"a noise; take one of them out.")
+    usual = DEPTH_CAMERAS[found.model]
+    return dataclasses.replace(found, **{key: getattr(usual, key) for key in ("width", "height", "fov")
+                                         if key not in node})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from vsfsim.core.chain import Chain
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import MeshFile, ProbeShape, parse_probe_shape
-from vsfsim.core.table import Table
+from vsfsim.core.table import Table, flag, integer, number, read
 
 STEEPEST = 0.87
 """Height of a visible unit normal, up to which a surface can be pressed from the side: 60 degrees above the level."""
@@ -23,28 +24,28 @@ STEEPEST = 0.87
 class TouchSpec:
     """``[touches]``: how the touches of a dataset are drawn on the visible cloud."""
 
-    count: int
+    count: int = integer(10, 1, 10_000)
     """Touches of a view."""
-    depth: float
+    depth: float = number(0.01, 1e-5, 0.5, "m")
     """Travel of the probe past first contact [m]."""
-    approach: float
+    approach: float = number(0.01, 1e-4, 0.5, "m")
     """Clearance between the probe and the target point at the start [m]."""
-    force_limit: float
+    force_limit: float = number(30.0, 1e-3, 1e6, "N")
     """The press stops before the linear response of the rest state passes this force [N]; that of a bubble, before a
     flat rigid wall would."""
-    frames: tuple[int, int, int, int]
+    frames: tuple[int, int, int, int] = (2, 6, 1, 3)
     """Readings in each phase: (free, in, hold, out)."""
-    tilt: float = 0.0
+    tilt: float = number(0.0, 0.0, 1.2, "rad")
     """Half angle of the cone about the visible normal from which the direction of a press is drawn, so that a sensor's
     flanks touch, too [rad]; 0 for the normal itself."""
     depth_range: tuple[float, float] | None = None
     """Bounds that each touch's own depth is drawn from [m]; None: every touch has ``depth``."""
     approach_range: tuple[float, float] | None = None
     """Bounds that each touch's own approach is drawn from [m]; None: every touch has ``approach``."""
-    plan: bool = False
+    plan: bool = flag(False)
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
-    level: bool = False
+    level: bool = flag(False)
     """Press from the side: along the level part of minus the visible normal. A target whose normal is steeper than
     `STEEPEST` is drawn again."""
     other: tuple[tuple[ProbeShape | None, TouchSpec], ...] = ()
@@ -82,20 +83,18 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
     Raises:
         SceneError: an unknown key, or a value that is not allowed.
     """
-    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt",
-                                            "plan", "depth_range", "approach_range", "level", "other"))
-    where = f"{path} [touches] frames"
-    f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
-    frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
-              f.count("out", 3, 0, 1000))
+    where, more = f"{path} [touches]", ("frames", "depth_range", "approach_range", "other")
+    found = read(TouchSpec, node, where, more)
+    t, f = Table(node, where, tuple(node)), Table(node.get("frames", {}), f"{where} frames",
+                                                  ("free", "in", "hold", "out"))
     depth, approach = _range(t, "depth", 1e-5), _range(t, "approach", 1e-4)
-    return TouchSpec(t.count("count", 10, 1, 10_000),
-                     depth[1] if depth else t.number("depth", 0.01, 1e-5, 0.5, "m"),
-                     approach[1] if approach else t.number("approach", 0.01, 1e-4, 0.5, "m"),
-                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"),
-                     depth, approach, t.flag("plan", False), t.flag("level", False),
-                     tuple(_other(t.table, row, f"{path} [[touches.other]] {k}", path)
-                           for k, row in enumerate(t.rows("other"), start=1)))
+    return dataclasses.replace(
+        found, depth=depth[1] if depth else found.depth, approach=approach[1] if approach else found.approach,
+        depth_range=depth, approach_range=approach,
+        frames=(f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
+                f.count("out", 3, 0, 1000)),
+        other=tuple(_other(node, row, f"{path} [[touches.other]] {k}", path)
+                    for k, row in enumerate(t.rows("other"), start=1)))
 
 
 def _other(own: Mapping[str, Any], node: Any, where: str, path: Path) -> tuple[ProbeShape | None, TouchSpec]:

@@ -5,7 +5,7 @@ begins again after its end."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,20 @@ def sample(tree: Any, rng: np.random.Generator, *, number: int = 0) -> Any:
         rng: random stream.
         number: of the object in its dataset, from 0.
     """
-    return _resolve(tree, lambda kind, args: _draw(kind, args, rng, number))
+    if _is_distribution(tree):
+        kind, args = next(iter(tree.items()))
+        if kind == "each":
+            drawn = args[number % len(args)]
+        elif kind == "choice":
+            drawn = args[int(rng.integers(len(args)))]
+        elif kind == "uniform":
+            drawn = float(rng.uniform(args[0], args[1]))
+        else:
+            drawn = float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
+        return sample(drawn, rng, number=number)
+    if isinstance(tree, Mapping):
+        return {key: sample(value, rng, number=number) for key, value in tree.items()}
+    return [sample(value, rng, number=number) for value in tree] if isinstance(tree, list) else tree
 
 
 def _is_distribution(node: Any) -> bool:
@@ -50,17 +63,6 @@ def ends(node: Any, where: str) -> list:
     return [node]
 
 
-def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
-    if _is_distribution(node):
-        kind, args = next(iter(node.items()))
-        return _resolve(pick(kind, args), pick)
-    if isinstance(node, Mapping):
-        return {key: _resolve(value, pick) for key, value in node.items()}
-    if isinstance(node, list):
-        return [_resolve(value, pick) for value in node]
-    return node
-
-
 def _check_distribution(kind: str, args: Any, where: str) -> None:
     if not isinstance(args, list) or not args:
         raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. "
@@ -74,13 +76,3 @@ def _check_distribution(kind: str, args: Any, where: str) -> None:
     if low > high or (kind == "loguniform" and low <= 0):
         need = "0 < low <= high" if kind == "loguniform" else "low <= high"
         raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
-
-
-def _draw(kind: str, args: list, rng: np.random.Generator, number: int) -> Any:
-    if kind == "each":
-        return args[number % len(args)]
-    if kind == "choice":
-        return args[int(rng.integers(len(args)))]
-    if kind == "uniform":
-        return float(rng.uniform(args[0], args[1]))
-    return float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,33 +14,33 @@ from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import MAX_FRICTION, beside
 from vsfsim.core.scene_tables.foam import FOAMS, Foam
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
-from vsfsim.core.table import Table
+from vsfsim.core.table import Table, number, read, vector, word
 
 TIERS = ("auto", "vsf", "linear", "fem-coarse", "fem", "fem-fine", "rod")
 """Fidelities that a scene may name."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ObjectSpec:
     """``[object]``."""
 
     shape: ObjectShape
     """Of the object."""
-    pose: tuple[float, float, float]
+    pose: tuple[float, float, float] = vector((0.0, 0.0, 0.0))
     """Base centre in the world (3,) [m]."""
-    yaw: float
+    yaw: float = number(0.0, -2 * math.pi, 2 * math.pi, "rad")
     """Rotation about +z [rad]."""
     fixed: str | tuple[float, ...]
     """Either "bottom", "none", or a box (x0, y0, z0, x1, y1, z1) [m] in the object's frame whose nodes are held."""
-    tier: str
+    tier: str = word(*TIERS)
     """Fidelity, one of `TIERS`."""
-    resolution: float | None
+    resolution: float | None = number(None, 1e-5, 1.0, "m")
     """Element size [m], or None for the tier's own."""
-    poisson_ratio: float
+    poisson_ratio: float = number(0.45, 0.0, 0.4999)
     """Of the whole object [-]."""
-    density: float
+    density: float = number(1000.0, 1e-3, 3e4, "kg/m^3")
     """Of the whole object [kg/m^3]."""
-    friction: float
+    friction: float = number(0.0, 0.0, MAX_FRICTION)
     """Coulomb coefficient against rigid bodies [-]."""
     young_modulus: MaterialField
     """The field E(x) [Pa]."""
@@ -59,42 +60,24 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
         SceneError: an unknown key, or a value that is not allowed.
     """
     where = f"{path} [object]"
-    t = Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
-                             "friction", "young_modulus", "material", "law", "appearance"))
+    own = ("shape", "fixed", "young_modulus", "material", "law", "appearance")
+    t = Table(node, where, tuple(node) if isinstance(node, Mapping) else ())
     shape = parse_object_shape(t.table.get("shape"), where)
     fixed = t.table.get("fixed", "bottom")
-    if isinstance(fixed, str):
-        fixed = t.word("fixed", "bottom", ("bottom", "none"))
-    else:
-        fixed = t.vector("fixed", None, 6)
-    material = parse_material(t.table.get("young_modulus"), where)
-    foam = _foam(t, isinstance(shape, Family))
+    fixed = t.word("fixed", "bottom", ("bottom", "none")) if isinstance(fixed, str) else t.vector("fixed", None, 6)
+    material, family = parse_material(t.table.get("young_modulus"), where), isinstance(shape, Family)
+    foam = _foam(t, family)
     if foam is not None and "young_modulus" not in t.table:
         material = MaterialField(foam.young_modulus, {})
-    if material.base is None and not isinstance(shape, Family):
+    if material.base is None and not family:
         raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
                          f"{{ base = 1e5, inclusions = [..] }}.")
     appearance = t.table.get("appearance", {})
     if not isinstance(appearance, Mapping):
         raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
-    friction = t.number("friction", 0.0, 0.0, MAX_FRICTION)
-    shape = beside(shape, path)  # type: ignore[arg-type,assignment]
-    resolution = t.number("resolution", 0.0, 1e-5, 1.0, "m") if "resolution" in t.table else None
-    return ObjectSpec(
-        shape=shape,
-        pose=t.vector("pose", (0.0, 0.0, 0.0)),
-        yaw=t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"),
-        fixed=fixed,
-        tier=t.word("tier", "auto", TIERS),
-        resolution=resolution,
-        poisson_ratio=foam.poisson_ratio if foam is not None else t.number("poisson_ratio", 0.45, 0.0, 0.4999),
-        density=t.number("density", 1000.0, 1e-3, 3e4, "kg/m^3"),
-        friction=friction,
-        young_modulus=material,
-        foam=foam,
-        law=_law(t, isinstance(shape, Family)),
-        appearance=appearance,
-    )
+    found = read(ObjectSpec, node, where, own, shape=beside(shape, path), fixed=fixed, young_modulus=material,  # type: ignore[arg-type]
+                 foam=foam, law=_law(t, family), appearance=appearance)
+    return found if foam is None else dataclasses.replace(found, poisson_ratio=foam.poisson_ratio)
 
 
 def _foam(t: Table, family: bool) -> Foam | None:

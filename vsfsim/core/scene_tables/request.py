@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from vsfsim.core.system.engines import HERE, Fan
+
 
 @dataclass(frozen=True)
 class Request:
@@ -40,6 +42,14 @@ class Request:
     size, and by which some touches are audited."""
     workers: int | None = None
     """Processes; None for one a CPU core, or one for 5 GiB of a GPU, 16 at most and one a core."""
+    finish: bool = False
+    """Only check what shards have made, and write dataset.json."""
+    mixed: bool = False
+    """Whether machines of several kinds may make the dataset."""
+    poison: bool = False
+    """Whether a view that fails twice is left out and the others are made."""
+    fan: Fan = HERE
+    """Where the views are made, and which of them by this call."""
     note: Callable[[str], None] | None = None
     """Called with sentences for the user."""
 

@@ -1,1 +1,1 @@
-"""What differs between operating systems and kinds of CPU."""
+"""What surrounds the program: operating systems and kinds of CPU, other machines, notebooks."""

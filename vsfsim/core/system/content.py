@@ -80,7 +80,7 @@ def named_files(values: Any, folder: str | Path) -> dict[str, Path]:
         values: JSON or TOML values. folder: that relative paths are relative to.
     """
     out: dict[str, Path] = {}
-    for text in _texts(values):
+    for text in texts_of(values):
         # "FILE@sha256" names the weights of a network and what they must be.
         name = text.partition("@")[0]
         if not name or "\0" in name:
@@ -102,12 +102,13 @@ def differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
     return out + [f"{name} is not found here" for name in there if name not in here]
 
 
-def _texts(values: Any) -> Iterator[str]:
+def texts_of(values: Any) -> Iterator[str]:
+    """The texts in a tree of tables and lists."""
     if isinstance(values, str):
         yield values
     elif isinstance(values, (Mapping, list, tuple)):
         for item in values.values() if isinstance(values, Mapping) else values:
-            yield from _texts(item)
+            yield from texts_of(item)
 
 
 def _file(name: str, folder: str) -> Path | None:

@@ -54,10 +54,8 @@ def observed(options: Mapping[str, Any], tier: str, errors: Sequence[float]) -> 
         return None
     all_ = np.asarray(errors, float)
     within = float((all_ <= promise["asked"]).mean()) if len(all_) else 0.0
-    sizes = {name: options[name] for name in ("resolution", "contact", "parts") if name in options}
-    chosen = options.get("classes") or {"tier": tier, **sizes}
-    return {"asked": promise["asked"], "chosen": chosen,
-            "expected": promise["expected"],
+    sizes = {name: options[name] for name in ("resolution", "contact") if name in options}
+    return {"asked": promise["asked"], "chosen": {"tier": tier, **sizes}, "expected": promise["expected"],
             "observed": {"audits": len(all_), "within": within,
                          "rms": float(np.sqrt(np.mean(all_**2))) if len(all_) else None,
                          "worst": float(all_.max()) if len(all_) else None}}

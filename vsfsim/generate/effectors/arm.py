@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.data.records import ObjectView
-from vsfsim.generate.effector import Drawing
-from vsfsim.generate.job import Job
+from vsfsim.data.records import ObjectView, Touch
+from vsfsim.generate.effector import Drawing, kernels_of
+from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.plants.admit import grow
+from vsfsim.generate.plants.aim import ArmAim
 from vsfsim.generate.plants.batches import make_together
+from vsfsim.generate.plants.prepare import Subject, prepare_job
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
-from vsfsim.generate.plants.touches import make_views
+from vsfsim.generate.plants.touches import finish_touches, make_view, solve
 from vsfsim.generate.plants.truth import segments
-from vsfsim.generate.press_result import PressResult
-from vsfsim.generate.presses import arm as one_press
+from vsfsim.generate.press_result import BodyPanel, Camera, Column, Curves, PressResult, frames_done
+from vsfsim.generate.press_words import audit_columns, reasons, recorded, statement
+from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
+from vsfsim.physics.rods.solver import Ended, RodFrames
+from vsfsim.physics.runtime import compile_kernels
+from vsfsim.sensing.camera import look_at
+from vsfsim.sensing.tessellate import tessellate
 from vsfsim.vsf.stick_slip import stick_slip
 
 
@@ -50,18 +60,18 @@ class ArmEffector:
         """Those of the beams' solver, and of the oracle VSF's stick and slip."""
         return [advance, stick_slip]
 
-    def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
+    def make_view(self, job: Job, *, device: str) -> ObjectView:
         """Grow, look, aim along lines that the arm can follow, touch."""
-        return make_views([job], device=device, progress=progress)[0]
+        return make_view(job, device=device)
 
-    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
+    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
         """On a CPU each view in a process of its own; on a GPU the touches of many views are solved together."""
         make = make_each if device == "cpu" else make_together
         return make(jobs, device=device, workers=workers)
 
     def press(self, loaded: SceneFile, request: Request) -> PressResult:
-        """See `vsfsim.generate.presses.arm`."""
-        return one_press.press(loaded, request)
+        """The first touch that `vsfsim generate` would make of this seed."""
+        return press(loaded, request)
 
     def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
         """Raises:
@@ -88,3 +98,101 @@ class ArmEffector:
 
 
 EFFECTOR = ArmEffector()
+
+
+def press(loaded: SceneFile, request: Request) -> PressResult:
+    """Make the touch.
+
+    Raises:
+        SceneError: the scene has no [touches], a tier that beams do not have, or nothing that the arm can reach.
+    """
+    began = time.perf_counter()
+    recipe = make_recipe(loaded, seed=request.seed, objects=1, views=1, touches=1, tier=request.tier,
+                         device=request.device)
+    job = jobs_of(recipe, loaded.path, Path("."), None)[0]
+    compile_kernels(kernels_of(loaded.sample(request.seed)), request.device, progress=request.progress)
+    subject = prepare_job(job, device=request.device)
+    built = time.perf_counter() - began
+    began = time.perf_counter()
+    (aim,) = subject.aims
+    tell = frames_done(request.progress, len(aim.plan))
+    frames = solve(subject, device=request.device, progress=tell, keep_nodes=True)
+    (touch,) = finish_touches(subject, frames)
+    seconds = time.perf_counter() - began
+    n = len(touch.time)
+    depth, size = (touch.mount_pose[:, :3, 3] - aim.target) @ aim.axis, np.linalg.norm(touch.force, axis=1)
+    assert touch.q is not None and touch.torque is not None
+    q, full, segments = touch.q, int(np.argmax(depth)), len(subject.plant.nodes) - 1
+    contacts = frames.contacts[:n, 0]
+    return PressResult(
+        touch, depth, full,
+        more={"torque": touch.torque, "q": q, "target": aim.target, "draws": aim.draws, "contacts": contacts,
+              "reason": reasons(touch), "segments": segments, "deepest": full, "build_seconds": built,
+              "seconds": seconds, "tier": recipe.tier, "device": request.device, "precision": "float64"},
+        columns=(Column("tool mm past target", 1e3 * depth, ".2f"), Column("|force| N", size, ".4f"),
+                 *(Column(f"joint {j + 1}{' N m' * (j == 6)}", touch.torque[:, j], ".4f") for j in range(7)),
+                 Column("contacts", contacts, "d"), *audit_columns(touch, None)),
+        words=(statement(touch, edge=None, tolerance=None),
+               "Torques are those of the contact; the weight of the arm is taken off.",
+               f"{segments} segments, tier {recipe.tier} on {request.device}; plant, picture and "
+               f"path in {built:.1f} s, solved in {seconds:.1f} s."),
+        notes=tuple(_notes(subject, aim, touch, frames)),
+        plot=(Curves("size of the force [N]", {"force on the arm": size}),
+              Curves("joint torque of the contact [N m]",
+                     {f"joint {j + 1}": touch.torque[:, j] for j in range(7)})),
+        abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
+        headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
+        panels=lambda t: (_panel(subject, q, frames, t),),
+        arrays={**_arrays(subject, q, frames), **recorded(touch), "depth": (depth, "(T,) [m]")})
+
+
+def _notes(subject: Subject, aim: ArmAim, touch: Touch, frames: RodFrames) -> list[str]:
+    """What was decided, and why the touch ended."""
+    limit = subject.scene.touches
+    assert limit is not None
+    n, planned = len(touch.time), len(aim.plan)
+    out = [*subject.plant.notes,
+           f"target {aim.draws} of those drawn was within reach: ({', '.join(f'{v:.3f}' for v in aim.target)}) m, "
+           f"the tool goes along ({', '.join(f'{v:.3f}' for v in aim.axis)})"]
+    if touch.ended == Ended.FORCE:
+        out.append(f"the arm comes to its protective stop at frame {n} of {planned}: on the way back the contact force "
+                   f"would be more than a quarter past force_limit = {limit.force_limit:g} N")
+    elif n < planned:
+        out.append(f"the touch ends at frame {n} of {planned}: in the next the contact force would pass force_limit = "
+                   f"{limit.force_limit:g} N")
+    elif not np.array_equal(frames.where[:n, 0], aim.plan):
+        share = (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max()
+        out.append(f"the arm turns back {1e3 * share * np.linalg.norm(aim.stop - aim.start):.1f} mm before the end of "
+                   f"its way: further in the contact force would pass force_limit = {limit.force_limit:g} N, or no "
+                   f"equilibrium is found")
+    elif not touch.touched:
+        out.append("the arm touched nothing on its way; take another --seed")
+    return out
+
+
+def _arrays(subject: Subject, q: np.ndarray, frames: RodFrames) -> dict[str, tuple[np.ndarray, str]]:
+    assert subject.arm is not None and frames.nodes is not None and frames.turns is not None
+    n, plant = len(q), subject.plant
+    return {
+        "node_position": (frames.nodes[:n, 0], "of the plant (T, n, 3) [m]"),
+        "node_rotation": (frames.turns[:n, 0], "quaternions x y z w since rest (T, n, 4)"),
+        "node_rest": (plant.nodes, "(n, 3) [m]"), "parent": (plant.parent, "of each node (n,)"),
+        "radius": (plant.radius, "of the segment to each node (n,) [m]"),
+        "young_modulus": (plant.young_modulus, "of the segment (n,) [Pa]"),
+        "capsule_pose": (subject.arm.body_poses(q), "of the arm's capsules (T, K, 4, 4) [m]"),
+        "body_force": (frames.force[:n, 0], "on each capsule (T, K, 3) [N]"),
+        "body_moment": (frames.moment[:n, 0], "about its origin (T, K, 3) [N m]")}
+
+
+def _panel(subject: Subject, q: np.ndarray, frames: RodFrames, t: int) -> BodyPanel:
+    """Plant and arm in frame ``t``, from the scene's camera; ``q``: joint angles (T, 7) [rad]."""
+    arm, camera, plant = subject.arm, subject.scene.camera, subject.plant
+    assert arm is not None and frames.nodes is not None and frames.turns is not None
+    body = plant_surface(plant, pot=True, nodes=frames.nodes[t, 0],
+                         turns=Rotation.from_quat(frames.turns[t, 0]).as_matrix())
+    rigid = tuple((v @ pose[:3, :3].T + pose[:3, 3], f)
+                  for (v, f), pose in zip((tessellate(shape, 1.0) for shape in arm.shapes), arm.body_poses(q)[t],
+                                          strict=True))
+    middle = 0.5 * (plant.nodes.min(axis=0) + plant.nodes.max(axis=0))
+    return BodyPanel(body, Camera(*look_at(camera, np.array([0.0, 0.0, middle[2]])), camera.width, camera.height),
+                     rigid)

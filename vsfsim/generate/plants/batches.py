@@ -9,17 +9,16 @@ solved with.
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from typing import Any
 
 import numpy as np
 
-from vsfsim.data.records import ObjectView, View
+from vsfsim.data.records import View
 from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, load
-from vsfsim.generate.plants.prepare import Outline, Seconds, Subject, choose, look, outline
+from vsfsim.generate.plants.prepare import Subject, choose, look, outline
 from vsfsim.generate.plants.touches import begin, finish, rod_options
 from vsfsim.generate.workers import largest, process_pool, submit, write
 from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodSolver
@@ -33,68 +32,44 @@ class _Preparation:
     """Views that are being prepared: one process takes the picture of a view, then several aim its touches, `part`
     touches at a time."""
 
-    outlines: list[Outline]
+    outlines: list[Subject]
     """The plants of the views."""
     ready: list[tuple[int, int, Subject]]
     """Parts of views that can be touched: number of the view, number of the part, and its touches."""
 
-    def __init__(self, jobs: Sequence[Job], pool: ProcessPoolExecutor, device: str, spent: Seconds, part: int):
-        self._jobs, self._pool, self._spent, self._part = jobs, pool, spent, part
-        self._looking: dict[Future[tuple[View, np.ndarray, Seconds]], int] = {
-            submit(pool, look_one, job, device): k for k, job in enumerate(jobs)}
-        self._aiming: dict[Future[tuple[list[ArmAim], np.ndarray, Seconds]], tuple[int, int]] = {}
+    def __init__(self, jobs: Sequence[Job], pool: ProcessPoolExecutor, device: str, part: int):
+        self._jobs, self._pool, self._part = jobs, pool, part
+        self._going: dict[Future[Any], tuple[int, int | None]] = {
+            submit(pool, look_one, job, device): (k, None) for k, job in enumerate(jobs)}
         self._views: dict[int, View] = {}
-        since = spent.begin()  # the processes start meanwhile
-        self.outlines = [outline(job) for job in jobs]
-        spent.charge("grow", since)
+        self.outlines = [outline(job) for job in jobs]  # the processes start meanwhile
         self.ready = []
 
     @property
     def going(self) -> bool:
         """Whether parts are still to come."""
-        return bool(self._looking or self._aiming)
+        return bool(self._going)
 
-    def parts(self, k: int) -> int:
-        """How many parts view ``k`` has."""
-        return -(-self._count(k) // self._part)
+    def parts(self, k: int) -> list[range]:
+        """The touches of each part of view ``k``."""
+        count = self.outlines[k].scene.required_touches.count
+        return [range(start, min(start + self._part, count)) for start in range(0, count, self._part)]
 
-    def _count(self, k: int) -> int:
-        return self.outlines[k].scene.required_touches.count
-
-    def gather(self, timeout: float) -> int:
-        """Wait at most ``timeout`` [s] for a process to finish something.
-
-        Returns:
-            The number of touches newly ready.
-        """
-        going: list[Future[Any]] = [*self._looking, *self._aiming]
-        there, _ = wait(going, timeout=timeout, return_when=FIRST_COMPLETED)
-        before = len(self.ready)
-        for future in there:
-            if future in self._looking:
-                k = self._looking.pop(future)
-                self._views[k], cloud, took = future.result()
-                for part in range(self.parts(k)):
-                    numbers = range(part * self._part, min((part + 1) * self._part, self._count(k)))
-                    self._aiming[submit(self._pool, aim_one, self._jobs[k], cloud, numbers)] = k, part
+    def gather(self, timeout: float) -> None:
+        """Wait at most ``timeout`` [s] for a process to finish something."""
+        for future in wait(list(self._going), timeout=timeout, return_when=FIRST_COMPLETED)[0]:
+            k, part = self._going.pop(future)
+            if part is None:
+                self._views[k], cloud = future.result()
+                for number, touches in enumerate(self.parts(k)):
+                    self._going[submit(self._pool, aim_one, self._jobs[k], cloud, touches)] = k, number
             else:
-                k, part = self._aiming.pop(future)
-                aims, poses, took = future.result()
-                o = self.outlines[k]
-                self.ready.append((k, part, Subject(o.job, o.scene, o.plant, o.model, self._views[k], aims, poses,
-                                                   o.notes)))
-            self._spent.add(took)
-        return sum(len(s.aims) for *_, s in self.ready[before:])
-
-    def cancel(self) -> None:
-        """Call off what no process has begun."""
-        going: list[Future[Any]] = [*self._looking, *self._aiming]
-        for future in going:
-            future.cancel()
+                aims, poses = future.result()
+                self.ready.append((k, part, dataclasses.replace(self.outlines[k], view=self._views[k], aims=aims,
+                                                                poses=poses)))
 
 
-def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spent: Seconds, until: float | None = None,
-            watch: Callable[[str, int, int], None] | None = None,
+def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str,
             part: int = PART) -> Iterator[tuple[int, Subject, RodFrames]]:
     """Number, subject and frames of the views of ``jobs``, in the order in which they are done.
 
@@ -102,15 +77,9 @@ def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spen
         jobs: the views.
         pool: processes that prepare them.
         device: Warp device.
-        spent: where the time of all processes is charged.
-        until: time of `time.perf_counter` after which no launch is begun; touches under way then are cut where they
-            are, and others are left out.
-        watch: called with what happened, "prepared" or "solved", to how many touches or frames, and how many touches
-            go on.
         part: touches that a process aims at a time.
     """
-    coming = _Preparation(jobs, pool, device, spent, part)
-    since = spent.begin()
+    coming = _Preparation(jobs, pool, device, part)
     scene = coming.outlines[0].scene
     spec = scene.required_touches
     free, inward, hold, out = spec.frames
@@ -118,51 +87,29 @@ def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spen
                        options=rod_options(scene))
     batch = largest(lambda places: RodBatch(solver, places, frames=free + inward + hold + out, poses=inward + 1),
                     min(max(PLACES, part), spec.count * len(jobs)), min(part, spec.count), jobs[0].recipe.scene, device)
-    spent.charge("solve", since)
     inside: dict[tuple[int, int], tuple[Subject, slice]] = {}
     done: dict[int, dict[int, tuple[Subject, RodFrames]]] = {}
     while coming.going or coming.ready or inside:
-        left = np.inf if until is None else until - time.perf_counter()
-        if left <= 0.0:
-            break
-        new = coming.gather(0.0 if batch.live else min(left, 2.0))
-        if new and watch is not None:
-            watch("prepared", new, batch.live)
-        since = spent.begin()
+        coming.gather(0.0 if batch.live else 2.0)
         while coming.ready and batch.room(len(coming.ready[0][2].aims)):
             k, number, subject = coming.ready.pop(0)
-            inside[k, number] = _lean(subject), begin(batch, subject, k)
+            # without the poses, which are not needed when it is sent to another process
+            inside[k, number] = dataclasses.replace(subject, poses=np.zeros(0)), begin(batch, subject, k)
         if batch.live:
-            new = batch.advance(seconds=min(SHORT_SPAN if coming.going or coming.ready else GPU_SPAN, left))
-            if watch is not None:
-                watch("solved", new, batch.live)
+            batch.advance(seconds=SHORT_SPAN if coming.going or coming.ready else GPU_SPAN)
         for k, number in [key for key, (_, some) in inside.items() if batch.done(some)]:
             subject, some = inside.pop((k, number))
             done.setdefault(k, {})[number] = subject, batch.take(some)
-        spent.charge("solve", since)
-        for k in [k for k, parts in done.items() if len(parts) == coming.parts(k)]:
-            yield k, *_joined(done.pop(k))
-    coming.cancel()
-    for (k, number), (subject, some) in inside.items():
-        done.setdefault(k, {})[number] = subject, batch.take(some)
-    for k, parts in done.items():
-        yield k, *_joined(parts)
-
-
-def _joined(parts: dict[int, tuple[Subject, RodFrames]]) -> tuple[Subject, RodFrames]:
-    """A view, put together from its parts."""
-    subjects, frames = zip(*(parts[number] for number in sorted(parts)), strict=True)
-    return dataclasses.replace(subjects[0], aims=[a for s in subjects for a in s.aims]), RodFrames.joined(frames)
-
-
-def _lean(subject: Subject) -> Subject:
-    """The subject without the arm and the poses, which are not needed when it is sent to another process."""
-    return dataclasses.replace(subject, arm=None, poses=np.zeros((0, 0, 0, 4, 4)))
+        for k in [k for k, parts in done.items() if len(parts) == len(coming.parts(k))]:
+            own = done.pop(k)
+            subjects, frames = zip(*(own[number] for number in sorted(own)), strict=True)
+            yield (k, dataclasses.replace(subjects[0], aims=tuple(a for s in subjects for a in s.aims)),
+                   RodFrames.joined(frames))
 
 
 def make_together(jobs: Sequence[Job], *, device: str, workers: int | None,
-                  part: int = PART) -> Iterator[tuple[int, str]]:
-    """Make and write views whose touches are solved together; yields (frames newly done, name) as they come.
+                  part: int = PART) -> Iterator[str]:
+    """Make and write views whose touches are solved together; yields the name of each as they come.
 
     Args:
         jobs: what to make.
@@ -172,38 +119,24 @@ def make_together(jobs: Sequence[Job], *, device: str, workers: int | None,
     """
     with process_pool(len(jobs), workers, device=device) as pool:
         writing: list[Future[None]] = []
-        for k, subject, frames in touched(jobs, pool, device=device, spent=Seconds(), part=part):
+        for k, subject, frames in touched(jobs, pool, device=device, part=part):
             writing.append(submit(pool, _write, jobs[k], subject, frames, device))
-            yield sum(len(a.plan) for a in subject.aims), jobs[k].name
+            yield jobs[k].name
         for future in writing:
             future.result()
 
 
-def look_one(job: Job, device: str) -> tuple[View, np.ndarray, Seconds]:
-    """In a process of its own: the picture of a view, its cloud (n, 3) [m], and where the time went."""
-    seconds = Seconds()
-    since = seconds.begin()
-    o = outline(job)
-    seconds.charge("grow", since)
-    view = look(o, device=device, seconds=seconds)
-    return view, view.points(), seconds
+def look_one(job: Job, device: str) -> tuple[View, np.ndarray]:
+    """In a process of its own: the picture of a view and its cloud (n, 3) [m]."""
+    view = look(outline(job), device=device)
+    return view, view.points()
 
 
-def aim_one(job: Job, cloud: np.ndarray, numbers: range) -> tuple[list[ArmAim], np.ndarray, Seconds]:
-    """In a process of its own: some touches of a view, the poses along their lines, and where the time went. The arm is
-    not returned, because its simulator cannot be sent to another process."""
-    seconds = Seconds()
-    since = seconds.begin()
-    o = outline(job)
-    seconds.charge("grow", since)
-    _, aims, poses = choose(o, cloud, numbers, seconds=seconds)
-    return aims, poses, seconds
-
-
-def finish_one(subject: Subject, frames: RodFrames, device: str) -> tuple[ObjectView, Seconds]:
-    """In a process of its own: the records of a touched view, and where the time went."""
-    seconds = Seconds()
-    return finish(subject, frames, device=device, seconds=seconds), seconds
+def aim_one(job: Job, cloud: np.ndarray, numbers: range) -> tuple[tuple[ArmAim, ...], np.ndarray]:
+    """In a process of its own: some touches of a view, and the poses along their lines. The arm is not returned,
+    because its simulator cannot be sent to another process."""
+    chosen = choose(outline(job), cloud, numbers)
+    return chosen.aims, chosen.poses
 
 
 def _write(job: Job, subject: Subject, frames: RodFrames, device: str) -> None:

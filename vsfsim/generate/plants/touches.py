@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from vsfsim.core.scene import Scene
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch
 from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim
-from vsfsim.generate.plants.prepare import Seconds, Subject, prepare_job
+from vsfsim.generate.plants.prepare import Subject, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import audit, verdict
 from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
@@ -31,21 +31,10 @@ JOINT_RATE = 0.3
 TRAVEL, WORK, PATIENCE = 120, 120, 30_000
 
 
-def make_views(jobs: Sequence[Job], *, device: str, progress: Callable[[int], None] | None = None,
-               seconds: Seconds | None = None) -> list[ObjectView]:
-    """The object views of some jobs, touched together.
-
-    Args:
-        jobs: the views.
-        device: Warp device.
-        progress: called with the number of frames newly done.
-        seconds: where the time is charged.
-    """
-    subjects = [prepare_job(job, device=device, seconds=seconds) for job in jobs]
-    found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames),
-                  seconds=seconds)
-    return [finish(subject, frames, device=device, seconds=seconds)
-            for subject, frames in zip(subjects, found, strict=True)]
+def make_view(job: Job, *, device: str) -> ObjectView:
+    """The object view of a job."""
+    subject = prepare_job(job, device=device)
+    return finish(subject, solve(subject, device=device), device=device)
 
 
 def rod_options(scene: Scene) -> RodOptions:
@@ -65,45 +54,34 @@ def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
                      friction=subject.scene.required_object.friction, inward=np.array([a.inward for a in aims]))
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None,
-          seconds: Seconds | None = None, keep_nodes: bool = False) -> list[RodFrames]:
-    """The equilibria of some views' touches, the frames of each view; `plants.batches` solves views that come and go.
+def solve(subject: Subject, *, device: str, progress: Callable[[int], None] | None = None,
+          keep_nodes: bool = False) -> RodFrames:
+    """The equilibria of a view's touches; `plants.batches` solves views that come and go.
 
     Args:
-        subjects: the views.
+        subject: the view.
         device: Warp device.
-        progress: called with the number of frames newly done and of the touches that go on.
-        seconds: where the time is charged.
+        progress: called with the number of frames newly done.
         keep_nodes: as of `RodSolver.run`.
     """
-    seconds = seconds or Seconds()
-    since = seconds.begin()
-    solver = RodSolver([s.model for s in subjects], subjects[0].loaded_arm().shapes, device=device,
-                       options=rod_options(subjects[0].scene))
-    batch = RodBatch(solver, sum(len(s.aims) for s in subjects), frames=len(subjects[0].aims[0].plan),
-                     poses=len(subjects[0].poses), keep_nodes=keep_nodes)
-    places = [begin(batch, s, k) for k, s in enumerate(subjects)]
+    solver = RodSolver([subject.model], subject.loaded_arm().shapes, device=device, options=rod_options(subject.scene))
+    batch = RodBatch(solver, len(subject.aims), frames=len(subject.aims[0].plan), poses=len(subject.poses),
+                     keep_nodes=keep_nodes)
+    places = begin(batch, subject, 0)
     while batch.live:
         new = batch.advance()
         if progress is not None:
-            progress(new, batch.live)
-    out = [batch.take(some) for some in places]
-    seconds.charge("solve", since)
-    return out
+            progress(new)
+    return batch.take(places)
 
 
-def finish(subject: Subject, frames: RodFrames, *, device: str, seconds: Seconds | None = None) -> ObjectView:
+def finish(subject: Subject, frames: RodFrames, *, device: str) -> ObjectView:
     """The object view of a touched subject: records, torques and truth."""
-    seconds = seconds or Seconds()
-    since = seconds.begin()
-    arm = subject.loaded_arm()
-    touches = finish_touches(dataclasses.replace(subject, arm=arm), frames)
-    since = seconds.charge("torque", since)
-    chain = chain_of(arm)
+    subject = dataclasses.replace(subject, arm=subject.loaded_arm())
+    assert subject.arm is not None and subject.view is not None
+    touches, chain, job = finish_touches(subject, frames), chain_of(subject.arm), subject.job
     truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.required_object.friction,
                         device=device, notes=subject.notes)
-    seconds.charge("truth", since)
-    job = subject.job
     return ObjectView(job.name, job.object_index, job.view_index, job.split, chain, subject.view, tuple(touches), truth)
 
 

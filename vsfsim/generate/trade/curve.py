@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from vsfsim.data.records import Touch
 from vsfsim.data.verify import unresolved_frames
 from vsfsim.generate.aim import Aim
-from vsfsim.generate.press_result import PressResult
 from vsfsim.physics.convergence import Limit
 
 SHALLOW = 0.05
 """Share of a reading's largest value from which a frame counts as in contact [-]."""
-_DIGITS = 7
-"""Of a number in a file."""
 
 
 @dataclass(frozen=True)
@@ -35,25 +31,6 @@ class Curve:
     marked: np.ndarray
     """Frames in contact that did not converge, or are not resolved by the mesh (T,) bool."""
 
-    def table(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"share": _short(self.share), "readings": {name: _short(v) for name, v in self.readings.items()},
-                "converged": self.converged.tolist(), "marked": self.marked.tolist()}
-
-    @classmethod
-    def read(cls, table: Mapping[str, Any]) -> Curve:
-        """As `table` gave it."""
-        return cls(np.array(table["share"], float),
-                   {name: np.array(values, float) for name, values in table["readings"].items()},
-                   np.array(table["converged"], bool), np.array(table["marked"], bool))
-
-
-def _short(values: np.ndarray) -> Any:
-    """Lists of numbers of `_DIGITS` digits; None where there is no number."""
-    if values.ndim > 1:
-        return [_short(row) for row in values]
-    return [float(f"{v:.{_DIGITS}g}") if np.isfinite(v) else None for v in values.tolist()]
-
 
 def of_touch(touch: Touch, aim: Aim) -> Curve:
     """The way in of a touch that was aimed so; the first of several frames at full depth is its last."""
@@ -65,17 +42,6 @@ def of_touch(touch: Touch, aim: Aim) -> Curve:
         readings |= {"torque": touch.moment[on], "pressure": touch.pressure[on] - touch.rest_pressure,
                      "dense": touch.node_force[on].astype(float)}
     return Curve(share[on], readings, touch.converged[on], (~touch.converged | unresolved_frames(touch))[on])
-
-
-def of_press(result: PressResult) -> Curve:
-    """The way in of a press."""
-    depth = result.depth[:result.deepest + 1]
-    on = np.flatnonzero(depth > 1e-6 * depth[-1])
-    readings = {"force": result.normal_force[on], "direction": result.force[on]}
-    if result.touch.pressure is not None:
-        readings |= {"pressure": result.more["pressure_change"][on], "torque": result.more["wrench"][on, 3:]}
-    held = result.converged if result.resolved is None else result.resolved
-    return Curve(depth[on] / depth[-1], readings, result.converged[on], ~held[on])
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Points of cost and error: which are on the front, what a goal costs, and whether a front is as it was."""
+"""Points of cost and error: which are on the front, and what a goal costs."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from vsfsim.core.text_table import text_table
 from vsfsim.generate.trade.curve import Curve, Distance, distance
-from vsfsim.generate.trade.made import Run
+from vsfsim.generate.trade.setting import Setting
+from vsfsim.generate.trade.touches import Run
 from vsfsim.physics.convergence import Limit
 
 GOALS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
@@ -21,8 +21,6 @@ CHANNELS = {"force": "%", "direction": "deg", "torque": "%", "pressure": "%", "d
 """Readings that are compared, and the unit that their errors are printed in."""
 DISTINCT = 0.95
 """A dearer point is on the front if its error is this share of a cheaper one's at most [-]."""
-COST_RATIO, ERROR_RATIO = 2.0, 1.5
-"""How far a cost over that of the first point, and an error, may be from a stored front's [-]."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class Point:
     key: str
     """The setting in words."""
     tier: str
-    """Its tier, or "bubble"."""
+    """Its tier."""
     cpu: float
     """CPU time of a touch, without what is made once an object [s]."""
     wall: float
@@ -67,12 +65,12 @@ class Point:
         return self.error >= self.bar
 
 
-def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], shares: Sequence[np.ndarray], *,
+def point(setting: Setting, run: Run, limits: Sequence[Mapping[str, Limit]], shares: Sequence[np.ndarray], *,
           shows: bool) -> Point:
     """What a run costs and misses.
 
     Args:
-        key, tier: of the setting.
+        setting: of the run.
         run: all touches.
         limits: of each touch.
         shares: of each limit, its depths.
@@ -104,8 +102,8 @@ def point(key: str, tier: str, run: Run, limits: Sequence[Mapping[str, Limit]], 
                        "shallow": _rms([d.shallow for d in ds]), "full": _rms([d.full for d in ds]),
                        "bar": max(d.bar for d in ds)} for name, ds in found.items()}
     marked = np.concatenate([_in_contact(c) for c in run.curves])
-    return Point(key, tier, run.cpu / count, run.wall / count, run.cpu / run.frames, run.once, run.memory,
-                 float(marked.mean()) if len(marked) else 0.0, error, bar, channels, shows, off=off)
+    return Point(setting.key, setting.tier, run.cpu / count, run.wall / count, run.cpu / run.frames, run.once,
+                 run.memory, float(marked.mean()) if len(marked) else 0.0, error, bar, channels, shows, off=off)
 
 
 def _rms(values: Sequence[float]) -> float:
@@ -154,52 +152,19 @@ def text(points: Sequence[Point]) -> str:
 
 
 def cells(points: Sequence[Point]) -> tuple[list[str], list[list[str]]]:
-    """The head of the table and its rows, one a point."""
+    """The head of the table and its rows, one a point: with a star on the front, a wave under the bar, a cross where
+    the tier does not show what the scene needs."""
     names = [name for name in CHANNELS if any(name in p.channels for p in points)]
     head = ["", "setting", "CPU s/touch", "clock s/touch", "once s", "MiB", "marked %", "error %", "bar %", "shallow %",
             "full %", "worst %", *(f"{name} {CHANNELS[name]}" for name in names if name != "force")]
     rows = []
     for p in points:
+        mark = "*" if p.front else "x" if not p.shows else "" if p.ranked or math.isnan(p.error) else "~"
         force = p.channels.get("force", {})
-        cells = [p.error, p.bar, *(force.get(key, math.nan) for key in ("shallow", "full", "worst"))]
-        others = [scaled(name, p.channels.get(name, {}).get("rms", math.nan)) for name in names if name != "force"]
-        rows.append([mark(p), p.key, f"{p.cpu:.2f}", f"{p.wall:.2f}", f"{p.once:.1f}", f"{p.memory:.0f}",
-                     f"{100 * p.marked:.0f}", *(_figure(100 * v) for v in cells), *map(_figure, others)])
+        errors = [100.0 * p.error, 100.0 * p.bar,
+                  *(100.0 * force.get(key, math.nan) for key in ("shallow", "full", "worst")),
+                  *((180.0 / math.pi if CHANNELS[name] == "deg" else 100.0)
+                    * p.channels.get(name, {}).get("rms", math.nan) for name in names if name != "force")]
+        rows.append([mark, p.key, f"{p.cpu:.2f}", f"{p.wall:.2f}", f"{p.once:.1f}", f"{p.memory:.0f}",
+                     f"{100 * p.marked:.0f}", *("-" if math.isnan(v) else f"{v:.3g}" for v in errors)])
     return head, rows
-
-
-def mark(p: Point) -> str:
-    """A star on the front, a wave under the bar, a cross where the tier does not show what the scene needs."""
-    return "*" if p.front else "x" if not p.shows else "" if p.ranked or math.isnan(p.error) else "~"
-
-
-def scaled(name: str, value: float) -> float:
-    """The error of a reading in its printed unit."""
-    return value * (180.0 / math.pi if CHANNELS[name] == "deg" else 100.0)
-
-
-def _figure(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3g}"
-
-
-def differences(points: Sequence[Point], stored: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Where costs and errors are no longer those of a stored front, in words.
-
-    Costs are compared as ratios to that of the first setting that both have, by `COST_RATIO`; errors by `ERROR_RATIO`
-    and the bars of both.
-    """
-    old = {row["key"]: row for row in stored}
-    both = [p for p in points if p.key in old]
-    if not both:
-        return ["no setting of the stored front was made"]
-    first, out = both[0], []
-    for p in both:
-        was = old[p.key]
-        ratio = (p.cpu / first.cpu) / (was["cpu"] / old[first.key]["cpu"])
-        if not 1.0 / COST_RATIO <= ratio <= COST_RATIO:
-            out.append(f"{p.key}: {ratio:.2f} times its cost, measured by {first.key}")
-        error = math.nan if was["error"] is None else was["error"]
-        slack = p.bar + was["bar"]
-        if math.isnan(error) != math.isnan(p.error) or p.error > ERROR_RATIO * error + slack:
-            out.append(f"{p.key}: error {100 * p.error:.3g} % in place of {100 * error:.3g} %")
-    return out

@@ -13,11 +13,15 @@ from typing import Any
 import numpy as np
 
 from vsfsim.data.records import Touch
+from vsfsim.data.streams import Stream
 from vsfsim.generate.aim import Aim
-from vsfsim.generate.solid import Retouching, Subject
+from vsfsim.generate.solid import Subject
 from vsfsim.generate.trade.setting import LIMIT_TIER, LOCAL, RATIO
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.edge_refine import EdgePath
+
+ONE_IN = 10
+"""One touch in so many is audited, and one of every view at least."""
 
 
 def contact_edge(a: Aim, reach: float, level: int) -> tuple[float, float]:
@@ -55,14 +59,32 @@ def near(subject: Subject, a: Aim, reach: float, options: Mapping[str, Any]) -> 
     return subject.again(LIMIT_TIER, options, edges=EdgePath(ends, np.full(len(at), size / share)))
 
 
-def touch_near(effector: Retouching, subject: Subject, aims: list[Aim], *, device: str,
-               progress: Callable[[int], None] | None = None) -> list[Touch]:
-    """The touches of a subject, each on a mesh of its own where the recipe has a level for it."""
+Toucher = Callable[..., list[Touch]]
+"""`OnSolids.touch` of an effector: what is read of some touches of a subject."""
+
+
+def touch_near(touch: Toucher, reach: float, subject: Subject, aims: list[Aim], *, device: str) -> list[Touch]:
+    """The touches of a subject by what has this ``reach`` [m], each on a mesh of its own where the recipe has a level
+    for it."""
     if "contact" not in subject.job.recipe.options:
-        return effector.touch(subject, aims, device=device, progress=progress)
-    reach = effector.manner(subject.scene).reach
-    return [touch for a in aims
-            for touch in effector.touch(near(subject, a, reach, {}), [a], device=device, progress=progress)]
+        return touch(subject, aims, device=device)
+    return [one for a in aims for one in touch(near(subject, a, reach, {}), [a], device=device)]
+
+
+def audited(touch: Toucher, reach: float, subject: Subject, aims: list[Aim], *, device: str) -> list[Touch]:
+    """The same; where the recipe promises an accuracy, some of the touches have the force on a mesh one level finer in
+    their audit."""
+    out, options = touch_near(touch, reach, subject, aims, device=device), subject.job.recipe.options
+    if "accuracy" not in options:
+        return out
+    rng = np.random.default_rng(subject.job.stream(Stream.AUDIT))
+    finer = {"resolution": options["resolution"] / RATIO, "contact": options.get("contact", 0) + 1}
+    for k in rng.permutation(len(out))[:max(1, round(len(out) / ONE_IN))].tolist():
+        (again,) = touch(near(subject, aims[k], reach, finer), [aims[k]], device=device)
+        found = again.converged & np.isfinite(again.force).all(axis=1)
+        out[k] = dataclasses.replace(out[k], audit={
+            **out[k].audit, "finer_force": np.where(found[:, None], again.force, 0.0), "finer_converged": found})
+    return out
 
 
 def _disc(radius: float) -> np.ndarray:

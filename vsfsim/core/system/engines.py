@@ -1,0 +1,256 @@
+"""Engines that make the parts of a work on other machines: a Ray cluster, on which each item is a task; Slurm and
+Kubernetes, whose tasks are the shards of a command; and which shard this process makes. None is needed for one machine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shlex
+import socket
+import subprocess
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.extras import missing_package
+from vsfsim.core.system.threads import ONE_THREAD
+
+MOST = 100_000
+"""Shards of one work."""
+
+
+@dataclass(frozen=True)
+class Fan:
+    """The default is this machine, by itself."""
+
+    shard: tuple[int, int] | None = None
+    """(i, n): only the i-th of n shares of the parts, from 0; whoever runs the work without it ends it."""
+    ray: str = ""
+    """Address of a Ray cluster that makes the parts; "" for none."""
+    gpus: float = 0.0
+    """GPUs of each of its tasks [1]."""
+
+
+HERE = Fan()
+
+
+def shard_of(given: str, environment: Mapping[str, str] | None = None) -> tuple[int, int]:
+    """(i, n) of ``--shard``: the i-th of n shards, from 0.
+
+    Args:
+        given: "i/n"; "auto" for index and number of a Slurm job array; "auto/n" for the index of an array or of a
+            Kubernetes Indexed Job, which does not tell its number.
+        environment: of the process, None for this one's.
+
+    Raises:
+        VsfsimError: another text, i is not below n, or the environment says nothing.
+    """
+    env = os.environ if environment is None else environment
+    allowed = ("Allowed: i/n with 0 <= i < n, e.g. 0/4 to 3/4; auto in a Slurm job array; auto/n there or in a "
+               "Kubernetes Indexed Job.")
+    match = re.fullmatch(r"(?:(\d{1,9})|auto)(?:/(\d{1,9}))?", given)
+    if match is None or (match[1] is not None and match[2] is None):
+        raise VsfsimError(f"--shard is '{given}'. {allowed}")
+    if match[1] is not None:
+        index = int(match[1])
+    elif "SLURM_ARRAY_TASK_ID" in env:
+        index = _number(env, "SLURM_ARRAY_TASK_ID") - _number(env, "SLURM_ARRAY_TASK_MIN", "0")
+    elif "JOB_COMPLETION_INDEX" in env:
+        index = _number(env, "JOB_COMPLETION_INDEX")
+    else:
+        raise VsfsimError(f"--shard is '{given}', but neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is set: "
+                          f"this is no task of a job array. {allowed}")
+    if match[2] is not None:
+        count = int(match[2])
+    elif "SLURM_ARRAY_TASK_COUNT" in env:
+        count = _number(env, "SLURM_ARRAY_TASK_COUNT")
+    else:
+        raise VsfsimError(f"--shard is '{given}', but the environment does not say how many shards there are. "
+                          f"{allowed}")
+    if not 0 <= index < count <= MOST:
+        raise VsfsimError(f"--shard is {index}/{count}. {allowed}")
+    return index, count
+
+
+def _number(env: Mapping[str, str], name: str, default: str = "") -> int:
+    text = env.get(name, default)
+    if not text.isdecimal():
+        raise VsfsimError(f"the environment variable {name} is '{text}'; it must be a whole number.")
+    return int(text)
+
+
+MOST_TASKS = 1000
+"""Tasks of a Slurm array; `MaxArraySize` is 1001 on many clusters."""
+IMAGE = "YOUR-REGISTRY/vsfsim:latest"
+"""Of the repository's Dockerfile, which has the package with its extras `all` and `cloud`."""
+
+
+def job_file(engine: str, words: Sequence[str], shards: int, *, finish: Sequence[str], gpus: int = 0) -> str:
+    """The file for `sbatch` or `kubectl apply -f`.
+
+    Args:
+        engine: "slurm" or "k8s". words: the command without --shard. shards: tasks. finish: the command that ends the
+        work. gpus: of each task.
+
+    Raises:
+        VsfsimError: too many shards, a word with a control character, or for Kubernetes a path of this machine.
+    """
+    odd = [word for word in words if not word.isprintable()]
+    if odd:
+        raise VsfsimError(f"{odd[0]!r} has a character that ends a line of a job's file. Rename what it names.")
+    return (_batch if engine == "slurm" else _manifest)(words, shards, shlex.join(finish), gpus)
+
+
+def _batch(words: Sequence[str], shards: int, finish: str, gpus: int) -> str:
+    if shards > MOST_TASKS:
+        raise VsfsimError(f"--shards is {shards}; a Slurm array has at most {MOST_TASKS} tasks on many clusters. "
+                          f"Give fewer: a shard makes several views.")
+    return f"""#!/bin/bash
+# Submit with: sbatch FILE; when the array is done: {finish}
+# The same file may be submitted again at any time: it makes what is missing.
+#SBATCH --job-name=vsfsim
+#SBATCH --array=0-{shards - 1}
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=2
+#SBATCH --mem-per-cpu=4G
+#SBATCH --time=240
+#SBATCH --signal=TERM@30
+#SBATCH --requeue
+{f"#SBATCH --gpus-per-task={gpus}" if gpus else "# no GPU"}
+#SBATCH --output=slurm-%A_%a.log
+srun {shlex.join(words)} --shard auto --workers "$SLURM_CPUS_PER_TASK"
+"""
+
+
+def _manifest(words: Sequence[str], shards: int, finish: str, gpus: int) -> str:
+    here = [word for word in words if os.path.isabs(word.partition("=")[2] or word) or word.startswith("~")]
+    if here:
+        raise VsfsimError(f"'{here[0]}' is a path of this machine, which a pod does not have. Give the address of an "
+                          f"object store (s3://...), or a path in the volume of the claim 'vsfsim', relative to it: "
+                          f"pods work in that folder.")
+    # a name is a DNS label: small letters, digits and dashes, 63 at most; another command is another job
+    name = f"vsfsim-{hashlib.sha256(shlex.join(words).encode()).hexdigest()[:10]}"
+    limits = json.dumps({"cpu": "2", "memory": "8Gi", **({"nvidia.com/gpu": str(gpus)} if gpus else {})})
+    volume = "" if any("://" in word for word in words) else """
+        workingDir: /work
+        volumeMounts: [{name: work, mountPath: /work}]
+      volumes: [{name: work, persistentVolumeClaim: {claimName: vsfsim}}]   # read and written by all pods"""
+    return f"""# kubectl apply -f FILE; when the Job is complete: {finish}
+# Applied again after `kubectl delete job {name}`, it makes what is missing.
+apiVersion: batch/v1
+kind: Job
+metadata: {{name: {name}}}
+spec:
+  completionMode: Indexed
+  completions: {shards}
+  parallelism: {shards}
+  backoffLimitPerIndex: 6
+  maxFailedIndexes: {shards}
+  template:
+    spec:
+      restartPolicy: Never
+      terminationGracePeriodSeconds: 30
+      containers:
+      - name: vsfsim
+        image: {IMAGE}
+        command: {json.dumps([*words, "--shard", f"auto/{shards}", "--workers", "2"])}
+        resources: {{requests: {limits}, limits: {limits}}}
+        envFrom: [{{secretRef: {{name: vsfsim-store, optional: true}}}}]   # keys of the object store{volume}
+"""
+
+
+def submit(words: Sequence[str], shards: int, *, gpus: int = 0) -> None:
+    """Submit Slurm's array by `sbatch` and wait for it.
+
+    Args:
+        words: the command without --shard. shards: tasks of the array. gpus: of each.
+
+    Raises:
+        VsfsimError: there is no Slurm here, too many shards, or one that failed.
+    """
+    batch = job_file("slurm", words, shards, finish=(), gpus=gpus)
+    try:
+        code = subprocess.run(["sbatch", "--wait"], input=batch, text=True).returncode
+    except FileNotFoundError:
+        raise VsfsimError("there is no Slurm on this machine, no command sbatch. Use --print to write the batch file, "
+                          "and submit it where `sbatch` is.") from None
+    if code:
+        raise VsfsimError(f"sbatch ended with code {code}: shards failed; their logs are slurm-*.log in this folder. "
+                          f"Run the same command again, which makes what is missing.")
+
+
+WAIT = 5.0  # a cluster may take so long to answer [s]
+
+
+def on_ray(function: Callable[[Any], None], items: Sequence[Any], *, address: str = "auto", gpus: float = 0.0,
+        retries: int = 20) -> Iterator[tuple[int, str]]:
+    """Call ``function(item)`` for each item on a cluster; yields (number of the item, "" or its error) as they end.
+
+    No more tasks than twice the cluster's cores wait at a time. A task whose process or node dies is started again.
+
+    Args:
+        function: importable on the cluster's machines. items: what can be pickled. address: of the cluster, "auto" for
+        that of this machine. gpus: of each task. retries: of a task whose process dies.
+
+    Raises:
+        VsfsimError: no such cluster, no such GPU, or it was lost. MissingPackage: Ray is not installed.
+    """
+    try:
+        import ray
+    except ModuleNotFoundError:
+        raise missing_package("ray", "ray") from None
+    try:
+        head = _connect(ray, address)
+        if gpus and (there := ray.cluster_resources().get("GPU", 0.0)) < gpus:
+            raise VsfsimError(f"--gpus-per-task is {gpus:g}, but the Ray cluster has {there:g} GPUs.")
+        # Ray takes a function, and no `functools.partial`
+        task: Any = ray.remote(lambda item: function(item)).options(
+            name="vsfsim", num_cpus=1, num_gpus=gpus, max_retries=retries, runtime_env={"env_vars": ONE_THREAD})
+        going: dict[Any, int] = {}
+        todo = list(range(len(items)))
+        while todo or going:
+            room = max(2, 2 * int(ray.cluster_resources().get("CPU", 1)))
+            while todo and len(going) < room:
+                number = todo.pop(0)
+                going[task.remote(items[number])] = number
+            for ready in ray.wait(list(going), num_returns=1, timeout=WAIT)[0]:
+                yield going.pop(ready), _error(ray, ready)
+            _reach(head)  # Ray itself waits a minute for a head that is gone, and then ends this process
+    except (ray.exceptions.RaySystemError, OSError) as error:
+        raise VsfsimError(f"the Ray cluster at '{address}' was lost: {error}. What is finished is kept; start it and "
+                          f"run the same command again.") from error
+    finally:
+        with contextlib.suppress(Exception):
+            ray.shutdown()
+
+
+def _connect(ray: Any, address: str) -> str:
+    where = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
+    try:
+        if ":" in where.removeprefix("ray://"):
+            _reach(where)
+        ray.init(address=where, log_to_driver=False, logging_level="ERROR")
+    except (OSError, RuntimeError, ValueError) as error:
+        raise VsfsimError(f"there is no Ray cluster at '{where}': {str(error).partition(chr(10))[0]} Start one with "
+                          f"`ray start --head`, or give --address HOST:PORT of its head.") from None
+    return where if "://" in where else str(ray.get_runtime_context().gcs_address)
+
+
+def _reach(head: str) -> None:
+    host, _, port = head.removeprefix("ray://").rpartition(":")
+    socket.create_connection((host, int(port)), timeout=WAIT).close()
+
+
+def _error(ray: Any, ready: Any) -> str:
+    try:
+        ray.get(ready)
+    except ray.exceptions.RayTaskError as error:
+        return str(error.cause if isinstance(error.cause, VsfsimError) else error)
+    except ray.exceptions.RayError as error:
+        return f"its process died on the cluster again and again: {type(error).__name__}"
+    return ""

@@ -1,1 +1,0 @@
-"""How each effector makes the one press of `vsfsim press`."""

@@ -1,0 +1,206 @@
+"""The same touches of a scene under one setting after another: their curves, what they cost, and their limits."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import SceneFile
+from vsfsim.core.system.process_memory import held_memory, peak_memory
+from vsfsim.generate.aim import Aim
+from vsfsim.generate.effector import effector_of, kernels_of
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.on_solids import OnSolids
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.solid import Subject, prepare
+from vsfsim.generate.trade.curve import Curve, of_touch
+from vsfsim.generate.trade.near import contact_edge, near, touch_near
+from vsfsim.generate.trade.setting import LIMIT_TIER, Ground, Setting
+from vsfsim.generate.truth import probe_stiffness
+from vsfsim.physics import tiers
+from vsfsim.physics.convergence import Limit, curve_limit
+from vsfsim.physics.runtime import compile_kernels
+
+CANDIDATES = 3
+"""Touches that are drawn for each that is taken."""
+WHOLE = 0.75
+"""Share of the frames of a touch that must have an equilibrium on all meshes of its limit [-]."""
+DIGITS = 7
+"""Of a number in a file."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """The touches under one setting."""
+
+    curves: tuple[Curve, ...]
+    """One a touch."""
+    once: float
+    """CPU time of what is made once an object: meshes and factors [s]."""
+    cpu: float
+    """CPU time of all touches, without that [s]."""
+    wall: float
+    """The same on the clock [s]."""
+    memory: float
+    """Largest memory that the process held meanwhile [MiB]."""
+    frames: int
+    """Frames that were solved, the way back too."""
+    edge: tuple[float, ...] = ()
+    """Of the elements that matter to each touch [m]."""
+
+    def table(self) -> dict[str, Any]:
+        """For JSON."""
+        return msgspec.to_builtins(self, enc_hook=_numbers)
+
+    @classmethod
+    def read(cls, table: Any) -> Run:
+        """As `table` gave it."""
+        return msgspec.convert(table, cls, dec_hook=lambda _, values: _array(values))
+
+
+def _numbers(values: np.ndarray) -> Any:
+    """Lists of numbers of `DIGITS` digits; None where there is no number."""
+    if values.ndim > 1:
+        return [_numbers(row) for row in values]
+    return values.tolist() if values.dtype == bool else [
+        float(f"{v:.{DIGITS}g}") if np.isfinite(v) else None for v in values.tolist()]
+
+
+def _array(values: Any) -> np.ndarray:
+    found = np.array(values)
+    return found if found.dtype == bool else np.array(values, float)
+
+
+class DatasetTouches:
+    """Touches of the first objects of a scene, aimed once.
+
+    Of `CANDIDATES` times as many that are drawn, those are taken that cover depths and places: one from each part of
+    the depths, the farthest from those taken before.
+
+    Args:
+        loaded: the scene, with ``[touches]``.
+        touches: of each object.
+        objects: how many.
+        seed: as of `vsfsim generate`.
+        device: Warp device.
+        cache: folder of filled meshes, or None for the user's own.
+
+    Raises:
+        SceneError: the scene cannot be touched so.
+    """
+
+    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu",
+                 cache: Path | None = None):
+        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
+        scene = loaded.sample(0)
+        effector = effector_of(scene)
+        if not isinstance(effector, OnSolids):
+            raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another "
+                             f"mesh. Speed against accuracy is measured for a [probe] and a [sensor] on a solid "
+                             f"object.")
+        manner, start = effector.manner(scene), max(recipe.tier, "fem-coarse", key=list(tiers.TIERS).index)
+        self.ground = Ground(start, tiers.element_size(scene.required_object, start, scene.probe),
+                             scene.required_touches.frames[1], manner.nodes,
+                             tuple(name for name in manner.tiers if name != "fem-fine"))
+        self._effector, self._device, self._warm = effector, device, set[str]()
+        compile_kernels(kernels_of(scene), device)
+        self._drawn: list[tuple[Subject, list[Aim]]] = []
+        for job in jobs_of(recipe, loaded.path, ".", cache):
+            subject = prepare(job, device=device)
+            drawn = effector.aim(subject, device=device)
+            taken = spread([a.depth for a in drawn], np.stack([a.target for a in drawn]), touches)
+            self._drawn.append((subject, [drawn[k] for k in taken]))
+        self._flat = [(subject, a) for subject, own in self._drawn for a in own]
+        self.count = len(self._flat)
+        depths = sorted({f"{1e3 * a.depth:.1f}" for _, a in self._flat}, key=float)
+        self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} object{'s' * (objects > 1)}, "
+                     f"{' to '.join(dict.fromkeys((depths[0], depths[-1])))} mm deep")
+        """The touches in words."""
+
+    def run(self, setting: Setting) -> Run:
+        """All touches.
+
+        Raises:
+            VsfsimError: the setting cannot be built.
+        """
+        if setting.tier not in self._warm:  # what loads kernels and packages before the clock runs
+            self._warm.add(setting.tier)
+            subject, aims = self._drawn[0]
+            self._run(subject, aims[:1], dataclasses.replace(setting, frames=1, tolerance=0.05))
+        parts = [self._run(subject, aims, setting) for subject, aims in self._drawn]
+        return Run(tuple(c for p in parts for c in p.curves), sum(p.once for p in parts), sum(p.cpu for p in parts),
+                   sum(p.wall for p in parts), max(p.memory for p in parts), sum(p.frames for p in parts),
+                   tuple(h for p in parts for h in p.edge))
+
+    def near(self, number: int, setting: Setting) -> Run:
+        """Touch ``number`` alone, on a mesh of its own that is finer where it is touched."""
+        subject, a = self._flat[number]
+        return self._run(subject, [a], setting, alone=True)
+
+    def _run(self, subject: Subject, aims: list[Aim], setting: Setting, alone: bool = False) -> Run:
+        reach = self._effector.manner(subject.scene).reach
+        held_memory(reset=True)
+        began = time.process_time()
+        own = (near(subject, aims[0], reach, setting.options()) if alone
+               else subject.again(setting.tier, setting.options()))
+        built, clock = time.process_time(), time.perf_counter()
+        touches = (self._effector.touch(own, aims, device=self._device) if alone
+                   else touch_near(self._effector.touch, reach, own, aims, device=self._device))
+        cpu, wall, memory = time.process_time() - built, time.perf_counter() - clock, peak_memory()
+        curves = [of_touch(touch, a) for touch, a in zip(touches, aims, strict=True)]
+        if setting.tier != "vsf":  # with tetrahedra
+            soft = probe_stiffness(own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
+            curves = [dataclasses.replace(c, readings={**c.readings, "stiffness": soft[k:k + 1]})
+                      for k, c in enumerate(curves)]
+        return Run(tuple(curves), built - began, cpu, wall, memory, sum(len(t.time) for t in touches),
+                   tuple(own.model.element_size if setting.level is None else contact_edge(a, reach, setting.level)[1]
+                         for a in aims))
+
+
+def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:
+    """``count`` of the candidates, one from each part of their depths, far from one another.
+
+    Args:
+        depth: of each candidate [m].
+        place: of each (n, 3) [m].
+        count: how many.
+    """
+    parts = np.array_split(np.argsort(depth, kind="stable"), count)
+    taken = [int(parts[0][0])]
+    for part in parts[1:]:
+        away = np.linalg.norm(place[part][:, None] - place[taken][None], axis=2).min(axis=1)
+        taken.append(int(part[away.argmax()]))
+    return taken
+
+
+def limits(ladder: Sequence[Run]) -> tuple[dict[str, Limit], np.ndarray]:
+    """The limit of every reading of a touch, and its depths over the deepest (T,) [-].
+
+    Frames that have no equilibrium on one of the meshes are left out if there are few; else no limit is known.
+
+    Args:
+        ladder: the touch alone on each mesh, coarsest first, with frames at the same depths.
+    """
+    curves = [run.curves[0] for run in ladder]
+    found = {name: np.stack([c.readings[name] for c in curves]) for name in curves[0].readings}
+    on = np.all([c.converged for c in curves], axis=0)
+    few = on.mean() >= WHOLE and on[-1]
+    nothing = not np.any(found["force"])
+    for name, values in found.items():
+        if name != "stiffness":
+            found[name] = values[:, on] if few else np.where(on.reshape(-1, *[1] * (values.ndim - 2)), values, np.nan)
+    if nothing:
+        found["force"] = np.full(found["force"].shape, np.nan)
+    edge, tolerance = [run.edge[0] for run in ladder], tiers.TIERS[LIMIT_TIER].tolerance
+    out = {name: curve_limit(edge, values, tolerance=tolerance) for name, values in found.items()}
+    if nothing:
+        out["force"] = dataclasses.replace(out["force"], why="it met nothing")
+    return (out, curves[-1].share[on] if few else curves[-1].share)
