@@ -51,6 +51,9 @@ LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "vi
 BY_NAME = {"physics": {"scenes"}}
 """Layers whose modules a layer loads by a name that a user gave: a family is a file of scenes/."""
 
+PHYSICS = ({"laws", "elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"bubble", "inverse", "rods"})
+"""Folders of `vsfsim/physics`: one imports those of its own row and of the rows before."""
+
 HEAVY = {
     "core": {"numpy", "scipy", "filelock"},
     "data": {"numpy", "h5py", "filelock"},
@@ -223,6 +226,16 @@ def crowded(paths: list[Path]) -> list[str]:
 
 def test_imports_follow_the_table():
     assert [v for path in files() for v in violations((ROOT / path).read_text(), path)] == []
+
+
+def test_folders_of_physics_import_one_way():
+    row = {folder: k for k, folders in enumerate(PHYSICS) for folder in folders}
+    for path in files():
+        own = row.get(path.parts[2]) if path.parts[:2] == ("vsfsim", "physics") else None
+        if own is not None:
+            given = [name.split(".")[2] for _, name, _ in imports((ROOT / path).read_text(), module_name(path))
+                     if name.startswith("vsfsim.physics.")]
+            assert [name for name in given if row.get(name, 0) > own] == [], path
 
 
 def test_no_modules_import_one_another():

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from vsfsim.physics import tiers
-from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.solve import increments, tangent_factor
 from vsfsim.physics.solve.work_check import WorkCheck
@@ -34,7 +33,7 @@ MECHANISMS: dict[str, tuple[str, Patch]] = {
         increments, ratio=lambda first, *_: np.zeros(len(first)))),
     "halving": ("a step that fails is made in two", _unhalved),
     "inner bodies": ("a Newton step ends before a contact point enters an inner body", _set(
-        RigidContact, reach=Contact.reach)),
+        RigidContact, reach=lambda _self, columns, *_: torch.ones(len(columns), dtype=torch.float64))),
     "work": ("an equilibrium that lacks the work of the bodies is marked", _set(
         WorkCheck, snapped=lambda _self, columns, *_: torch.zeros(len(columns), dtype=torch.bool))),
     "factors": ("a factor of a deformed state preconditions", _set(

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from vsfsim.physics.bubble.shape import HEIGHT, POWER
+from vsfsim.physics.bubble.sensor import HEIGHT, POWER
 from vsfsim.physics.mesh.membrane import READ_OUT, closed, ellipse
 from vsfsim.robot import gen3
 

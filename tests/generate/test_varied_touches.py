@@ -12,9 +12,9 @@ from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.physics import tiers
-from vsfsim.physics.solve import mount
+from vsfsim.physics.contact import mount
+from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.solve.frames import Reason
-from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.touches import Solver
 
 SPRING = 800.0

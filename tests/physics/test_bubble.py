@@ -11,8 +11,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.physics import disk_cache
-from vsfsim.physics.bubble.sensor import build_bubble
-from vsfsim.physics.bubble.shape import punyo_rms, stretches
+from vsfsim.physics.bubble.sensor import build_bubble, punyo_rms, stretches
 from vsfsim.physics.elements import gas
 from vsfsim.physics.mesh import membrane as membrane_mesh
 from vsfsim.physics.solve.frames import SolverOptions
@@ -209,13 +208,6 @@ def test_extremes_converge(cache, change, depth):
     model = build_bubble(dataclasses.replace(COARSE, **change), cache=cache)
     frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, depth, 4))
     assert np.isfinite(frames.force).all()
-    sound(frames, model)
-
-
-@pytest.mark.slow
-def test_indentation_to_80_per_cent_of_the_dome(cache):
-    model = build_bubble(REAL, cache=cache)
-    frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.8 * model.mesh.points[:, 2].max(), 12))
     sound(frames, model)
 
 

@@ -113,29 +113,6 @@ def test_a_nearly_incompressible_body_is_not_led_astray(device):
     assert frames.converged.all() and frames.cg_iterations.sum() < (370 if device == "cpu" else 1500)
 
 
-@pytest.mark.slow
-def test_a_tall_column_under_a_deep_ball(device):
-    """The ball is sunk by more than its radius. Corrected for contact as if the body were as stiff as at rest, steps
-    pointed off the way: the frames took 793 conjugate gradients; they take 267."""
-    vertices, tets = box((0.04, 0.04, 0.12), 0.0085)
-    model = body(solid=Solid(vertices, tets, np.zeros(len(tets), int), ("column",)), nu=0.45)
-    poses = np.tile(np.eye(4), (4, 1, 1, 1))
-    poses[:, 0, 2, 3] = 0.128 - np.linspace(0.0045, 0.018, 4)
-    options = SolverOptions(tolerance=1e-3, seconds=1e9, local_indentation=True)
-    frames = Solver(model, Sphere(0.008), device=device, options=options).run(poses, start=from_above(poses))
-    assert frames.converged.all() and frames.cg_iterations.sum() < 450
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("nu", "sure"), [(0.0, 4), (0.45, 4), (0.4999, 3)])
-@pytest.mark.parametrize("contrast", [1e-8, 1e4])
-def test_half_the_thickness_of_extreme_bodies(device, contrast, nu, sure):
-    """Nearly incompressible and of two materials, deeper frames use up their conjugate gradients (docs/limits.md)."""
-    frames = press(body(inclusion(contrast), nu=nu), [0.1, 0.2, 0.3, 0.4, 0.5], device)
-    assert frames.converged[:sure].all()
-    assert np.isin(frames.reason[~frames.converged], (Reason.ITERATIONS, Reason.INVERTED, Reason.CRUSHED)).all()
-
-
 # ------------------------------------------------------------------------------------------ depth
 
 

@@ -178,13 +178,14 @@ def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(coarse, line, d
 
 
 def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, line, monkeypatch):
-    """A flat punch with friction 1 in one step: the same force, whether the limits follow at the end or not."""
+    """A flat punch with friction 1 in one step: the same force, whether the limits follow the normal forces within
+    Newton's method, as on a sheet, or not."""
     make, renew, probe, followed = Solver._make_contact, Equilibrium.renew_friction, Cylinder(0.008, 0.02), []
     poses = line([[0.0, 0.0, SIZE[2] + 0.01], [0.0, 0.0, SIZE[2] + 0.009]], probe)
 
-    def with_tresca_alone(self, *given):
+    def as_on_a_sheet(self, *given):
         contact, previous = make(self, *given)
-        contact.follows_below = 0.0
+        contact.follows = True
         return contact, previous
 
     def watched(self, columns):
@@ -193,10 +194,10 @@ def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, li
 
     monkeypatch.setattr(Equilibrium, "renew_friction", watched)
     forces = []
-    for maker, follows in ((make, True), (with_tresca_alone, False)):
+    for maker, follows in ((as_on_a_sheet, True), (make, False)):
         followed.clear()
         monkeypatch.setattr(Solver, "_make_contact", maker)
         frames = Solver(coarse, probe, friction=1.0, options=USUAL).run(poses)
-        assert frames.converged.all() and any(followed) == follows and not followed[0]
+        assert frames.converged.all() and any(followed) == follows
         forces.append(frames.force[-1, 0])
     assert np.linalg.norm(forces[0] - forces[1]) < 1e-3 * np.linalg.norm(forces[1])

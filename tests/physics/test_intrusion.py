@@ -8,11 +8,9 @@ import pytest
 import torch
 from frame_checks import from_above
 
-from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effectors.bubble import solve as solve_bubble
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
@@ -168,66 +166,6 @@ def test_a_touch_goes_on_from_the_last_equilibrium(model, device, line, monkeypa
     assert frames.converged[:, 0].tolist() == [True, False, True]
     # the same equilibrium to the tolerance, which bounds the error of the force balance
     assert frames.force[2, 0, 2] == pytest.approx(whole.force[2, 0, 2], rel=1e-4)
-
-
-def s1(shape, depths, *, poisson_ratio=0.3, tier="fem-coarse", spot=(0.0, 0.0), friction=0.0, seconds=60.0, turn=None):
-    """Frames of a press into the block of S1, and its model."""
-    scene = load_scene(find_scene("indent-homogeneous")).sample(0)
-    scene = dataclasses.replace(scene, probe=shape, object=dataclasses.replace(
-        scene.object, poisson_ratio=poisson_ratio))
-    turn = np.eye(3) if turn is None else turn
-    high = 0.05 + sdf.support(shape, turn.T @ np.array([0.0, 0.0, -1.0]))
-    model = tiers.build(scene, tier, focus=np.array([[*spot, 0.05 - max(depths)]]))
-    poses = at(*[(*spot, high - d) for d in depths])[:, None]
-    poses[..., :3, :3] = turn
-    solver = Solver(model, shape, friction=friction, linear=not tiers.TIERS[tier].nonlinear,
-                    options=dataclasses.replace(tiers.options(tier), seconds=seconds))
-    return solver.run(poses, start=from_above(poses), keep=True), model, solver
-
-
-def silent(frames, model):
-    """Which frames (T,) are called converged although the force does not grow with the depth."""
-    good = frames.converged[:, 0]
-    force = np.where(good, frames.force[:, 0, 2], np.nan)
-    highest = np.fmax.accumulate(np.nan_to_num(force, nan=-np.inf))
-    return good & (force < highest - 1e-3 * np.abs(highest))
-
-
-@pytest.mark.slow
-def test_a_box_pushed_deep_into_the_block_is_not_lost(device):
-    """13 mm box, 20 mm deep: in four frames it gave 6.3, 12.4, 0 and 0 N, all called converged."""
-    for count in (4, 8):
-        frames, model, _ = s1(Box((0.013,) * 3), 0.02 / count * np.arange(1, count + 1), seconds=1e9)
-        assert not silent(frames, model).any()
-        # deeper frames may use up their conjugate gradients, and a long first step may miss energy; both say so
-        assert np.isin(frames.reason[~frames.converged], (Reason.ITERATIONS, Reason.SNAPPED)).all()
-        assert (frames.penetration[frames.converged] < 0.05 * model.element_size).all()
-    # seven frames of eight on one machine, five on another: rounding decides where the conjugate gradients are used up
-    assert frames.converged[:5, 0].all()
-
-
-@pytest.mark.slow
-def test_a_map_of_shapes_depths_and_tiers_has_no_silent_frame(device):
-    """Small bodies ask for small elements under them; what is refused for its size is not silent either."""
-    rng, made = np.random.default_rng(15), 0
-    shapes = [Sphere(0.001), Sphere(0.002), Box((0.004,) * 3), Cylinder(0.002, 0.03), Capsule(0.0015, 0.03),
-              Box((0.013,) * 3), Cylinder(0.01, 0.02), Capsule(0.005, 0.04)]
-    for shape in shapes:
-        q, r = np.linalg.qr(rng.standard_normal((3, 3)))
-        q = q * np.sign(np.diag(r))
-        turn = q * np.linalg.det(q) if rng.uniform() < 0.5 else np.eye(3)
-        count, deepest = int(rng.integers(2, 6)), rng.uniform(0.004, 0.02)
-        tier = str(rng.choice(["fem-coarse", "fem-coarse", "linear", "vsf"]))
-        spot, friction = tuple(rng.uniform(-0.01, 0.01, 2)), float(rng.choice([0.0, 0.5]))
-        try:
-            frames, model, _ = s1(shape, deepest * np.arange(1, count + 1) / count, tier=tier, turn=turn, spot=spot,
-                                  friction=friction)
-        except SceneError as error:
-            assert "can be factorised" in str(error)
-            continue
-        made += 1
-        assert not silent(frames, model).any(), (shape, tier, frames.force[:, 0, 2], frames.reason[:, 0])
-    assert made >= 6
 
 
 def test_a_plane_has_no_samples_and_presses_a_whole_face(model, device, line):

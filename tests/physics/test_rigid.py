@@ -3,7 +3,6 @@ files give."""
 
 import functools
 import os
-import shutil
 
 import numpy as np
 import pytest
@@ -245,7 +244,7 @@ def broken(kind):
 def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     mesh, word = broken(kind)
     mesh.export(tmp_path / "b.ply")
-    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), spacing=2 * RADIUS / 40, cache=tmp_path / "cache")
+    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), spacing=2 * RADIUS / 40)
     assert any(word in note for note in grid.notes), grid.notes
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
     x = shell(4000, 0.0, 0.035)[0]
@@ -263,31 +262,6 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     assert near.sum() > 100 and np.abs(grid.distance(x) - exact)[near].max() < 0.012 * RADIUS
 
 
-def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):
-    # with a note
-    mesh, _ = broken("inside out")
-    path = tmp_path / "b.ply"
-    mesh.export(path)
-    cache = tmp_path / "cache"
-
-    def grid(path):
-        return baked(MeshFile(str(path), 1.0), spacing=0.002, cache=cache, slow=0.0)
-
-    first = grid(path)
-    stored, = cache.glob("distance-*.npz")
-    # a copy is another file with the same content: found on disk, not in memory
-    shutil.copy(path, tmp_path / "c.ply")
-    again = grid(tmp_path / "c.ply")
-    assert again is not first and (again.coefficients == first.coefficients).all() and again.notes == first.notes
-    stored.write_bytes(b"rubbish")
-    shutil.copy(path, tmp_path / "d.ply")
-    assert np.isfinite(grid(tmp_path / "d.ply").coefficients).all()
-    mesh.apply_scale(1.5)
-    mesh.export(path)
-    edited = grid(path)
-    assert edited.upper == pytest.approx(1.5 * first.upper, rel=1e-6), "an edited file is read again"
-
-
 def test_a_tip_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_path):
     tip, found = MeshFile(str(tmp_path / "tip.stl"), 1.0), []
     for mesh in (trimesh.creation.icosphere(subdivisions=3, radius=0.008),
@@ -303,7 +277,7 @@ def test_a_tip_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_pat
 def test_a_tip_is_accounted_for_against_its_file(tmp_path):
     """A needle is its file; the grid of a smaller ball, or of a ball without its cavity, is not the file's."""
     trimesh.creation.cylinder(0.001, 0.05, sections=12).export(tmp_path / "needle.stl")
-    said = baked(MeshFile(str(tmp_path / "needle.stl"), 1.0), cache=tmp_path).notes[-1]
+    said = baked(MeshFile(str(tmp_path / "needle.stl"), 1.0)).notes[-1]
     assert said.startswith("Distance grid against file: box") and "departs" not in said
     ball, small = (trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (0.016, 0.014))
     cavity = small.copy()

@@ -12,11 +12,9 @@ from frame_checks import from_above, numbers_stand_for_equilibria
 from vsfsim.core.shape import Cylinder, Plane, Sphere
 from vsfsim.physics import clock
 from vsfsim.physics.contact import sdf
-from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import RestFactor, _Sparse
 from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver
 
 SIZE = (0.06, 0.06, 0.03)
@@ -327,28 +325,3 @@ def test_progress_and_history(model, line, device):
     tip = np.argmin(np.linalg.norm(model.mesh.points - [0, 0, SIZE[2]], axis=1))
     assert -solver.history[1][3 * tip + 2, 0] == pytest.approx(DEPTHS[1], abs=0.1 * model.element_size)
     assert frames.seconds.shape == (2,) and (frames.seconds > 0.0).all()
-
-
-@pytest.mark.parametrize("poisson_ratio, loose", [(0.45, False), (0.499, True)])
-def test_a_nearly_incompressible_body_is_solved_loosely_while_its_patch_grows(block, line, monkeypatch, poisson_ratio,
-                                                                              loose):
-    """Each growth was followed by a solve to the full tolerance (cell d9f35752c871 of the stability map: five a
-    step); what is kept is balanced to that tolerance all the same."""
-    asked, left = [], [2]
-    solve, extend = Equilibrium.solve, RigidContact.extend_patch
-
-    def record(self, columns, state, tolerance, deadline):
-        asked.append(tolerance)
-        solve(self, columns, state, tolerance, deadline)
-
-    def grows(self, *args, **more):
-        extend(self, *args, **more)
-        left[0] -= 1
-        return left[0] >= 0
-
-    monkeypatch.setattr(Equilibrium, "solve", record)
-    monkeypatch.setattr(RigidContact, "extend_patch", grows)
-    frames = Solver(block(SIZE, 0.015, poisson_ratio=poisson_ratio), PROBE).run(down(line, [0.002]))
-    tight = SolverOptions().tolerance
-    assert asked == ([tight, touches._GROWING, touches._GROWING, tight] if loose else [tight] * 3)
-    assert frames.converged.all() and float(frames.residual.max()) <= tight

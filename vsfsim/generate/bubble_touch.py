@@ -25,8 +25,7 @@ from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, starts, surface_samples
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.record import audit, batches, verdict
 from vsfsim.physics import tiers
-from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
-from vsfsim.physics.bubble.shape import punyo_rms, stretches
+from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble, punyo_rms, stretches
 from vsfsim.physics.elements import gas
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.coupled import CoupledSolver

@@ -1,7 +1,7 @@
 """The way from planned poses to solved touches by rigid bodies: what a dataset records and what a press shows.
 
 With ``mount_stiffness`` a spring along the press carries the probe. The recorded poses are the mount's, which are as
-planned; the probe is where the spring and the contact balance, see `vsfsim.physics.solve.mount`.
+planned; the probe is where the spring and the contact balance, see `vsfsim.physics.contact.mount`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, To
 from vsfsim.generate.aim import Aim, starts
 from vsfsim.generate.record import audit, batches, verdict
 from vsfsim.physics import tiers
+from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.mesh.resolved import resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames, SolverOptions
-from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import body_poses, times, touch_path
 

@@ -85,8 +85,7 @@ class Model:
 
     def hold(self, free: np.ndarray) -> Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
-        soft, make = self.soft_factor, functools.partial(RestFactor, free=free, points=self.mesh.points,
-                                                         surface_nodes=self.mesh.surface_nodes())
+        soft, make = self.soft_factor, functools.partial(RestFactor, free=free, points=self.mesh.points)
         return dataclasses.replace(
             self, free=free, factor=make(self.factor.stiffness),
             soft_factor=None if soft is None else make(soft.stiffness))
@@ -217,7 +216,7 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
             f"smaller, which lowers the force by 0.2 % at most.")))
     blocks = elements(placed, acting, poisson_ratio)
     stiffness = assemble(len(placed.points), blocks)
-    factor = functools.partial(RestFactor.of, free=free, surface_nodes=placed.surface_nodes(), points=placed.points)
+    factor = functools.partial(RestFactor.of, free=free, points=placed.points)
     softer = tuple(block.softened() for block in blocks)
     compressible = all(a is b for a, b in zip(softer, blocks, strict=True))
     soft = None if compressible else factor(assemble(len(placed.points), softer))

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from vsfsim.physics.contact.face_sums import at_points, nodal_sums
+from vsfsim.physics.contact.patch import at_points, nodal_sums
 
 TOUCHES, FACES, NODES = 3, 5, 11
 

@@ -99,12 +99,11 @@ def test_a_loose_part_is_refused():
 def test_the_dense_inverse_is_that_of_the_factor_and_given_back_with_the_next_body(model, monkeypatch):
     # on a GPU it serves all touches; torch makes it on a CPU in the same way
     monkeypatch.setattr(rest_factor, "_factors", OrderedDict())
-    nodes = model.mesh.surface_nodes()
-    factor = RestFactor.of(model.factor.stiffness, model.free, nodes, model.mesh.points)
+    factor = RestFactor.of(model.factor.stiffness, model.free, model.mesh.points)
     loads = np.random.default_rng(4).normal(size=(factor.size, 3)) * model.free[:, None]
     exact = factor.solve_on("cpu", loads)
     inverse = factor.dense("cpu")
     assert inverse is factor.dense("cpu")
     assert factor.solve_on("cpu", loads) == pytest.approx(exact, rel=0, abs=1e-9 * abs(exact).max())
-    RestFactor.of(2.0 * model.factor.stiffness, model.free, nodes, model.mesh.points)
+    RestFactor.of(2.0 * model.factor.stiffness, model.free, model.mesh.points)
     assert not factor._dense

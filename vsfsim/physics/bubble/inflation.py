@@ -37,16 +37,12 @@ def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> 
 def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tuple[Balanced, Balanced]:
     """Two states on the rising branch with the pressure between them."""
     volume = sheet.volume(guess)
-    first = sheet.at_volume(guess, pressure, volume)
-    shrink = 0
+    first, shrink = sheet.at_volume(guess, pressure, volume), 0
     while first is None or first.pressure > pressure:
-        # A flatter dome has less pressure: near the plane it grows with the volume or faster.
-        above, share = first, 0.5 if first is None else max(0.05, min(0.7, pressure / first.pressure))
+        # a flatter dome has less pressure: near the plane it grows with the volume or faster
+        share = 0.5 if first is None else max(0.05, min(0.7, pressure / first.pressure))
         volume, guess = share * volume, share * (guess if first is None else first.displacement)
-        first = sheet.at_volume(guess, pressure, volume)
-        shrink += 1
-        if first is not None and first.pressure <= pressure and above is not None:
-            return first, above
+        first, shrink = sheet.at_volume(guess, pressure, volume), shrink + 1
         if shrink > 60:
             raise SceneError(f"{where}: the membrane could not be inflated from flat to a gauge pressure of "
                              f"{pressure:g} Pa; check young_modulus, thickness and pre_stretch.")
@@ -110,10 +106,8 @@ def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
 
 
 def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
-    """By the volume until the pressure is near, then Newton's method at the pressure. Where that does not converge, as
-    near the limit point, by the volume alone."""
+    """By the volume, which is known to all its digits."""
     known = [low, high]
-
     lost = SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
                       f"young_modulus, thickness and pre_stretch.")
 
@@ -126,12 +120,8 @@ def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where
         known.append(found)
         return found.pressure - pressure
 
-    for close in (1e-3, 1e-14):
-        brentq(over, low.volume, high.volume, xtol=close * high.volume, maxiter=200)
-        best = min(known, key=lambda s: abs(s.pressure - pressure))
-        polished = sheet.at_pressure(best.displacement, pressure, iterations=12)
-        if polished is not None and low.volume <= polished.volume <= high.volume:
-            return polished
+    brentq(over, low.volume, high.volume, xtol=1e-14 * high.volume, maxiter=200)
+    best = min(known, key=lambda s: abs(s.pressure - pressure))
     if abs(best.pressure - pressure) > _OFF * abs(pressure):  # the states jump to others between two volumes
         raise lost
     return best

@@ -30,11 +30,11 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import Plane
-from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
 from vsfsim.physics.contact.local_indentation import poisson_ratio
 from vsfsim.physics.contact.patch import PENALTY, Patch
+from vsfsim.physics.elements import closest_point
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
@@ -48,7 +48,7 @@ _LINE = 0.7  # stiffness of a line over E/(1 - nu^2) and its length
 _NEAR = 0.3  # gap up to which a point of a body is kept ready, over the element size
 _FACING = -0.1  # largest cosine between the outward directions of a body and of the object where they meet
 _GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over h
-_TINY = 1e-4  # depth at which a point that was not ready is added, over the element size
+_TINY = 1e-4  # depth at which a point is added or taken away, over the element size
 _RENEWALS = 3  # times in a step; a body that is then inside is marked all the same, see `intrusion`
 
 
@@ -189,27 +189,16 @@ class BodyPoints:
     def _differ(self, old: Met, new: Met, pose: np.ndarray, points: np.ndarray) -> bool:
         """Whether the contact at ``new`` is another than that at ``old``, with the nodes at ``points`` (n, 3) [m] and
         the bodies at ``pose`` (K, 4, 4)."""
-        faces, tolerance = self.model.mesh.faces, _GAP * self._soft
-        place = np.full(len(self.spot), -1)
-        place[old.sample] = np.arange(len(old.sample))
-        at = place[new.sample]
-        if (new.gap[at < 0] < -_TINY * self._size).any():
-            return True
-        both, known = new.pick(at >= 0), old.pick(at[at >= 0])
-        turn, origin = pose[self.body[both.sample], :3, :3], pose[self.body[both.sample], :3, 3]
-        spot = origin + np.einsum("nij,nj->ni", turn, self.spot[both.sample])
-        before = known.places(faces, points)
-        gap = np.einsum("nc,nc->n", known.normal, spot - before)
-        acts = (np.minimum(gap, both.gap) < 0.0)
-        shift = np.linalg.norm(before - both.places(faces, points), axis=1)
-        off = np.abs(np.minimum(gap, 0.0) - np.minimum(both.gap, 0.0))
-        if (acts & ((off > tolerance) | (shift > _SHIFT * self._size))).any():
-            return True
-        # one that acts and is no longer near any face
-        gone = old.pick(~np.isin(old.sample, new.sample))
-        turn, origin = pose[self.body[gone.sample], :3, :3], pose[self.body[gone.sample], :3, 3]
-        spot = origin + np.einsum("nij,nj->ni", turn, self.spot[gone.sample])
-        return bool((np.einsum("nc,nc->n", gone.normal, spot - gone.places(faces, points)) < 0.0).any())
+        place, depth = np.full((2, len(self.spot), 3), np.nan), np.zeros((2, len(self.spot)))
+        for k, met in enumerate((old, new)):
+            at = self.body[met.sample]
+            spot = pose[at, :3, 3] + np.einsum("nij,nj->ni", pose[at, :3, :3], self.spot[met.sample])
+            place[k, met.sample] = met.places(self.model.mesh.faces, points)
+            depth[k, met.sample] = np.einsum("nc,nc->n", met.normal, spot - place[k, met.sample]).clip(max=0.0)
+        shift = np.linalg.norm(place[0] - place[1], axis=1)  # NaN of points that only one of them has
+        most = np.where(np.isnan(shift), _TINY * self._size, _GAP * self._soft)
+        acts = depth.min(axis=0) < 0.0
+        return bool(((np.abs(depth[0] - depth[1]) > most) | (acts & (shift > _SHIFT * self._size))).any())
 
     def _find(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, near: float) -> list[Met]:
         k, device, count = self._kernels, self.device, len(columns)

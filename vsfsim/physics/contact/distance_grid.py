@@ -13,16 +13,13 @@ winding number (Jacobson et al. 2013; Barill et al. 2018), so that parts that ov
 """
 
 import functools
-import time
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
-from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 
 LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
@@ -30,8 +27,6 @@ MAX_NODES = 2_000_000
 PAD = 4  # cells of distance kept around the bounding box
 # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
 _RIM = 4
-_SLOW = 1.0  # duration of a bake above which it is kept on disk [s]
-_RECIPE = 4  # part of the cache key: raise it when the bake changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,46 +81,35 @@ def spacing_rule(size: np.ndarray) -> float:
     return wanted
 
 
-def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None = None,
-          slow: float = _SLOW) -> DistanceGrid:
-    """The grid of a mesh file, from memory, from disk, or made now.
+def baked(shape: MeshFile, *, spacing: float | None = None) -> DistanceGrid:
+    """The grid of a mesh file, made now or kept in this process.
 
     Args:
         shape: file and scale.
         spacing: of the grid [m], or None for the rule.
-        cache: folder; None is that of filled meshes.
-        slow: duration of a bake above which it is kept on disk [s].
 
     Raises:
         MeshError: as `vsfsim.physics.mesh.repair.read_surface`, or a surface that cannot be closed.
     """
     from vsfsim.physics.mesh.repair import digest  # imports trimesh, which a sphere does not need
 
-    return _baked(shape, spacing, cache, slow, digest(shape, spacing, LONGEST, SHORTEST, MAX_NODES, _RECIPE))
+    return _baked(shape, spacing, digest(shape))
 
 
 @functools.lru_cache(maxsize=16)
-def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: float,
-           key: str) -> DistanceGrid:
+def _baked(shape: MeshFile, spacing: float | None, key: str) -> DistanceGrid:
+    """``key``: of the file's content."""
     from vsfsim.physics.mesh import account, repair
 
-    path = Path(shape.path)
-    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
-    grid = _read(stored)
-    if grid is None:
-        began = time.perf_counter()
-        surface = repair.read_surface(shape)
-        if repair.signed_volume(surface.vertices, surface.faces) < 1e-4 * float(np.prod(surface.extents)):
-            raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. "
-                            f"Close it or give it thickness.")
-        grid = bake(surface.vertices + surface.centre, surface.faces, spacing=spacing, centre=surface.centre,
-                    notes=surface.notes)
-        found = account.of_tip(surface, grid.upper - grid.lower, grid.spacing, grid.coefficients, grid.distance)
-        account.refuse(found, f"mesh file '{path}' could not be taken as a probe", "Repair the mesh by hand")
-        grid = replace(grid, notes=(*grid.notes, found.sentence()))
-        if time.perf_counter() - began > slow:
-            _write(stored, grid)
-    return grid
+    surface = repair.read_surface(shape)
+    if repair.signed_volume(surface.vertices, surface.faces) < 1e-4 * float(np.prod(surface.extents)):
+        raise MeshError(f"mesh file '{shape.path}' encloses no volume: it is an open sheet; a probe is a solid. "
+                        f"Close it or give it thickness.")
+    grid = bake(surface.vertices + surface.centre, surface.faces, spacing=spacing, centre=surface.centre,
+                notes=surface.notes)
+    found = account.of_tip(surface, grid.upper - grid.lower, grid.spacing, grid.coefficients, grid.distance)
+    account.refuse(found, f"mesh file '{shape.path}' could not be taken as a probe", "Repair the mesh by hand")
+    return replace(grid, notes=(*grid.notes, found.sentence()))
 
 
 def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = None, centre: np.ndarray | None = None,
@@ -162,17 +146,3 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
 def spline(distance: np.ndarray) -> np.ndarray:
     """Coefficients of the cubic B-spline through values (nx, ny, nz), less _RIM layers on every side."""
     return np.ascontiguousarray(ndimage.spline_filter(distance, order=3, mode="mirror")[(slice(_RIM, -_RIM),) * 3])
-
-
-# ---------------------------------------------------------------------------------------------- the cache
-
-
-def _read(path: Path) -> DistanceGrid | None:
-    data = disk_cache.read(path)
-    if data is None or set(data) != {f.name for f in fields(DistanceGrid)}:
-        return None
-    return DistanceGrid(**{**data, "spacing": float(data["spacing"]), "notes": tuple(map(str, data["notes"]))})
-
-
-def _write(path: Path, grid: DistanceGrid) -> None:
-    disk_cache.write(path, **{**vars(grid), "notes": np.array(grid.notes, dtype=np.str_)})

@@ -18,11 +18,11 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, has_edges, inner_radius
 from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.contact.reach import Gaps
+from vsfsim.physics.elements import closest_point
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.physics.runtime import real, vec3
 
@@ -87,25 +87,6 @@ class Enclosure:
         return depth, face
 
 
-class BodySurfaces:
-    """Points on the surfaces of K bodies, in one list.
-
-    Args:
-        samples: of each body in its own frame (m_k, 3) [m].
-        device: torch device.
-    """
-
-    def __init__(self, samples: list[np.ndarray], device: str):
-        self._device, self._at = device, np.concatenate(samples)
-        self._owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])
-
-    def placed(self, pose: np.ndarray) -> torch.Tensor:
-        """The points (k, m, 3) [m] of bodies at poses (k, K, 4, 4)."""
-        own = pose[:, self._owner]
-        out = np.einsum("kmij,mj->kmi", own[..., :3, :3], self._at) + own[..., :3, 3]
-        return torch.as_tensor(out, device=self._device)
-
-
 class Intrusion:
     """The check for one object and its bodies.
 
@@ -124,8 +105,6 @@ class Intrusion:
 
     tolerance: float
     """Depth above which a body counts as inside the object [m]."""
-    lost: float
-    """Depth above which a body that was in contact when a step began has been lost in it [m]; infinite for a sheet."""
     fine: float
     """Penetration of a face above which it gets more contact points [m]."""
 
@@ -134,14 +113,14 @@ class Intrusion:
         self.device, solid, radii = device, mesh.faces.shape[1] == 6, [inner_radius(s) for s in bodies.shapes]
         self._coupled, small = coupled and solid, min(radii)
         self.tolerance = min((DEEP if solid else _SHEET) * size + sinks * size, _SMALL * small)
-        self.lost = LOST * self.tolerance if solid else np.inf
         sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
         cone, tip = (np.zeros((0, 3)), np.zeros((0, 3))) if solid else rim_cone(mesh.faces, mesh.points)
         self._gaps, self._surface = Gaps(bodies, device), Enclosure(mesh.faces, cone, device=device)
         # of a sheet a body that went through has most of its points behind it
-        self._samples = BodySurfaces([body_samples(s, _SPACING * (min(size, r) if solid else r))
-                                      for s, r in zip(bodies.shapes, radii, strict=True)], device)
+        samples = [body_samples(s, _SPACING * (min(size, r) if solid else r))
+                   for s, r in zip(bodies.shapes, radii, strict=True)]
+        self._samples, self._owner = np.concatenate(samples), np.repeat(np.arange(len(samples)), [*map(len, samples)])
         steps = int(np.clip(np.ceil(3.0 * size / small), steps, _GRID[1])) if solid and np.isfinite(small) else steps
         bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
         self._grid, self._faces, self._tets, self._rest, self._tip = (torch.as_tensor(a, device=device) for a in (
@@ -169,19 +148,19 @@ class Intrusion:
             gap = self._gaps.nearest(here[None], torch.cat([x, middle], dim=1).transpose(0, 1))
             inside = (-gap.amin(dim=0)).clamp(min=0.0)
         closed = torch.cat([x, self._tip.expand(count, -1, -1)], dim=1)
-        depth, face = self._surface.depth(closed, self._samples.placed(here))
+        own = here[:, self._owner]
+        places = np.einsum("kmij,mj->kmi", own[..., :3, :3], self._samples) + own[..., :3, 3]
+        depth, face = self._surface.depth(closed, torch.as_tensor(places, device=self.device))
         near = torch.zeros_like(faces).scatter_reduce(1, face.long(), depth, "amax")
         return Overlap(faces.amax(dim=1), torch.maximum(inside, near.amax(dim=1)), faces, near)
 
-    def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, coarse: torch.Tensor,
-             touched: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor,
+             coarse: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Where the contact needs more.
 
         Args:
             columns, pose, u: see `check`.
             coarse: faces that can be cut further (B, F) bool.
-            touched: touches that were in contact when the step began (B,) bool. One of these that has lost a body gets
-                nothing.
 
         Returns:
             The larger of penetration and depth inside (k,) [m], the faces that meet a body (B, F) bool, and those that
@@ -191,11 +170,7 @@ class Intrusion:
         met, cut = torch.zeros_like(coarse), torch.zeros_like(coarse)
         inside = found.near > self.tolerance
         met[columns], cut[columns] = (found.faces > 0.0) | inside, (found.faces > self.fine) | inside
-        depth = torch.maximum(found.penetration, found.inside)
-        if touched is not None:
-            jumped = columns[touched[columns] & (depth > self.lost)]
-            met[jumped], cut[jumped] = False, False
-        return depth, met, cut & coarse
+        return torch.maximum(found.penetration, found.inside), met, cut & coarse
 
 
 def rim_cone(faces: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

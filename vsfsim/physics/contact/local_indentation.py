@@ -26,8 +26,7 @@ import numpy as np
 import torch
 
 from vsfsim.core.shape import ProbeShape
-from vsfsim.physics.contact.face_sums import nodal_sums
-from vsfsim.physics.contact.patch import PENALTY, POINTS, WEIGHTS, Patch, shape_values, smooth_radius
+from vsfsim.physics.contact.patch import PENALTY, POINTS, WEIGHTS, Patch, nodal_sums, shape_values, smooth_radius
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.linear.rest_factor import Response
 from vsfsim.physics.model import Model
@@ -232,7 +231,7 @@ class MissingCompliance:
     Args:
         model: the object, of quadratic tetrahedra.
         response: of the body at rest to forces.
-        faces: nodes and shape values of the parts of the patches, see `face_sums`.
+        faces: nodes and shape values of the parts of the patches, see `patch.nodal_sums`.
         width: nodes of a patch s.
     """
 

@@ -12,8 +12,10 @@ and soft enough that float64 keeps its digits. The solver inverts this block exa
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import torch
 
 from vsfsim.core.shape import Capsule, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -125,6 +127,31 @@ class Patch:
         return np.cumsum(self.cuts**2) - self.cuts**2
 
 
+class OnPatches:
+    """What the contacts with rigid bodies and with a soft sensor share: the degrees of freedom of the patches of B
+    touches, padded to s nodes."""
+
+    dof: torch.Tensor
+    """Degrees of freedom of the patches (B, 3 s); -1 is padding."""
+    mask: torch.Tensor
+    """1 where `dof` is no padding (B, 3 s) [-]."""
+    free: torch.Tensor
+    """1 where a degree of freedom may move (B, 3 s) [-]."""
+    _overlap: torch.Tensor  # how deep bodies lie in one another by the geometry at the last `extend_patch` (B,) [m]
+    _passage: Any  # that check; its ``tolerance`` is the depth above which a body counts as inside [m]
+
+    def gather(self, u: torch.Tensor, columns: torch.Tensor | None = None) -> torch.Tensor:
+        """Displacements [m] or forces [N] of the patches (k, 3 s) of ``columns`` (k,), None for all, out of those of
+        all nodes u (3 n, k)."""
+        dof, mask = (self.dof, self.mask) if columns is None else (self.dof[columns], self.mask[columns])
+        return u.gather(0, dof.clamp(min=0).T).T * mask
+
+    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
+        """Whether a body lies inside another where no contact point feels it, deeper than some ``times`` the tolerance
+        (k,) bool, by the geometry at the last `extend_patch`."""
+        return self._overlap[columns] > times * self._passage.tolerance
+
+
 def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, cuts: np.ndarray,
                rows: Mapping[int, int], stiff: tuple[float, float] = (1.0, 0.0)) -> Patch:
     """The patch of some boundary triangles.
@@ -170,3 +197,25 @@ def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:
     onset = _ONSET * edge if any(smooth_radius(shape) == 0.0 for shape in bodies.shapes) else 0.0
     return (int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR)),
             onset)
+
+
+def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, at_points: torch.Tensor, nodes: int) -> torch.Tensor:
+    """Forces (k, s, c) on the s = ``nodes`` of k patches of forces ``at_points`` (k, 6 f, c).
+
+    Args:
+        local: nodes of the parts of faces (k, f, 6).
+        shapes: shape values of their points (k, f, 6 points, 6 nodes).
+        at_points, nodes: see above. Sums are taken in a fixed order, on a GPU too: there `index_put_` sorts what it
+            accumulates.
+    """
+    parts = (shapes.mT @ at_points.reshape(*local.shape, -1)).flatten(1, 2)
+    touch = torch.arange(len(local), device=local.device)[:, None]
+    out = parts.new_zeros(len(local), nodes, parts.shape[2])
+    return out.index_put_((touch, local.long().flatten(1)), parts, accumulate=True)
+
+
+def at_points(local: torch.Tensor, shapes: torch.Tensor, nodal: torch.Tensor) -> torch.Tensor:
+    """Vectors at the nodes (k, s, 3) interpolated to the points of the faces (k, 6 f, 3)."""
+    k, f = local.shape[:2]
+    at = local.reshape(k, 6 * f, 1).expand(-1, -1, 3).long()
+    return (shapes @ nodal.gather(1, at).view(k, f, 6, 3)).view(k, 6 * f, 3)

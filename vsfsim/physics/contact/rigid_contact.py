@@ -16,26 +16,27 @@ from vsfsim.physics.contact import body_points, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
 from vsfsim.physics.contact.body_samples import inner_radius
-from vsfsim.physics.contact.face_sums import at_points
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, remember
-from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
-from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_tables, sheet_contact
+from vsfsim.physics.contact.mount import Mount, Springs
+from vsfsim.physics.contact.patch import CUTS, OnPatches, Patch, at_points, make_patch, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.rigid_stiffness import PointStiffness
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real
-from vsfsim.physics.solve.mount import Mount, Springs
 
 CORE = 0.2
 """Depth over a body's inner radius at which its inner body begins [-]."""
 
 
-class RigidContact(PointStiffness, Contact):
-    """`Contact` of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
+class RigidContact(PointStiffness, OnPatches):
+    """The contact of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
+
+    The *patch* of a touch is the surface nodes that it can reach; all patches are padded to s nodes. ``columns`` (k,)
+    are the touches that a call is about; its results have their order.
 
     Args:
         model: the object.
@@ -48,8 +49,10 @@ class RigidContact(PointStiffness, Contact):
         linear: whether the object's stiffness stays that at rest.
     """
 
+    # measure under which a step is accepted for its residual alone, because rounding hides the potential, and the
+    # factor by which the residual has to fall in it [-]
     potential_trusted_above, decrease = 0.05, 0.5
-    patience = 10**9  # the limit on iterations ends a touch
+    patience = 10**9  # iterations in which the measure may fail to fall by a tenth: their limit ends a touch
     _begun: np.ndarray | None = None
 
     patches: list[Patch]
@@ -91,15 +94,17 @@ class RigidContact(PointStiffness, Contact):
         self._area = model.mesh.face_area()
         self._core = wp.array([min(CORE * inner_radius(s), 1.0) for s in bodies.shapes], dtype=real, device=device)
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
-        self.follows_below = (0.2 if device == "cpu" else 0.0) if self.solid else np.inf
+        # whether friction limits follow the normal forces once they were renewed, see `coulomb`
+        self.follows = not self.solid
+        # measure at which the friction limits are renewed for the first time in a step
         self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
+        # factor on the contact stiffness, 0 while an object comes to rest under its weight; and 1 for touches whose
+        # friction limits are those of the normal forces at every evaluation, not of the last `update_friction` (B,)
         self.softening, self.coulomb = (
             torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0))
         # origins and rotations of the bodies, now and when the step began
         self._now, self._before = ([torch.zeros(size, dtype=torch.float64, device=device) for size in (
             (*poses.shape[1:3], 3), (*poses.shape[1:3], 3, 3))] for _ in range(2))
-        self._pressed = (torch.zeros((self.batch, 3), dtype=torch.float64, device=device), torch.ones(
-            self.batch, dtype=torch.int32, device=device)) if self.springs is None else self.springs.pressed
         self._upload()
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
@@ -146,7 +151,6 @@ class RigidContact(PointStiffness, Contact):
             "turn_before": self._before[1],
             "x_before": self._x_before, "anchor": self._anchor, "owner": self._owner, "limit": self.limit,
             "across": self._across, **vars(relaxation),
-            "press": self._pressed[0], "settling": self._pressed[1], "pressed": zeros(batch, faces, 3),
             "gap": self.gap, "body": self.body, "normal": self.normal,
             "force": self.force, "rows": self._rows, "geometric": self._geometric, "coupling": self._coupling,
             "slips": self.slips, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
@@ -161,20 +165,19 @@ class RigidContact(PointStiffness, Contact):
         rigid_kernels.bind(k.Points, self._points, self._local_indentation.arrays, cut)
 
     @property
-    def compliance(self) -> torch.Tensor:
-        """See `Contact`; 0 at nodes that have not been touched yet."""
-        return self.response.compliance()
-
-    @property
     def yielding(self) -> torch.Tensor:
-        """That, and in series with it the compliance of springs that carry the bodies (B, 3 s, 3 s) [m/N]."""
-        return self.compliance if self.springs is None else self.springs.yielding(self.compliance)
+        """Rest-state compliance of the patches, and in series with it that of springs that carry the bodies
+        (B, 3 s, 3 s) [m/N]; 0 at nodes that have not been touched yet."""
+        compliance = self.response.compliance()
+        return compliance if self.springs is None else self.springs.yielding(compliance)
 
     def _place(self, bodies: list[torch.Tensor], pose: np.ndarray) -> None:
         for own, values in zip(bodies, (pose[..., :3, 3], pose[..., :3, :3]), strict=True):
             own.copy_(torch.as_tensor(values))
 
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """Begin a step at the poses ``before`` (B, K, 4, 4) and the displacements u (3 n, B) [m]: slip counts from
+        here."""
         self._u_before, self._begun = u.clone(), before
         self._place(self._before, before)
         if self.springs is not None:  # where they let the bodies begin
@@ -188,6 +191,7 @@ class RigidContact(PointStiffness, Contact):
         self._stand(u)
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
+        """Move the bodies to ``pose`` (B, K, 4, 4); ``columns`` are about to be solved there."""
         kept = self.friction_state()
         if (self._begun is not None and columns is not None  # the first move of a step
                 and self._body_points.add(columns, (self._begun, self._held_at(pose)), self._u_before, self.patches)):
@@ -201,7 +205,7 @@ class RigidContact(PointStiffness, Contact):
     def _plan_for(self, pose: np.ndarray) -> None:
         """The mounts, or the bodies without any, are at ``pose`` (B, K, 4, 4)."""
         self._plan = pose
-        self._mounts = wp.array(pose[..., :3, 3], dtype=self.kernels.vec3, device=self.device)
+        self._mounts = torch.as_tensor(pose[..., :3, 3], device=self.device)
 
     def _held_at(self, pose: np.ndarray) -> np.ndarray:
         """Poses (B, K, 4, 4) of the bodies whose mounts are at ``pose`` (B, K, 4, 4)."""
@@ -213,7 +217,7 @@ class RigidContact(PointStiffness, Contact):
             self.springs.seen()
 
     def follow(self) -> bool:
-        """See `Contact`: the local indentation."""
+        """Let the local indentation follow bodies that springs carry; whether anything has changed."""
         if self.springs is None or not self._sinks or not self.springs.moved_on():
             return False
         self._sink(self._plan)
@@ -230,86 +234,107 @@ class RigidContact(PointStiffness, Contact):
     def _stand(self, u: torch.Tensor) -> None:
         self._x_before.copy_((self.rest + self.gather(u)).view_as(self._x_before))
 
-    def _launch(self, kernel: Any, columns: torch.Tensor, *, later: bool = False) -> Any:
-        """Run a kernel over the parts of faces of ``columns`` (k,), or return its launch for ``later``."""
-        return wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, record_cmd=later,
-                         inputs=[self._points, self._reach.set, len(self.bodies),
-                                 wp.from_torch(columns.to(torch.int32)), rigid_kernels.STICK])
+    def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
+        """Run a kernel over the parts of faces of ``columns`` (k,)."""
+        wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
+            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)),
+            rigid_kernels.STICK])
+
+    def _sprung(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """See `Springs.settle`."""
+        self._now[0][columns] = self.springs.placed(self._mounts)[columns]
+        self._launch(self.kernels.evaluate, columns)
+        pull = self.springs.along(columns, self.force[columns])
+        return pull, self.springs.slope(self.own_stiffness(columns), columns), self.gap[columns].amin(dim=1)
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
-        """See `Contact`; springs give way until they are in balance."""
+        """Find gaps, forces and stiffness at displacements (k, 3 s) [m] of the patches; springs give way until they are
+        in balance. The methods below report what the last evaluation found."""
         if not len(columns):
             return
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
-        index = columns.to(torch.int32)
-        look = self._launch(self.kernels.evaluate, index, later=True)
         if self.springs is None:
-            look.launch()
+            self._launch(self.kernels.evaluate, columns)
         else:
-            self.springs.place(index, self._mounts, self._points)
-            self.springs.settle(look.launch, index, self._mounts, self._points)
+            self.springs.settle(columns, self._sprung)
 
     def update_friction(self, columns: torch.Tensor) -> None:
+        """Renew the friction limit and the tangent plane from the last evaluation."""
         if self.has_friction:
             self._relaxation.renewals[columns] += 1
             self._launch(self.kernels.update_friction, columns)
 
     def end_step(self, columns: torch.Tensor) -> None:
+        """End the step: slipping points drag their anchors along, points that left contact lose them."""
         if self.has_friction and len(columns):
             self._launch(self.kernels.end_step, columns)
 
     def friction_state(self) -> tuple[Any, ...]:
-        """See `Contact`; empty without friction."""
+        """A copy of the anchors, limits and tangent planes, for `restore_friction`; empty without friction."""
         return (self._padded, *(t.clone() for t in self._friction)) if self.has_friction else ()
 
     def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
-        """See `Contact`; a patch that has grown since takes what its old points remembered."""
+        """Return to a friction state after a step that failed; a patch that has grown since takes what its old points
+        remembered."""
         if state:
             remember(self._friction, state[1:], (state[0], self._padded), columns.tolist(), self.model.mesh.points,
                      self._u_before, self._before[1].cpu().numpy())
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
+        """Sum of the differences of the friction limits from Coulomb's after `update_friction` (k,) [N]."""
         return self._relaxation.friction_residual(columns)
 
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Potential of the contact (k,) [J]."""
         return self._energy[columns].sum(dim=1)
 
     def carried(self, columns: torch.Tensor) -> torch.Tensor:
-        return super().carried(columns) if self.springs is None else self.springs.energy(columns)
+        """Potential of springs that carry the bodies (k,) [J]; 0 without."""
+        return torch.zeros_like(self.softening[columns]) if self.springs is None else self.springs.energy(columns)
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
         own = (self._energy[columns] * self._of_body[columns]).sum(dim=1)
         return own + self._local_indentation.energy(self.gap[columns], self._stiffness[columns], columns)
 
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
+        """Number of points beyond the middle of a body (k,); a solution has none."""
         return self._wrong_side[columns].sum(dim=1)
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces on the nodes of the patches (k, 3 s) [N]."""
         return self.nodal_of(columns, self.force[columns])
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
 
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Force on every touching body (k, K, 3) [N], world."""
         return -(self._held(columns).mT @ self.force[columns])
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Moment on every touching body about its origin (k, K, 3) [N m], world."""
         places, origin = self.places(columns, self._x[columns]), self._now[0][columns]  # origin (k, K, 3)
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
 
     def touches(self, columns: torch.Tensor) -> torch.Tensor:
+        """Whether any point is inside a body (k,) bool."""
         return (self.gap[columns] < 0.0).any(dim=1)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`: over the Gauss points, a finer grid between them, and the bodies' own points."""
+        """Depth of the deepest point (k,) [m]: of the Gauss points, a finer grid between them, and the bodies' own
+        points."""
         return torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[columns])
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
+        """Share of the points in contact that slip (k,) [-]; 0 without contact."""
         inside = self.gap[columns] < 0.0  # a point that has left may still have a limit in this step
         return (self.slips[columns] * inside).sum(dim=1) / inside.sum(dim=1).clamp(min=1)
 
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Number of points in contact (k,), the radius of a circle of their area over the element size there (k,) [-],
+        and the same of the contact with each body (k, K) [-]."""
         return self._local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
 
     @property
@@ -324,7 +349,9 @@ class RigidContact(PointStiffness, Contact):
         return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
     def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
+        """Part of a ``move`` (k, 3 s) [m] of the patches after which the first contact point meets the inner body of
+        a rigid body (k,) [-], 1 where none does: past the middle of a body a point would be pushed out on the far
+        side."""
         own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=self.kernels.vec3)
         part = torch.ones((len(columns), self._local.shape[1]), dtype=torch.float64, device=self.device)
         wp.launch(self.kernels.reach, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
@@ -332,11 +359,12 @@ class RigidContact(PointStiffness, Contact):
             wp.from_torch(part)])
         return part.amin(dim=1) if part.shape[1] else part.new_ones(len(columns))
 
-    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
-                     touched: torch.Tensor | None = None) -> bool:
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+        """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
+        bodies were found between those; whether they had to."""
         pose, mounts = self._held_at(pose), pose
         kept, coarse = self.friction_state(), torch.as_tensor(self._cuts < self._finest, device=self.device)
-        self._overlap[columns], met, cut = self._passage.grow(columns, pose, u, coarse, touched)
+        self._overlap[columns], met, cut = self._passage.grow(columns, pose, u, coarse)
         moved, beside = self._body_points.renew(columns, pose, u, self.patches)
         met |= torch.as_tensor(beside, device=self.device)
         met &= ~self._member  # (B, faces)

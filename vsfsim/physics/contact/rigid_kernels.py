@@ -72,7 +72,7 @@ def kernels() -> Any:
         host: wp.array2d(dtype=wp.int32)  # body whose point a part is, see `body_points`; -1 for parts of faces
         spot: wp.array2d(dtype=vec3)  # that point, in its body's frame [m]
         leave: wp.array2d(dtype=vec3)  # direction in which it leaves the object [-]
-        softening: wp.array(dtype=real)  # (B,), as in `interface`
+        softening: wp.array(dtype=real)  # (B,), see `rigid_contact`
         coulomb: wp.array(dtype=real)
         coefficient: wp.array(dtype=real)  # of friction, of each body (K,) [-]
         onset: real  # of a sheet, see `patch.sheet_contact` [m]
@@ -88,9 +88,6 @@ def kernels() -> Any:
         owner: wp.array3d(dtype=wp.int32)
         limit: wp.array3d(dtype=real)
         across: wp.array3d(dtype=vec3)
-        # springs that carry the bodies, see `mount`
-        press: wp.array(dtype=vec3)  # direction in which a spring gives way (B,) [-]; 0 without
-        settling: wp.array(dtype=wp.int32)  # 1 where the contact is evaluated, 0 where its spring is in balance (B,)
         renewals: wp.array(dtype=wp.int32)
         anchorings: wp.array3d(dtype=wp.int32)
         damping: wp.array3d(dtype=real)
@@ -107,7 +104,6 @@ def kernels() -> Any:
         slips: wp.array3d(dtype=wp.int32)
         wrong_side: wp.array2d(dtype=wp.int32)
         energy: wp.array2d(dtype=real)
-        pressed: wp.array2d(dtype=vec3)  # force [N] and stiffness [N/m] along the press, and least gap [m] of a part
 
     Points = wp.struct(Points, module=module)
 
@@ -140,9 +136,6 @@ def kernels() -> Any:
     def evaluate(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
         f, k = wp.tid()
         b = columns[k]
-        if c.settling[b] == 0:
-            return
-        pull, slopes, least = real(0.0), real(0.0), real(1e30)
         energy = real(0.0)
         wrong = int(0)  # noqa: UP018, RUF046
         corner = c.x[b, c.local[b, f, 0]]
@@ -220,11 +213,6 @@ def kernels() -> Any:
             c.geometric[b, f, q] = geometric
             c.coupling[b, f, q] = coupling
             c.slips[b, f, q] = slips
-            pressed = rows * c.press[b]
-            pull += wp.dot(force, c.press[b])
-            slopes += wp.dot(pressed, pressed) + wp.dot(c.press[b], coupling * c.press[b])
-            least = wp.min(least, gap)
-        c.pressed[b, f] = vec3(pull, slopes, least)
         c.energy[b, f] = energy
         c.wrong_side[b, f] = wrong
 
@@ -316,25 +304,23 @@ def kernels() -> Any:
         b = columns[k]
         for q in range(c.shape.shape[1]):
             owner = c.owner[b, f, q]
-            if c.gap[b, f, q] >= real(0.0):
+            if owner < -1:
+                owner = -2 - owner
+            j = c.body[b, f, q]
+            if c.gap[b, f, q] >= real(0.0) or owner != j:
                 c.owner[b, f, q] = -1
-            elif owner != -1:
-                if owner < -1:
-                    owner = -2 - owner
-                j = c.body[b, f, q]
-                if owner != j:
-                    c.owner[b, f, q] = -1
-                else:
-                    c.owner[b, f, q] = j
-                    m = c.across[b, f, q]
-                    at = c.origin[b, j] + c.turn[b, j] * c.anchor[b, f, q]
-                    d = friction.tangential(place(c, c.x, b, f, q) - at, m)
-                    way = wp.length(d)
-                    v = stick * c.stiffness[b, f, q]
-                    limit = c.limit[b, f, q]
-                    if not friction.sticks(way, v, limit):
-                        at = at + (real(1.0) - limit / (v * way)) * d
-                        c.anchor[b, f, q] = wp.transpose(c.turn[b, j]) * (at - c.origin[b, j])
+                c.limit[b, f, q] = real(0.0)
+            else:
+                c.owner[b, f, q] = j
+                m = c.across[b, f, q]
+                at = c.origin[b, j] + c.turn[b, j] * c.anchor[b, f, q]
+                d = friction.tangential(place(c, c.x, b, f, q) - at, m)
+                way = wp.length(d)
+                v = stick * c.stiffness[b, f, q]
+                limit = c.limit[b, f, q]
+                if not friction.sticks(way, v, limit):
+                    at = at + (real(1.0) - limit / (v * way)) * d
+                    c.anchor[b, f, q] = wp.transpose(c.turn[b, j]) * (at - c.origin[b, j])
 
     @wp.kernel(module=module, enable_backward=False)
     def nearest(

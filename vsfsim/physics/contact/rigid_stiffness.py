@@ -6,10 +6,10 @@ from typing import Any
 
 import torch
 
-from vsfsim.physics.contact.face_sums import at_points, nodal_sums
+from vsfsim.physics.contact.mount import Springs
+from vsfsim.physics.contact.patch import at_points, nodal_sums
 from vsfsim.physics.contact.stiffness_block import ContactBlock, assembled
 from vsfsim.physics.linear.rest_factor import Response
-from vsfsim.physics.solve.mount import Springs
 
 
 class PointStiffness:
@@ -30,7 +30,7 @@ class PointStiffness:
     _coupling: torch.Tensor
 
     def _faces(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Nodes and shape values of the parts of faces of the touches ``columns`` (k,), see `face_sums`."""
+        """Nodes and shape values of the parts of faces of the touches ``columns`` (k,), see `patch.nodal_sums`."""
         return self._local[columns], self._values[columns]
 
     def places(self, columns: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
@@ -43,9 +43,14 @@ class PointStiffness:
 
     @property
     def symmetric(self) -> bool:
+        """Whether the contact stiffness is symmetric."""
         return not (self.has_friction and bool(self.coulomb.any()))
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
+        """Contact stiffness on the patches (k, 3 s, 3 s) [N/m], a tensor or an operator.
+
+        ``geometric``: the touches whose stiffness has its geometric term (k,) bool; deep inside a body that term is
+        large and wrong."""
         own = self.own_stiffness(columns, geometric)
         fixed = assembled(*self._faces(columns), own, self.free[columns])
         if self.springs is None:
@@ -55,7 +60,7 @@ class PointStiffness:
         return self.springs.soften(fixed, toward, back, own, columns)
 
     def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
-        """Stiffness of the contact points (k, 6 f, 3, 3) [N/m]; ``geometric``: see `Contact.stiffness`."""
+        """Stiffness of the contact points (k, 6 f, 3, 3) [N/m]; ``geometric``: see `stiffness`."""
         rows = self._rows[columns]
         own = rows.mT @ rows + self._coupling[columns]
         if geometric is not None:
@@ -63,7 +68,7 @@ class PointStiffness:
         return own
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
-        """See `Contact`."""
+        """The contact stiffness, ready to be inverted together with the compliance of the object at rest."""
         own = assembled(*self._faces(columns), self.own_stiffness(columns), self.free[columns])
         if not isinstance(own, torch.Tensor):
             touched = torch.zeros((self.batch, self.free.shape[1] // 3), dtype=torch.bool)

@@ -28,7 +28,7 @@ def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor,
     """The stiffness C of k patches: sparse on a CPU, and (k, 3 s, 3 s) [N/m] on a GPU, summed in a fixed order.
 
     Args:
-        local, shapes: see `face_sums`.
+        local, shapes: see `patch.nodal_sums`.
         stiff: stiffness of the contact points (k, 6 f, 3, 3) [N/m].
         free: 1 where a degree of freedom may move (k, 3 s).
     """

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.core.shape import ProbeShape
+from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.inverse.sensitivity import Sensitivity
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import SolverOptions
-from vsfsim.physics.solve.mount import Mount
 
 FRAMES = 5
 """Of each touch that a fit looks at."""

@@ -16,10 +16,11 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 import torch
+from filelock import FileLock
 
 from vsfsim.physics import clock
 from vsfsim.physics.linear.cholesky import Cholesky, Order, blocks_of
-from vsfsim.physics.linear.dense_inverse import DenseResponse, dense_inverse, times
+from vsfsim.physics.runtime import kernel_cache
 
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
 _KEPT = 4  # factors kept in this process, by content
@@ -41,33 +42,32 @@ def forget_all() -> None:
 class RestFactor:
     """Linear elasticity of the object at rest, with its supports held, factorised.
 
+    A gas behind a membrane couples all its nodes: K = S + c g g^T with g = grad V and c = -dp/dV. Then S alone is
+    factorised, which is positive definite before the limit point of inflation, and (Sherman and Morrison 1950)
+
+        K^-1 r = S^-1 r - S^-1 g (c g . S^-1 r) / (1 + c g . S^-1 g).
+
     Args:
-        stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
+        stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m]; S alone.
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
-        surface_nodes: nodes (s,) that `compliance` may be asked for.
         points: places of the nodes (n, 3) [m], which guide the elimination.
+        coupling: g, supports not held (3 n,) [m^2], and c [Pa/m^3], 0 for an open chamber; None without a gas.
     """
 
     size: int
     """Degrees of freedom, 3 n."""
-    stiffness: sp.csr_matrix
-    """The rest stiffness, supports not held (3 n, 3 n) [N/m]."""
     seconds: float
     """Duration of the factorisation [s], 0 before its first use."""
     columns_bytes: float = 512e6
-    """Memory for columns of the inverse, of the touches of one run [byte]."""
+    """Memory for columns of the inverse, of the touches of one run, and half of what is kept of them here [byte]."""
 
-    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, points: np.ndarray):
-        self.seconds, self._points = 0.0, points
-        self.stiffness, self.free = stiffness, free
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, points: np.ndarray,
+                 coupling: tuple[np.ndarray, float] | None = None):
+        self.seconds, self._points, self.coupling = 0.0, points, coupling
+        self.stiffness, self.free, self.size = stiffness, free, len(free)
         mask = sp.diags(free)
         self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
-        self.size = len(free)
-        self._surface = np.asarray(surface_nodes)
-        self._row_of = np.full(self.size // 3, -1)
-        self._row_of[self._surface] = np.arange(len(self._surface))
         self._columns: dict[int, np.ndarray] = {}
-        self._whole: dict[int, np.ndarray] = {}
         self._dense: dict[str, torch.Tensor] = {}
         self._on = ""
 
@@ -99,19 +99,28 @@ class RestFactor:
         self.seconds = clock.now() - began
         return out
 
+    @functools.cached_property
+    def _gas(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """g with the supports held, S^-1 g, and the factor c / (1 + c g . S^-1 g)."""
+        assert self.coupling is not None
+        gradient, rate = self.coupling
+        own = gradient * self.free
+        answer = self._elastic(own[:, None])[:, 0]
+        return own, answer, rate / (1.0 + rate * float(own @ answer))
+
     @classmethod
-    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray,
-           points: np.ndarray, *, now: bool = False) -> RestFactor:
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, points: np.ndarray,
+           coupling: tuple[np.ndarray, float] | None = None, *, now: bool = False) -> RestFactor:
         """The factor of this matrix: the one that this process made before, or a new one; arguments as the class.
         ``now``: factorise it here, not at its first use."""
         digest = hashlib.sha256()
-        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
+        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, points, *(coupling or ())):
             digest.update(np.ascontiguousarray(part).tobytes())
         key = digest.hexdigest()
         if key not in _factors:
             for other in _factors.values():
                 other.forget()
-            _factors[key] = cls(stiffness, free, surface_nodes, points)
+            _factors[key] = cls(stiffness, free, points, coupling)
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
@@ -119,62 +128,48 @@ class RestFactor:
             _factors[key]._solver  # noqa: B018  made here
         return _factors[key]
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
+    def _elastic(self, right: np.ndarray) -> np.ndarray:
         out = self._solver.solve(right)
         return out + self._solver.solve(right - self._held_rows @ out)
 
+    def _coupled(self, out: np.ndarray) -> np.ndarray:
+        if self.coupling is None:
+            return out
+        own, answer, share = self._gas
+        return out - answer[:, None] * (share * (own @ out))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
+        return self._coupled(self._elastic(right))
+
     def apply(self, right: np.ndarray) -> np.ndarray:
         """As `solve`, without the refinement, in less than half of the time."""
-        return self._solver.solve(right)
+        return self._coupled(self._solver.solve(right))
 
     def solve_on(self, device: str, right: np.ndarray) -> np.ndarray:
         """As `solve`, by the `dense` inverse if the device has it."""
         there = self._dense.get(device)
-        return self.solve(right) if there is None else times(there, right)
+        return self.solve(right) if there is None else _times(there, right)
 
-    def make(self, nodes: np.ndarray, *, whole: bool) -> None:
-        """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
-        them; all rows if ``whole``."""
-        known = self._whole if whole else self._columns
-        missing = [int(i) for i in nodes if int(i) not in known]
+    def columns(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N], 0 where held. They are
+        kept, since neighbouring touches share them."""
+        missing = [i for i in nodes.tolist() if i not in self._columns]
         for start in range(0, len(missing), _CHUNK // 3):
             part = missing[start:start + _CHUNK // 3]
-            right = np.zeros((self.size, 3 * len(part)))
-            for j, i in enumerate(part):
-                right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
-            answer = self.solve(right)
-            if whole and 8.0 * self.size * 3 * (len(self._whole) + len(part)) > self.columns_bytes:
-                # those asked for stay: the caller has limited them to `columns_bytes` for all its touches
-                asked = {int(i) for i in nodes}
-                self._whole = {i: column for i, column in self._whole.items() if i in asked}
-            surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
-            rows = np.ascontiguousarray(answer.T) if whole else None
-            for j, i in enumerate(part):
-                self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
-                if rows is not None:
-                    self._whole[i] = rows[3 * j:3 * j + 3]
+            dof = (3 * np.array(part)[:, None] + np.arange(3)).ravel()
+            right = np.zeros((self.size, len(dof)))
+            right[dof, np.arange(len(dof))] = self.free[dof]
+            self._columns.update(zip(part, self.solve(right).T.reshape(-1, 3, self.size).copy(), strict=True))
+        out = np.concatenate([np.zeros((0, self.size)), *(self._columns[i] for i in nodes.tolist())])
+        while 24.0 * self.size * len(self._columns) > 2.0 * self.columns_bytes:
+            del self._columns[next(iter(self._columns))]
+        return out
 
     def forget(self) -> None:
         """Give back the memory of the columns; they are made again if they are asked for."""
-        for kept in (self._columns, self._whole, self._dense):
-            kept.clear()
-
-    def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
-        """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
-        self.make(nodes, whole=True)
-        return np.concatenate([self._whole[int(i)]
-                               for i in nodes]) if len(nodes) else np.zeros((0, self.size))
-
-    def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
-        """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N];
-        0 where held."""
-        self.make(pushed, whole=False)
-        rows = self._row_of[nodes]
-        out = np.empty((len(nodes), 3, len(pushed), 3))
-        for j, i in enumerate(pushed):
-            out[:, :, j, :] = self._columns[int(i)][rows]
-        return out.reshape(3 * len(nodes), 3 * len(pushed))
+        self._columns.clear()
+        self._dense.clear()
 
     def dense(self, device: str, *, exact: bool = True) -> torch.Tensor:
         """The inverse (3 n, 3 n) [m/N] on a GPU, 0 where held; made once and kept until the next body. Unless it is to
@@ -184,14 +179,18 @@ class RestFactor:
         if kept is None or (exact and kept.dtype != torch.float64):
             kept = self._inverse_on(device)
             short = kept if exact else kept.to(torch.float32)
-            if exact or trusted(self._held, lambda right: times(short, right), _loads(self)):
+            if exact or trusted(self._held, lambda right: _times(short, right), _loads(self)):
                 kept = short
             self._dense[device] = kept
             torch.cuda.empty_cache()  # for the other processes
         return kept
 
     def _inverse_on(self, device: str) -> torch.Tensor:
-        return dense_inverse(self._held, self.free, device)
+        out = _dense_inverse(self._held, self.free, device)
+        if self.coupling is not None:
+            answer = torch.as_tensor(self._gas[1], device=device)
+            out.addr_(answer, answer, alpha=-self._gas[2])
+        return out
 
     def stiffness_on(self, device: str) -> torch.Tensor:
         """The rest stiffness, supports not held, as a sparse matrix on a GPU."""
@@ -248,7 +247,7 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
         device: Warp device.
     """
     if device != "cpu" and factor.size <= DENSE:
-        return DenseResponse(factor.dense(device, exact=False), dof)
+        return _Dense(factor.dense(device, exact=False), dof)
     return _Sparse(factor, dof, device)
 
 
@@ -257,6 +256,68 @@ def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
     must be 0)."""
     out = torch.zeros((size, len(dof)), dtype=values.dtype, device=values.device)
     return out.scatter_add_(0, dof.clamp(min=0).T, values.T)
+
+
+def _dense_inverse(matrix: sp.coo_matrix, free: np.ndarray, device: str) -> torch.Tensor:
+    """The inverse (3 n, 3 n) [m/N] of a positive definite ``matrix`` (3 n, 3 n) [N/m], rows and columns 0 where a
+    degree of freedom is not ``free`` (3 n,).
+
+    The processes of a machine take turns: for a moment the matrix and its inverse are there, twice the memory that is
+    kept.
+    """
+    with FileLock(kernel_cache() / f"{device.replace(':', '')}.lock"):
+        left = torch.sparse_coo_tensor(np.stack([matrix.row, matrix.col]), matrix.data, matrix.shape, device=device,
+                                       check_invariants=False).to_dense().mT
+        torch.linalg.cholesky(left, out=left)  # in place: it is symmetric, and stored column after column
+        out = torch.cholesky_inverse(left)
+        del left
+        torch.cuda.empty_cache()  # for the other processes
+    mask = torch.as_tensor(free, device=device)
+    return out.mul_(mask).mul_(mask[:, None])
+
+
+def _times(inverse: torch.Tensor, right: np.ndarray) -> np.ndarray:
+    """The inverse (3 n, 3 n) [m/N] on a GPU times forces (3 n, k) [N] on the host."""
+    out = inverse @ torch.as_tensor(right, dtype=inverse.dtype, device=inverse.device)
+    return out.to(torch.float64).cpu().numpy()
+
+
+class _Dense:
+    """Products with the dense inverse (3 n, 3 n) [m/N] on a GPU; forces on patches multiply only the columns of all
+    patches, whose degrees of freedom are ``dof`` (B, 3 s), -1 at padding."""
+
+    took = 0.0
+    resident = True
+
+    def __init__(self, inverse: torch.Tensor, dof: torch.Tensor):
+        self._inverse, self._dof = inverse, dof
+        together = torch.unique(dof[dof >= 0])
+        self._columns = inverse[:, together].contiguous()
+        place = torch.zeros(len(inverse), dtype=torch.int64, device=dof.device)
+        place[together] = torch.arange(len(together), device=dof.device)
+        self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], 0)
+
+    def prepare(self, nodes: torch.Tensor) -> bool:
+        """All of the inverse is there."""
+        return False
+
+    def compliance(self) -> torch.Tensor:
+        """See `Response`."""
+        mask, index = (self._dof >= 0).to(torch.float64), self._dof.clamp(min=0)
+        table = self._inverse[index[:, :, None], index[:, None, :]].to(mask.dtype) * mask[:, :, None] * mask[:, None, :]
+        return 0.5 * (table + table.mT)
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        """See `Response`."""
+        return (self._inverse @ right.to(self._inverse.dtype)).to(right.dtype)
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """See `Response`."""
+        if not self._columns.shape[1]:  # no touch reaches anything
+            return torch.zeros((len(self._inverse), len(touches)), dtype=force.dtype, device=force.device)
+        pushed = self._columns.new_zeros((self._columns.shape[1], len(touches)))
+        pushed.scatter_add_(0, self._place[touches].T, force.to(pushed.dtype).T)
+        return (self._columns @ pushed).to(force.dtype)
 
 
 class _Sparse:
@@ -284,12 +345,13 @@ class _Sparse:
                 continue
             more, self._symmetric = True, None
             self._ready[b] |= asked
-            new, own = self._nodes[b][asked[:len(self._nodes[b])]], self._nodes[b]
+            own = self._nodes[b]
             at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
+            columns = torch.as_tensor(self._factor.columns(own[asked[:len(own)]]))
             if self._whole is not None:
-                self._whole[b, at] = torch.as_tensor(self._factor.whole_columns(new)).to(self._whole)
-            columns = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
-            self._compliance[b, :3 * len(own), at] = columns
+                self._whole[b, at] = columns.to(self._whole)
+            dof = torch.as_tensor((3 * own[:, None] + np.arange(3)).ravel())
+            self._compliance[b, at, :3 * len(own)] = columns[:, dof].to(self._compliance)
         return more
 
     def compliance(self) -> torch.Tensor:

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact import closest_point
+from vsfsim.physics.elements import closest_point
 
 
 class SurfaceDistance:

@@ -43,7 +43,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         contact: contact, evaluated at the present state.
         columns: touches (k,).
         residual: unbalanced forces (3 n, k) [N].
-        near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
+        near: whose contact stiffness has its geometric term (k,) bool, see `PointStiffness.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
         deadline: see `krylov`.

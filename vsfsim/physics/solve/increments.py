@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.body_samples import has_edges
+from vsfsim.physics.contact.body_samples import has_edges, inner_ball, inner_radius
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
@@ -22,14 +21,13 @@ _MOST_PIECES = 400  # pieces of one frame
 _ADVANCES, _SHORT = 50, 0.01  # most steps to the first pose that may touch; the shortest, of the whole way
 _RAYS = 200  # faces whose thickness is measured
 _DEEP = 0.2  # depth over the same radius from which on a path begins inside the object
-_SAMPLES = 4000  # random points for the inner radius
 
 
 def stride(bodies: RigidBodies, thickness: float, *, friction: bool = False) -> float:
     """Longest step of the bodies [m] against an object of this mean ``thickness`` [m] (see `mean_thickness`): a longer
     one would meet the other side of a wall as well."""
     part = _PART_EDGES if any(map(has_edges, bodies.shapes)) else _PART_FRICTION if friction else _PART
-    return min(thickness, part * min(_inner_ball(bodies, k)[0] for k in range(len(bodies))))
+    return min(thickness, part * min(map(inner_radius, bodies.shapes)))
 
 
 def mean_thickness(model: Model) -> float:
@@ -42,16 +40,6 @@ def mean_thickness(model: Model) -> float:
     if model.mesh.faces.shape[1] == 3:
         return min(model.mesh.edge() / 3.0, 0.75 * model.element_size)
     return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
-
-
-def _inner_ball(bodies: RigidBodies, k: int) -> tuple[float, np.ndarray]:
-    """Radius [m] of the largest ball inside body k, from samples, and its centre (3,) [m]; infinite for a plane."""
-    if isinstance(bodies.shapes[k], Plane):
-        return float("inf"), np.zeros(3)
-    cube = np.random.default_rng(0).uniform(-1.0, 1.0, (_SAMPLES, 3))
-    places = bodies.reach(k) * np.vstack([np.zeros((1, 3)), cube])
-    inside = -bodies.distance(k, places)
-    return float(inside.max()), places[inside.argmax()]
 
 
 def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, poses: np.ndarray,
@@ -190,7 +178,7 @@ def inside(bodies: RigidBodies, model: Model, pose: np.ndarray) -> np.ndarray:
     out, mesh = np.zeros(len(pose), bool), model.mesh
     surface, solid = mesh.points[mesh.surface_nodes()], mesh.faces.shape[1] == 6
     for k in range(len(bodies)):
-        inner, centre = _inner_ball(bodies, k)
+        inner, centre = inner_ball(bodies.shapes[k])
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
         if solid:  # of a thin wall both faces may lie in a large body that is barely in it
             deep = min(deep, mean_thickness(model))

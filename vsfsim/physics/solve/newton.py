@@ -144,7 +144,6 @@ class Equilibrium:
         # whose friction limit is not yet Coulomb's, and the measure at which it is renewed
         held = torch.full((len(columns),), has_friction, dtype=torch.bool, device=self.device)
         within = torch.full_like(state["measure"], self.contact.friction_updated_below)
-        renewed = torch.full_like(within, float("inf"))  # measure when the limit was renewed last
         renew = torch.ones_like(stuck)  # whose tangent must be recomputed
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
         # least measure since friction was renewed, and iterations in which it did not fall by a tenth
@@ -161,15 +160,15 @@ class Equilibrium:
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
             if has_friction and bool(ready.any()):
                 at = ready.nonzero()[:, 0]
-                follow = at[~apart[at] & (renewed[at] <= self.contact.follows_below)]
-                self.contact.coulomb[columns[follow]] = 1.0
+                if self.contact.follows:
+                    self.contact.coulomb[columns[at[~apart[at]]]] = 1.0
                 for key, value in self.renew_friction(columns[at]).items():
                     state[key][..., at] = value
                 present = state["measure"][at]
                 # in equilibrium under the renewed limit: done. If not, the measure must fall to a tenth before the
                 # limit is renewed again
                 held[at] = present > tolerance
-                within[at], renewed[at] = torch.minimum(0.1 * present, within[at]), present
+                within[at] = torch.minimum(0.1 * present, within[at])
                 stuck[at] &= ~(present > tolerance) | (present > 0.5)
                 renew[at] = True
                 least[at] = float("inf")

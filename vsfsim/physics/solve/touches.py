@@ -23,6 +23,7 @@ from vsfsim.physics import clock
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.intrusion import LOST
+from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import audit, increments, weight
@@ -30,15 +31,12 @@ from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_elasticity import LinearElasticity
-from vsfsim.physics.solve.mount import Mount
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.work_check import WorkCheck
 from vsfsim.physics.threads import torch_threads
 
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
-_NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
-_UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
-_GROWTHS, _GROWING = 10, 0.03  # solves of a step while the patch grows, cuts of its faces included; their tolerance
+_GROWTHS = 10  # solves of a step while the patch grows, cuts of its faces included
 
 
 class Known(NamedTuple):
@@ -144,9 +142,8 @@ class Solver:
             self._contact_force = balance.contact_force()
             if part is way[-1]:
                 break
-            measure = balance.evaluate(balance.every)["measure"] if balance.reason.any() else None
             contact.end_step(balance.every)
-            self._at = self._resume(self._at, part, begin, friction, measure)
+            self._at = self._resume(self._at, part, begin, friction)
             late = clock.now() > deadline
             if late:  # the next frame goes on from here
                 contact.move(pose, balance.every)
@@ -158,7 +155,7 @@ class Solver:
         if not late:
             contact.end_step(balance.every)
             balance.reason[:] = out["reason"]
-            self._at = self._resume(self._at, pose, begin, friction, state["measure"])
+            self._at = self._resume(self._at, pose, begin, friction)
         return out
 
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[Contact, np.ndarray]:
@@ -168,17 +165,12 @@ class Solver:
         contact, first, self._stride, self._inside = increments.begin(make, self.bodies, self.model, poses, start)
         return contact, first
 
-    def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any,
-                measure: torch.Tensor | None) -> np.ndarray:
+    def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any) -> np.ndarray:
         """The poses (B, K, 4, 4) from which the next step begins, each with its equilibrium: ``pose`` where one was
         found. The other touches return to ``before``, with the displacements ``begin`` (3 n, B) [m] and the state of
-        ``friction`` there: what follows a step that failed must not rest on it. A state that is nearly balanced, by its
-        ``measure`` (B,), is kept, if its path was; None if all have converged."""
+        ``friction`` there: what follows a step that failed must not rest on it."""
         balance, contact = self._balance, self.contact
         lost = np.flatnonzero(balance.reason != Reason.NONE)
-        if len(lost) and measure is not None:
-            near = (measure.cpu().numpy() < _NEARLY) & np.isin(balance.reason, _UNFINISHED) & ~self._broken
-            lost = lost[~near[lost]]
         if len(lost):
             at = torch.as_tensor(lost, device=self.device)
             pose = pose.copy()
@@ -215,8 +207,6 @@ class Solver:
         displacements (3 n, B) [m] and the state of friction that it began with."""
         balance, contact = self._balance, self.contact
         begin, friction = balance.u.clone(), contact.friction_state()
-        self._touched = (contact.gather(self._contact_force) != 0.0).any(dim=1)
-        self._broken = np.zeros(len(balance.every), bool)  # whose path has a step without an equilibrium
         self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
         return begin, friction
 
@@ -271,7 +261,6 @@ class Solver:
         # friction remembers a step that failed, a body that snapped does not come back: what follows is not the path
         reason = balance.reason[host]
         ends = (reason != Reason.NONE) & contact.has_friction | (reason == Reason.SNAPPED)
-        self._broken[host[ends]] = True
         failed, host = failed[torch.as_tensor(~ends, device=self.device)], host[~ends]
         if not len(host):
             contact.move(pose, balance.every)
@@ -283,9 +272,9 @@ class Solver:
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        aim, host = balance.options.tolerance, columns.cpu().numpy()
+        host = columns.cpu().numpy()
         for _ in range(_GROWTHS):
-            balance.solve(columns, state, aim, deadline)
+            balance.solve(columns, state, balance.options.tolerance, deadline)
             lost = columns[~torch.isfinite(state["measure"])]
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
@@ -293,7 +282,7 @@ class Solver:
             if clock.now() > deadline:  # no time to look where the bodies are
                 balance.reason[host] = Reason.TIME
                 return
-            grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
+            grown = contact.extend_patch(columns, pose, balance.u)
             intruded = columns[contact.intruded(columns)]
             if grown:
                 # the new points feel a body that lies a little inside; not one that the object has closed around
@@ -301,10 +290,7 @@ class Solver:
                 balance.u[:, closed] = begin[:, closed]
                 state = balance.evaluate(columns)
             balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
-            loose = aim > balance.options.tolerance and not balance.reason[host].all()
-            # a nearly incompressible body takes ten to twenty iterations to an equilibrium that the next points change
-            aim = max(balance.options.tolerance, _GROWING if grown and self.model.keeps_volume else 0.0)
-            if not grown and not loose:
+            if not grown:
                 at = intruded.cpu().numpy()
                 balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
                 return

@@ -25,8 +25,9 @@ from typing import Any
 
 import warp as wp
 
-from vsfsim.physics.contact import closest_point, friction
+from vsfsim.physics.contact import friction
 from vsfsim.physics.contact.rigid_kernels import FACING
+from vsfsim.physics.elements import closest_point
 from vsfsim.physics.runtime import mat33, real, vec3
 
 CANDIDATES = 12
@@ -56,7 +57,7 @@ def kernels() -> Any:
         faces: wp.array3d(dtype=wp.int32)  # (B, F, corners)
         count: wp.array(dtype=wp.int32)  # faces in use (B,)
         smooth: wp.array3d(dtype=vec3)  # blended normals at the corners of the faces (B, F, corners) [-]
-        softening: wp.array(dtype=real)  # (B,), as in `interface`
+        softening: wp.array(dtype=real)  # (B,), see `rigid_contact`
         candidates: wp.array3d(dtype=wp.int32)  # faces that each node may meet (B, Q, CANDIDATES); -1 is padding
         # memory of friction, and its iteration in a step, see `friction`
         anchored: wp.array2d(dtype=wp.int32)
@@ -157,22 +158,6 @@ def kernels() -> Any:
                     s.candidates[b, q, at] = face
                     if held == most:
                         worst = far_of[most - 1]
-
-    @wp.kernel(module=module, enable_backward=False)
-    def mark(s: Side, columns: wp.array(dtype=wp.int32), near_out: wp.array2d(dtype=wp.int32)):
-        # nodes that may take part in this step; all threads write the same value
-        q, k = wp.tid()
-        b = columns[k]
-        if s.candidates[b, q, 0] >= 0 or s.anchored[b, q] > 0:
-            near_out[b, s.first + q] = 1
-            for c in range(most):
-                face = s.candidates[b, q, c]
-                if face >= 0:
-                    for i in range(s.corners):
-                        near_out[b, s.faces[b, face, i]] = 1
-            if s.anchored[b, q] > 0:
-                for i in range(s.corners):
-                    near_out[b, s.faces[b, s.anchor_face[b, q], i]] = 1
 
     @wp.kernel(module=module, enable_backward=False)
     def evaluate(s: Side, columns: wp.array(dtype=wp.int32), stick: real, x_in: wp.array2d(dtype=vec3)):
@@ -305,5 +290,5 @@ def kernels() -> Any:
                         d = friction.tangential(x_in[b, s.first + q] - at, m)
                         way = wp.max(wp.length(d), real(1e-15))
 
-    return SimpleNamespace(search=search, mark=mark, evaluate=evaluate, update_friction=update_friction,
+    return SimpleNamespace(search=search, evaluate=evaluate, update_friction=update_friction,
                            end_step=end_step, Side=Side, vec3=vec3, vec6=vec6, mat33=mat33)

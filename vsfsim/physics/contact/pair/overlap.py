@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.intrusion import Enclosure, rim_disk
 from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.elements import closest_point
 from vsfsim.physics.model import Model
 
 _DEEP = 0.1  # that depth over the smaller of both element sizes

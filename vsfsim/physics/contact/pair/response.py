@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from vsfsim.physics.contact.pair.links import Compliance
-from vsfsim.physics.contact.pair.surfaces import PairPatch, PairSurfaces
+from vsfsim.physics.contact.pair.surfaces import PairSurfaces
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
-_TABLE = 1500  # unknowns of a sensor up to which its whole inverse responds faster on a CPU than its factor
 SENSOR_NODES = 3000
 """Largest number of nodes m of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles."""
 
@@ -28,12 +26,10 @@ class PairResponse:
 
     def __init__(self, model: Model, sensor: Model, surfaces: PairSurfaces):
         self.device, self.sensor, self._surfaces = surfaces.device, sensor, surfaces
-        self._rows = 3 * len(model.mesh.points)
+        self._rows, self._split = 3 * len(model.mesh.points), 3 * surfaces.width
         inverse = sensor.factor.solve(np.diag(sensor.free))
         self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=self.device)
-        self._sensor_single = self._sensor_compliance.to(torch.float32)
-        dof = surfaces.dof[:, :surfaces.width].reshape(surfaces.batch, -1)
-        self._object: Response = response(model.preconditioner, dof, device=self.device)
+        self._object: Response = response(model.preconditioner, surfaces.dof[:, :self._split], device=self.device)
         self._object_compliance = self._object.compliance()
 
     @property
@@ -41,51 +37,34 @@ class PairResponse:
         """Time of the object's last `Response.solve` [s]."""
         return self._object.took
 
-    @property
-    def _patch(self) -> PairPatch:
-        return self._surfaces.patch
-
-    def compliance(self) -> Compliance:
-        """Compliance of the present patches."""
-        surfaces, patch = self._surfaces, self._patch
-        if self._object.prepare(surfaces.near[:, :surfaces.width] > 0):
+    def between(self, columns: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Compliance (k, 3 m, 3 m) [m/N] of both bodies between some of the surface nodes (k, m) of the touches
+        ``columns`` (k,); 0 where held or padded."""
+        split, batch = self._split, self._surfaces.batch
+        asked = torch.zeros((batch, self._surfaces.mask.shape[1] // 3), dtype=torch.bool, device=self.device)
+        asked[columns] = torch.zeros_like(asked[columns]).scatter_(1, nodes, True)
+        if self._object.prepare(asked[:, :split // 3]):
             self._object_compliance = self._object.compliance()
-        split, free = 3 * patch.split, patch.free
-        rows = torch.arange(surfaces.batch, device=self.device)[:, None, None]
-        a, c = patch.on_object, patch.on_sensor
-        on_object = self._object_compliance[rows, a[:, :, None], a[:, None, :]]
-        on_sensor = self._sensor_compliance[c[:, :, None], c[:, None, :]]
-        return Compliance(on_object * free[:, :split, None] * free[:, None, :split],
-                          on_sensor * free[:, split:, None] * free[:, None, split:])
+        dof = (3 * nodes[:, :, None] + torch.arange(3, device=self.device)).flatten(1)
+        free, on_sensor = self._surfaces.free[columns].gather(1, dof), (dof >= split).to(torch.float64)
+        mine, theirs = dof.clamp(max=split - 1), (dof - split).clamp(min=0)
+        out = torch.zeros((*dof.shape, dof.shape[1]), dtype=torch.float64, device=self.device)
+        for part, table in ((free * (1.0 - on_sensor), self._object_compliance[
+                columns[:, None, None], mine[:, :, None], mine[:, None]]), (
+                free * on_sensor, self._sensor_compliance[theirs[:, :, None], theirs[:, None]])):
+            out += part[:, :, None] * part[:, None] * table
+        return out
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 N, k) [m] under forces (3 N, k) [N] that are 0 where held."""
         return torch.cat([self._object.solve(right[:self._rows].contiguous()), self._sensor_solve(right[self._rows:])])
 
     def _sensor_solve(self, right: torch.Tensor) -> torch.Tensor:
-        if self.device == "cpu" and len(right) > _TABLE:
-            return torch.as_tensor(self.sensor.factor.solve(right.contiguous().numpy()))
         if self.device == "cpu":
-            # in single precision there are half the bytes to read, and the iterations correct the result
-            return (self._sensor_single @ right.to(torch.float32)).to(right.dtype)
+            return torch.as_tensor(self.sensor.factor.apply(right.contiguous().numpy()))
         return self._sensor_compliance @ right
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
-        patch = self._patch
-        split = 3 * patch.split
-        force = force * patch.mask[touches]
-        on_object = torch.zeros((len(touches), 3 * self._surfaces.width), dtype=force.dtype, device=self.device)
-        on_object.scatter_add_(1, patch.on_object[touches], force[:, :split])
-        return torch.cat([self._object.patch(touches, on_object),
-                          self._sensor_patch(patch.on_sensor[touches], force[:, split:])])
-
-    def _sensor_patch(self, at: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """The sensor's part of `patch`, for forces (k, 3 c) [N] on its degrees of freedom ``at`` (k, 3 c)."""
-        if self.device == "cpu" and len(self._sensor_single) <= _TABLE:
-            # as `_sensor_solve`, and only the rows of the patch are read
-            single = force.to(torch.float32)
-            return torch.stack([f @ self._sensor_single[rows] for f, rows in zip(single, at, strict=True)],
-                               dim=1).to(force.dtype)
-        whole = torch.zeros((len(at), len(self._sensor_compliance)), dtype=force.dtype, device=self.device)
-        return self._sensor_solve(whole.scatter_add_(1, at, force).T)
+        """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the surface nodes of ``touches`` (k,)."""
+        return torch.cat([self._object.patch(touches, force[:, :self._split]),
+                          self._sensor_solve(force[:, self._split:].T)])

@@ -18,16 +18,18 @@ from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 
 from vsfsim.physics.contact.stiffness_block import SparseStiffness
-from vsfsim.physics.solve.mount_kernels import kernels
 
 BALANCED = 1e-3
 """Difference between the contact's force and the spring's, over the force, at which a frame is in equilibrium [-]."""
 TRIALS = 40
 """Places of the probe that are tried for one state of the object; two to four are usual."""
-_ASKED = 2  # trials after which the device is asked whether all are in balance
+# difference between the contact's force and the spring's, over the force, that ends the search: what is left must not
+# show in differences of potentials
+_EXACT = 1e-7
+_FAR = 0.5  # of it over the spring's force: from here on the force goes with the square of the depth
+_TOUCH = 1e-7  # how far the probe goes in past its first contact [m]
 _FOLLOWED = 2e-4  # change of w over w after which the local indentation is that of another place
 
 
@@ -53,16 +55,11 @@ class Springs:
     """w of each touch (B,) [m]."""
     excess: torch.Tensor
     """Force of the contact over that of the spring at the last evaluation (B,) [N]."""
-    pressed: tuple[torch.Tensor, torch.Tensor]
-    """Directions of the presses (B, 3) [-], and 1 for each touch whose contact is evaluated, 0 for one in balance (B,)
-    int32."""
 
     def __init__(self, mount: Mount, device: str):
         self.stiffness = mount.stiffness
         self.axis = torch.as_tensor(np.asarray(mount.axis, float), device=device)
-        self.give, self.excess, low, high = (self.axis.new_zeros(len(self.axis)) for _ in range(4))
-        self.pressed = self.axis, torch.ones_like(self.give, dtype=torch.int32)
-        self._state = [wp.from_torch(t) for t in (self.pressed[1], self.give, self.excess, low, high)]
+        self.give, self.excess = (self.axis.new_zeros(len(self.axis)) for _ in range(2))
         self._seen = self.give.clone()  # where the bodies were when the local indentation was set
 
     def placed(self, origin: torch.Tensor) -> torch.Tensor:
@@ -88,30 +85,40 @@ class Springs:
         e = self.axis.repeat(1, compliance.shape[1] // 3)
         return compliance + e[:, :, None] * e[:, None, :] / self.stiffness
 
-    def place(self, columns: torch.Tensor, mounts: wp.array, points: Any) -> None:
-        """Put the bodies of the touches ``columns`` (k,) int32, whose mounts are at ``mounts`` (B, K) [m], where the
-        springs let them. ``points``: of the contact, see `rigid_kernels`."""
-        wp.launch(kernels().place, dim=len(columns), device=mounts.device, inputs=[
-            wp.from_torch(columns), points.press, mounts, *self._state, points.origin])
-
-    def settle(self, evaluate: Callable[[], None], columns: torch.Tensor, mounts: wp.array, points: Any) -> None:
-        """Bring the springs of the touches ``columns`` into balance; ``evaluate`` renews the contact of those that are
-        not. The arguments are those of `place`.
+    def settle(self, columns: torch.Tensor, look: Callable[[torch.Tensor], tuple[torch.Tensor, ...]]) -> None:
+        """Bring the springs of the touches ``columns`` (k,) into balance.
 
         Newton's method in a bracket, with the slope of the contact points. Far from the root the force goes with the
-        square of the depth, as under a ball; a probe that has lost contact goes in by its gap. Touches settle on the
-        device, which is asked for them after every few steps.
-        """
-        index = wp.from_torch(columns)
-        for trial in range(TRIALS):
-            evaluate()
-            wp.launch(kernels().settle, dim=len(columns), device=mounts.device, inputs=[
-                index, points.press, self.stiffness, int(trial == TRIALS - 1), mounts, points.pressed, *self._state,
-                points.origin])
-            if trial % _ASKED == _ASKED - 1 and not bool(self.pressed[1][columns].any()):
-                return
+        square of the depth, as under a ball; a probe that has lost contact goes in by its gap.
 
-    def _slope(self, own: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        Args:
+            columns: see above.
+            look: evaluates the contact of some touches (j,) where their springs let the bodies, and returns its forces
+                [N] and stiffness [N/m] along the presses, and its least gaps [m], (j,) each.
+        """
+        low, high = torch.full_like(self.give, -torch.inf), torch.full_like(self.give, torch.inf)
+        for trial in range(TRIALS):
+            give, (pull, slope, gap) = self.give[columns], look(columns)
+            spring = self.stiffness * give
+            self.excess[columns] = excess = pull - spring
+            off = excess.abs() > _EXACT * torch.maximum(pull.abs(), spring.abs())
+            if trial == TRIALS - 1 or not bool(off.any()):
+                return
+            columns, give, pull, slope, gap, spring, excess = (
+                t[off] for t in (columns, give, pull, slope, gap, spring, excess))
+            low[columns] = torch.where(excess > 0.0, give, low[columns])
+            high[columns] = torch.where(excess < 0.0, give, high[columns])
+            far = (excess.abs() > _FAR * spring.abs()) & (pull > 0.0)
+            both, square = slope + self.stiffness, torch.where(far, slope**2 / pull, 0.0)
+            new = give + 2.0 * excess / (both + (both**2 - square * excess).clamp(min=0.0).sqrt())
+            new = torch.where(gap >= 0.0, (give - gap - _TOUCH).clamp(min=0.0), new)
+            middle = 0.5 * (low[columns] + high[columns])
+            within = (new > low[columns]) & (new < high[columns])
+            self.give[columns] = torch.where(within | ~middle.isfinite(), new, middle)
+
+    def slope(self, own: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """Stiffness along the presses of ``columns`` (k,) of points with the stiffness ``own`` (k, q, 3, 3): (k,)
+        [N/m]."""
         axis = self.axis[columns][:, None, :, None]
         return (axis.mT @ own @ axis)[..., 0, 0].sum(dim=1)
 
@@ -119,7 +126,7 @@ class Springs:
                columns: torch.Tensor) -> YieldingStiffness:
         """The stiffness of the patches with the mounts, from that without; ``toward`` and ``back`` are C e and C^T e
         (k, 3 s) [N/m], ``own`` the stiffness of the points (k, q, 3, 3) [N/m]."""
-        return YieldingStiffness(stiffness, toward / (self.stiffness + self._slope(own, columns))[:, None], back)
+        return YieldingStiffness(stiffness, toward / (self.stiffness + self.slope(own, columns))[:, None], back)
 
     def moved_on(self) -> bool:
         """Whether the bodies are elsewhere than where the local indentation was set."""
