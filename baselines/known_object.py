@@ -76,7 +76,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
         try:
             return stiffness_pose(_known(_hashable(vertices, float), _hashable(triangles, np.int64)), points, stiffness,
                                   threshold=COVER_FACTOR * float(np.median(stiffness)) if len(stiffness) else 0.0,
-                                  refine=0, outside=False, seed=settings.seed).transform
+                                  seed=settings.seed).transform
         except VsfError:
             return upright
     top = float(np.quantile(cloud[:, 2], 0.9)) - settings.cover

@@ -18,10 +18,10 @@ import pytest
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
 from vsfsim.data import writer as writer_module
-from vsfsim.data.checks.same import compare
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats.export import export
 from vsfsim.data.recipe import Recipe
+from vsfsim.data.same import compare
 from vsfsim.data.summary import summary
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter

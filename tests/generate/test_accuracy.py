@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene import parse_scene
-from vsfsim.data.checks.kept import audit_error, broken, observed
+from vsfsim.data.kept import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
 from vsfsim.generate.trade import buy

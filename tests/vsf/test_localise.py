@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.pose.localise import KnownObject, contact_pose, register, stiffness_pose
+from vsfsim.vsf.pose.localise import KnownObject, register, stiffness_pose
 
 
 def box(low, high):
@@ -63,35 +63,14 @@ def test_registration_recovers_a_rigid_motion(trial_seed):
     assert shift < 0.002 and turn < 0.06
 
 
-@pytest.mark.parametrize("angle", [0.3, -1.7, pytest.param(2.5, marks=pytest.mark.slow)])
-def test_a_buried_object_is_found(angle, trial_seed):
-    known = KnownObject.of(*wedge())
-    truth = pose(angle, [0.01, -0.015, 0.0])
-    points, stiffness = buried(known, truth, noise=0.3, seed=trial_seed)
-    found = stiffness_pose(known, points, stiffness, threshold=100.0, tries=8, seed=trial_seed)
-    shift, turn = pose_errors(found.transform, truth)
-    print(f"errors: {1000 * shift:.2f} mm, {turn:.4f} rad")
-    assert shift < 0.006 and turn < 0.15, (shift, turn)
-    # The loss separates poses: it is far lower than that of the same object turned by half a turn.
-    wrong = truth @ pose(np.pi, [0, 0, 0])
-    inside = known.contains((points - wrong[:3, 3]) @ wrong[:3, :3])
-    missed = np.count_nonzero((stiffness > 100.0) & ~inside)
-    assert found.loss < 0.5 * float(np.maximum(100.0 - stiffness, 0.0)[inside].sum() + 100.0 * missed)
-
-
 def test_the_literal_loss_is_that_of_equation_7():
     known = KnownObject.of(*wedge())
     truth = pose(0.3, [0.01, -0.015, 0.0])
     points, stiffness = buried(known, truth, noise=0.3)
-    found = stiffness_pose(known, points, stiffness, threshold=100.0, tries=4, refine=0, outside=False)
+    found = stiffness_pose(known, points, stiffness, threshold=100.0, tries=4)
     at = found.transform
     inside = known.contains((points - at[:3, 3]) @ at[:3, :3])
     assert 0 < inside.sum() and found.loss == pytest.approx(np.maximum(100.0 - stiffness, 0.0)[inside].sum())
-    ours = stiffness_pose(known, points, stiffness, threshold=100.0, tries=4, refine=0)
-    at = ours.transform
-    inside = known.contains((points - at[:3, 3]) @ at[:3, :3])
-    missed = np.count_nonzero((stiffness > 100.0) & ~inside)
-    assert missed and ours.loss == pytest.approx(np.maximum(100.0 - stiffness, 0.0)[inside].sum() + 100.0 * missed)
 
 
 def test_errors_by_hand_and_refusals():
@@ -100,8 +79,6 @@ def test_errors_by_hand_and_refusals():
     known = KnownObject.of(*wedge())
     with pytest.raises(VsfError, match=r"lower the threshold .the stiffest has 3"):
         stiffness_pose(known, np.zeros((50, 3)), np.full(50, 3.0), threshold=10.0)
-    with pytest.raises(VsfError, match="4 contact points are too few"):
-        contact_pose(known, np.zeros((4, 3)))
     with pytest.raises(VsfError, match="not closed"):
         KnownObject.of(wedge()[0], wedge()[1][:-1])
     with pytest.raises(VsfError, match="no triangle"):

@@ -24,7 +24,7 @@ def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder
     Hashes, schema, finite numbers, force balance. Exit code 2 if anything is wrong, with what to do about it.
     """
     if against is not None:
-        from vsfsim.data.checks.same import compare
+        from vsfsim.data.same import compare
 
         with Progress("verify") as progress:
             alike = compare(folder, against, progress)

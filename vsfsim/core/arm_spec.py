@@ -1,4 +1,4 @@
-"""``[arm]``: which arm touches, where it stands, and how its torques come about."""
+"""``[arm]``: the arm that touches: where it stands, and how it goes about it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vsfsim.core.table import flag, number, vector, word
 
 @dataclass(frozen=True)
 class ArmSpec:
-    """``[arm]``: which arm touches, where it stands, and how its torques arise."""
+    """``[arm]``: the arm that touches: where it stands, and how it goes about it."""
 
     model: str = word("gen3")
     """The one arm that there is."""
@@ -20,10 +20,8 @@ class ArmSpec:
     """Of its foot (3,) [m]."""
     yaw: float = number(0.0, -2 * math.pi, 2 * math.pi, "rad")
     """Rotation about +z [rad]."""
-    mode: str = word("kinematic", "dynamic")
-    """"kinematic" (J^T f) or "dynamic" (simulated controller and sensors)."""
-    drive: str = word("position", "impedance")
-    """Of the dynamic mode: position control or impedance."""
+    mode: str = word("kinematic")
+    """Its torques are J^T f."""
     clearance: float = number(0.01, 0.0, 0.2, "m")
     """Least gap to the plant at the start of a touch, and to its pot all the way [m]."""
     at_limit: str = word("end", "return")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import operator
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +15,7 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.system.interactive import html_table
-from vsfsim.data.disk import file_sha256
-from vsfsim.data.fetched import fetch, fetch_manifest
+from vsfsim.data.disk import file_sha256, write_atomic
 from vsfsim.data.hdf5 import CLOSE_IT, in_use, read_picture, read_shown, read_view
 from vsfsim.data.manifest import (
     MANIFEST,
@@ -28,7 +29,7 @@ from vsfsim.data.manifest import (
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_file
-from vsfsim.data.store import is_url
+from vsfsim.data.store import is_url, open_store
 
 if TYPE_CHECKING:
     from vsfsim.data.torch_view import TorchView
@@ -66,13 +67,13 @@ class Dataset:
     def open(cls, path: str | Path, *, blind: bool = False, progress: Progress | None = None) -> Dataset:
         """Open the dataset in folder ``path``, or at an address of an object store. Only dataset.json is read now.
 
-        Files of an object store are fetched one by one when they are read, into `fetched_folder`.
+        Files of an object store are fetched one by one when they are read, into $VSFSIM_FETCHED or the user's cache.
 
         Raises:
             DatasetError: no dataset there, an unfinished or a damaged one, or one of another schema version.
         """
         origin = str(path) if is_url(path) else ""
-        path = fetch_manifest(origin) if origin else Path(path)
+        path = _fetched_manifest(origin) if origin else Path(path)
         manifest = path / MANIFEST
         if not manifest.is_file():
             if (path / PART_MANIFEST).is_file():
@@ -163,7 +164,12 @@ class Dataset:
             if entry.name == name:
                 path = self.path / entry.file
                 if self.origin and not path.is_file():
-                    fetch(self.origin, entry.file, path)
+                    content = open_store(self.origin).get(entry.file)
+                    if content is None:
+                        raise DatasetError(f"{self.origin}/{entry.file} does not exist. Run the same `vsfsim generate` "
+                                           f"again; it makes only what is missing.")
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    write_atomic(path, content)
                 check_file(path, self.path)
                 if busy := in_use(path):
                     raise DatasetError(f"{path} {busy} {CLOSE_IT}")
@@ -261,3 +267,18 @@ def load(folder: str | Path, *, blind: bool = False) -> Dataset:
         DatasetError: no dataset there, an unfinished or a damaged one, or one of another schema version.
     """
     return Dataset.open(folder, blind=blind)
+
+
+def _fetched_manifest(origin: str) -> Path:
+    """Copy dataset.json of an object store into the folder that its content names, which is returned."""
+    store = open_store(origin)
+    content = store.get(MANIFEST)
+    if content is None:
+        unfinished = store.get(PART_MANIFEST) is not None
+        raise DatasetError(f"the dataset at {origin} is unfinished. Run `vsfsim generate --finish` when all shards are "
+                           f"done." if unfinished else f"{origin} holds no dataset (there is no {MANIFEST}).")
+    root = Path(os.environ.get("VSFSIM_FETCHED") or Path.home() / ".cache" / "vsfsim" / "fetched")
+    path = root / hashlib.sha256(content).hexdigest()[:32]
+    path.mkdir(parents=True, exist_ok=True)
+    write_atomic(path / MANIFEST, content)
+    return path

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import from_json, plain
-from vsfsim.data.checks.kept import audit_errors
 from vsfsim.data.hdf5 import encode_view
+from vsfsim.data.kept import audit_errors
 from vsfsim.data.manifest import Entry, file_name
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView

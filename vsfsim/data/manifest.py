@@ -13,7 +13,7 @@ from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import from_json, plain
-from vsfsim.data.checks.kept import observed
+from vsfsim.data.kept import observed
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.safety import check_name, whole_number
 from vsfsim.data.schema import SCHEMA_VERSION
@@ -56,7 +56,7 @@ class Entry:
     made_on: str = ""
     """The kind of CPU, or of GPU and CPU, that made it; "" in a dataset of a version that did not say."""
     audits: tuple[float, ...] = ()
-    """Errors of its touches that were solved again one level finer, see `vsfsim.data.checks.kept` [-]."""
+    """Errors of its touches that were solved again one level finer, see `vsfsim.data.kept` [-]."""
 
     def table(self) -> dict[str, Any]:
         """As JSON values."""

@@ -6,6 +6,7 @@ object file of this package does none of that.
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -108,19 +109,12 @@ def _size(item: h5py.Dataset, spot: str) -> int:
         raise DatasetError(f"{spot} is packed with filter {min(filters - _FILTERS)}; gzip and shuffle are allowed.")
     if shape is None:
         raise DatasetError(f"{spot} is empty.")
-    size = dtype.itemsize * _product(shape)
-    chunk = dtype.itemsize * _product(settings.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
+    size = dtype.itemsize * math.prod(map(int, shape))
+    chunk = dtype.itemsize * math.prod(map(int, settings.get_chunk())) if layout == h5py.h5d.CHUNKED else 0
     if size > LARGEST_FIELD or chunk > LARGEST_CHUNK:
         raise DatasetError(f"{spot} has shape {shape}, {size / 1e6:.0f} MB; a field has at most "
                            f"{LARGEST_FIELD / 1e6:.0f} MB, and a chunk {LARGEST_CHUNK / 1e6:.0f} MB.")
     return size
-
-
-def _product(shape: tuple[int, ...]) -> int:
-    out = 1
-    for n in shape:
-        out *= int(n)
-    return out
 
 
 def _check_attributes(item: h5py.Group | h5py.Dataset, spot: str) -> None:

@@ -9,69 +9,35 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.extras import missing_package
 from vsfsim.data.disk import own_number, write_atomic
 
 
-class Store(Protocol):
-    """The files of one dataset, by names with "/" between folders."""
+class Store:
+    """The files of one dataset, by names with "/" between folders, in a folder of this machine or one that several
+    machines share.
+
+    Raises:
+        DatasetError: of all operations; a file cannot be written or read.
+    """
 
     where: str
     """Path of the folder, or the address."""
-
-    def put(self, name: str, content: bytes) -> None:
-        """Write a file, so that a reader sees the old one or the new one whole.
-
-        Raises:
-            DatasetError: it cannot be written.
-        """
-        ...
-
-    def put_new(self, name: str, content: bytes) -> bool:
-        """Write a file if there is none of that name; returns whether this call has written it.
-
-        Raises:
-            DatasetError: it cannot be written.
-        """
-        ...
-
-    def get(self, name: str) -> bytes | None:
-        """The content of a file, None if it is not there.
-
-        Raises:
-            DatasetError: it cannot be read.
-        """
-        ...
-
-    def sizes(self, folder: str = "") -> dict[str, int]:
-        """Sizes [byte] of the files of one folder by their names in it; {} if it is not there.
-
-        Raises:
-            DatasetError: it cannot be read.
-        """
-        ...
-
-    def remove(self, name: str) -> None:
-        """Remove a file, if it is there."""
-        ...
-
-
-class FolderStore:
-    """A folder of this machine, or one that several machines share."""
 
     def __init__(self, path: Path):
         self.where, self._path = str(path), path
 
     def put(self, name: str, content: bytes) -> None:
-        """See `Store.put`."""
+        """Write a file, so that a reader sees the old one or the new one whole."""
         self._folder(name)
         write_atomic(self._path / name, content)
 
     def put_new(self, name: str, content: bytes) -> bool:
-        """See `Store.put_new`; a hard link fails if the name is taken, also between machines that share the folder."""
+        """Write a file if there is none of that name; returns whether this call has written it."""
+        # a hard link fails if the name is taken, also between machines that share the folder
         self._folder(name)
         path = self._path / name
         whole = path.with_name(f"{path.name}.{own_number()}.new")
@@ -90,7 +56,7 @@ class FolderStore:
             whole.unlink(missing_ok=True)
 
     def get(self, name: str) -> bytes | None:
-        """See `Store.get`."""
+        """The content of a file, None if it is not there."""
         try:
             return (self._path / name).read_bytes()
         except FileNotFoundError:
@@ -99,7 +65,7 @@ class FolderStore:
             raise DatasetError(f"{self._path / name} cannot be read: {error.strerror}.") from error
 
     def sizes(self, folder: str = "") -> dict[str, int]:
-        """See `Store.sizes`."""
+        """Sizes [byte] of the files of one folder by their names in it; {} if it is not there."""
         try:
             with os.scandir(self._path / folder) as items:
                 return {item.name: item.stat().st_size for item in items if item.is_file()}
@@ -109,7 +75,7 @@ class FolderStore:
             raise DatasetError(f"{self._path / folder} cannot be read: {error.strerror}.") from error
 
     def remove(self, name: str) -> None:
-        """See `Store.remove`."""
+        """Remove a file, if it is there."""
         (self._path / name).unlink(missing_ok=True)
 
     def _folder(self, name: str) -> None:
@@ -121,7 +87,7 @@ class FolderStore:
                                    f"another --out.") from error
 
 
-class UrlStore:
+class UrlStore(Store):
     """An object store that fsspec reaches, e.g. s3://bucket/folder."""
 
     def __init__(self, url: str):
@@ -194,4 +160,4 @@ def open_store(where: str | Path) -> Store:
     Raises:
         DatasetError: no installed package can use such an address. MissingPackage: fsspec is not installed.
     """
-    return UrlStore(str(where)) if is_url(where) else FolderStore(Path(where))
+    return UrlStore(str(where)) if is_url(where) else Store(Path(where))

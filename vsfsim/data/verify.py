@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.checks.kept import audit_errors, broken, observed
 from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, further_fields, in_use, read_array, read_view
+from vsfsim.data.kept import audit_errors, broken, observed
 from vsfsim.data.manifest import CARD, MANIFEST, Entry
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.safety import check_tree
@@ -74,7 +74,7 @@ class Report:
     worst_balance: float = 0.0
     """Largest force imbalance of a converged frame with contact [-]."""
     accuracy: Mapping[str, Any] | None = None
-    """Asked, chosen, expected and observed, see `vsfsim.data.checks.kept`; None of a dataset that promises none."""
+    """Asked, chosen, expected and observed, see `vsfsim.data.kept`; None of a dataset that promises none."""
 
     @property
     def ok(self) -> bool:

@@ -32,7 +32,7 @@ from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_name
 from vsfsim.data.schema import SCHEMA_VERSION
-from vsfsim.data.store import FolderStore, is_url, open_store
+from vsfsim.data.store import is_url, open_store
 
 _OUR_PART = re.compile(r"\.(h5|json|md)(\.\d+\.(part|new))+$")
 """Files that `write_atomic` left when it was killed; nothing else is ever removed from a folder."""
@@ -280,7 +280,7 @@ class DatasetWriter:
     def _take_lock(self) -> FileLock | None:
         """A lock on a file of the folder: the system lets go of it when we die, so a stale lock cannot outlive its
         process. Shards have one each; the owner refuses to begin beside them."""
-        if not isinstance(self.store, FolderStore) or self.path is None:
+        if self.path is None:
             return None
         path = self.path / self._lock_name
         try:

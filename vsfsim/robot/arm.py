@@ -6,22 +6,26 @@ The capsules are rigid bodies for `vsfsim.physics.solve.touches.Solver(model, ar
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vsfsim.core.chain import Chain, ChainCapsule, capsule_pose
-from vsfsim.core.errors import did_you_mean
+from vsfsim.core.errors import VsfsimError, did_you_mean
 from vsfsim.core.shape import Capsule
 from vsfsim.core.system.exact import product
 from vsfsim.robot import gen3
-from vsfsim.robot.mujoco_model import ArmError, JointParameters, add_punyo, arm_model, quaternion
 
 if TYPE_CHECKING:
     import mujoco
 
 TOOLS = ("flange", "punyo")
 _EYE = np.eye(4)
+
+
+class ArmError(VsfsimError):
+    """A request that the arm cannot fulfil."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +49,11 @@ class Arm:
         punyo: whether it carries a Punyo.
         tool: what `Postures.tool` follows, one of `TOOLS`; by default the Punyo, without one the flange.
         base: pose of the base in the world (4, 4) [m], by default the origin.
-        joints: friction and inertia of the joints.
 
     Raises:
         ArmError: the tool is unknown, or "punyo" without one; or the base is not a pose.
     """
 
-    joints: JointParameters
-    """Friction and inertia of the joints."""
     punyo: bool
     """Whether the arm carries a Punyo."""
     tool: str
@@ -86,18 +87,16 @@ class Arm:
     reach: float
     """Upper bound on the distance from joint 2 to the tool [m]."""
 
-    def __init__(self, *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None,
-                 joints: JointParameters | None = None):
+    def __init__(self, *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None):
         import mujoco
 
-        self.joints = joints or JointParameters()
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
         if self.tool not in TOOLS:
             raise ArmError(f"unknown tool '{self.tool}'. {did_you_mean(self.tool, TOOLS)}")
         if self.tool == "punyo" and not punyo:
             raise ArmError("the tool is 'punyo', but the arm carries none; make it with punyo=True, or use the "
                            "tool 'flange'.")
-        spec = arm_model(self.joints)
+        spec = arm_model()
         if punyo:
             add_punyo(spec)
         self.base = _checked_base(base)
@@ -216,3 +215,71 @@ def _checked_base(base: np.ndarray | None) -> np.ndarray:
         raise ArmError(f"base is {base.tolist()}; give its pose (4, 4) in the world: a rotation and a "
                        f"position in metres.")
     return base
+
+
+def arm_model() -> mujoco.MjSpec:
+    """The bare arm: bodies, joints, capsules without contact of their own, and the site ``flange``."""
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.modelname = "kinova_gen3"
+    spec.compiler.degree = False
+    body, number = spec.worldbody, 0
+    for link in gen3.LINKS:  # a chain: each body is a child of the one before
+        body = body.add_body(name=link.name, pos=link.position, quat=link.quaternion, mass=link.mass, ipos=link.com,
+                             iquat=link.inertia_quaternion, inertia=link.inertia, explicitinertial=True)
+        if link.joint_range is not None:
+            number += 1
+            joint = body.add_joint(name=f"joint_{number}", axis=[0.0, 0.0, 1.0])
+            if np.isfinite(link.joint_range).all():
+                joint.range = link.joint_range
+        _add_capsules(body, [c for c in gen3.CAPSULES if c.link == link.name], rgba=[0.75, 0.75, 0.78, 1.0])
+    spec.body(gen3.FLANGE_LINK).add_site(name="flange", pos=gen3.FLANGE_POSITION, quat=gen3.FLANGE_QUATERNION)
+    spec.option.gravity = [0.0, 0.0, -gen3.GRAVITY]
+    return spec
+
+
+def add_punyo(spec: mujoco.MjSpec) -> None:
+    """Fixes the Punyo to the flange of a Gen3: body ``punyo``, its capsules and mass, and the site ``punyo`` at the
+    apex of the dome.
+
+    The site's z is the dome's axis, outwards; its x is along the long axis of the rim.
+    """
+    flange = _pose(gen3.FLANGE_POSITION, Rotation.from_quat(np.roll(gen3.FLANGE_QUATERNION, -1)).as_matrix())
+    pose = flange @ _pose(gen3.PUNYO_POSITION, np.array(gen3.PUNYO_ROTATION))
+    body = spec.body(gen3.FLANGE_LINK).add_body(name="punyo", pos=pose[:3, 3], quat=quaternion(pose[:3, :3]),
+                                                mass=gen3.PUNYO_MASS, ipos=gen3.PUNYO_COM, inertia=gen3.PUNYO_INERTIA,
+                                                explicitinertial=True)
+    _add_capsules(body, gen3.PUNYO_CAPSULES, rgba=[0.95, 0.95, 0.9, 1.0])
+    z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
+    x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
+    x /= np.linalg.norm(x)
+    apex = np.array(gen3.PUNYO_RIM_CENTRE) + gen3.PUNYO_HEIGHT * z
+    body.add_site(name="punyo", pos=apex, quat=quaternion(np.stack([x, np.cross(z, x), z], axis=1)))
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """w x y z (4,) of a rotation (3, 3), of the nearest one if it is rounded."""
+    import mujoco
+
+    # The published rows are orthogonal to five digits only; scipy takes another rotation than the nearest, 2e-6 away.
+    u, _, v = np.linalg.svd(rotation)
+    out = np.zeros(4)
+    mujoco.mju_mat2Quat(out, np.ascontiguousarray(u @ v).ravel())
+    return out
+
+
+def _add_capsules(body: Any, capsules: list[gen3.LinkCapsule] | tuple[gen3.LinkCapsule, ...], *,
+                  rgba: list[float]) -> None:
+    """Capsules of a body that are shown but neither collide nor weigh anything."""
+    import mujoco
+
+    for k, c in enumerate(capsules):
+        body.add_geom(name=f"{body.name}_{k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*c.start, *c.stop],
+                      size=[c.radius, 0.0, 0.0], contype=0, conaffinity=0, mass=0.0, rgba=rgba)
+
+
+def _pose(position: Any, rotation: np.ndarray) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation, position
+    return out

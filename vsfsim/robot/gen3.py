@@ -78,7 +78,6 @@ LINKS = (  # [table]
 FLANGE_LINK = "bracelet_link"
 FLANGE_POSITION: Vector = (0.0, 0.0, -0.061525)  # [table] the "pinch site"; its z points out of the flange
 FLANGE_QUATERNION: Quaternion = (0.0, 1.0, 0.0, 0.0)
-PEAK_TORQUE = (105.0,) * 4 + (52.0,) * 3  # N m [table]
 MARGIN = math.radians(3.0)
 """How near to a joint's limit a path may lead [rad]: the torques of a touch and its friction turn a joint less far from
 its desired angle, and a joint at its stop does not read them."""

@@ -14,23 +14,20 @@ with d the tracked displacements. There is no constraint on the forces. The meth
 
     residual   f = K d - dp a
     paper      the quadratic program (squared forces)
-    released   the default of the public code with its weights: the sum of norms, which makes most nodes exactly free
-    taut       ours, from the same data as `paper`: K also contains the skin's tension (that of a soap film under the
-               calibrated pressure) and the rotation of the full pressure with the skin; the objective is the sum of
-               norms with smoothing between neighbours, and forces lie in a friction cone about the inward normal
-    membrane   ours, if the stress-free shape is known: a neo-Hookean skin at the measured shape, otherwise as `taut`;
-               relinearised about its own solution
+    membrane   ours, if the stress-free shape is known: a neo-Hookean skin at the measured shape under the full
+               pressure, relinearised about its own solution; the objective is the sum of norms with smoothing between
+               neighbours, and forces lie in a friction cone about the inward normal
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from vsfsim.core.errors import did_you_mean
-from vsfsim.sensing.force_program import ForceProgram, solve
+from vsfsim.sensing.force_program import ForceProgram, ridge, solve
 from vsfsim.sensing.membrane_fe import (
     NeoHookeanMembrane,
     SensorError,
@@ -39,15 +36,9 @@ from vsfsim.sensing.membrane_fe import (
     nodal_normals,
     plane_stress_stiffness,
     pressure_stiffness,
-    tension_stiffness,
-    uniform_tension,
 )
 
-METHODS = ("residual", "paper", "released", "taut", "membrane")
-
-RELEASED_FORCE, RELEASED_DISPLACEMENT, RELEASED_STIFFNESS = 0.34601, 534094.0, 737.1
-"""k_force [1/N], k_disp [1/m^2] and E h [N/m] of the public code of [31]; it divides k_disp by (nodes / rim
-nodes)^2."""
+METHODS = ("residual", "paper", "membrane")
 
 
 @dataclass(frozen=True)
@@ -78,15 +69,13 @@ class EstimatorOptions:
 
     displacement_std: float = 5e-5
     """Noise of a node's displacement, per component [m]."""
-    model_std: float = 5e-4
-    """Model error of a linear model in a large press, as a displacement [m]; `taut` only."""
     force_scale: float = 0.05
     """Scale of a node's force [N]; the lasso's weight is its inverse and the ridge's weight its inverse square."""
     neighbour_scale: float = 0.2
-    """Expected difference of the forces on neighbouring nodes in contact [N], infinity for no smoothing; `taut` and
+    """Expected difference of the forces on neighbouring nodes in contact [N], infinity for no smoothing;
     `membrane` only."""
     friction: float = 1.0
-    """Coefficient of the friction cone [-]; `taut` and `membrane` only."""
+    """Coefficient of the friction cone [-]; `membrane` only."""
     rounds: int = 2
     """Number of linearisations; `membrane` only."""
     tolerance: float = 1e-4
@@ -95,7 +84,7 @@ class EstimatorOptions:
     """Largest number of iterations of the program."""
 
     def __post_init__(self) -> None:
-        for name in ("displacement_std", "model_std", "force_scale", "neighbour_scale", "friction", "tolerance"):
+        for name in ("displacement_std", "force_scale", "neighbour_scale", "friction", "tolerance"):
             value = getattr(self, name)
             if not 0.0 < value or (name not in ("friction", "neighbour_scale") and not np.isfinite(value)):
                 raise SensorError(f"dense force: {name} is {value!r}; it must be greater than 0.")
@@ -129,7 +118,7 @@ class DenseForceEstimator:
     Args:
         calibration: of the bubble.
         method: one of `METHODS`.
-        options: weights. `released` has its own weights and stiffness, and takes tolerance and iterations from here.
+        options: weights.
 
     Raises:
         SensorError: an unknown method, an invalid calibration, or `membrane` without stress-free coordinates.
@@ -160,16 +149,10 @@ class DenseForceEstimator:
             self._membrane = NeoHookeanMembrane(calibration.reference, self.triangles, shear)
             # The unbalanced force of the free dome (discretisation, error of the modulus) is subtracted.
             self._tare = (self._membrane.forces(self.rest) - calibration.pressure
-                          * nodal_areas(self.rest, self.triangles)).ravel()[self.free][:, None]
+                          * nodal_areas(self.rest, self.triangles)).ravel()[self.free]
         else:
-            modulus = RELEASED_STIFFNESS if method == "released" else calibration.stiffness
-            full = plane_stress_stiffness(self.rest, self.triangles, modulus, poisson_ratio=calibration.poisson_ratio)
-            if method == "taut":
-                tension = uniform_tension(self.rest, self.triangles, calibration.pressure, self.inner)
-                full = (full + tension_stiffness(self.rest, self.triangles, tension)
-                        - calibration.pressure * pressure_stiffness(self.rest, self.triangles))
-            self._stiffness = self._cut(full)
-        self._program = self._weights()
+            self._stiffness = self._cut(plane_stress_stiffness(
+                self.rest, self.triangles, calibration.stiffness, poisson_ratio=calibration.poisson_ratio))
 
     def estimate(self, position: np.ndarray, pressure: np.ndarray) -> DenseForce:
         """Forces of T frames.
@@ -199,30 +182,9 @@ class DenseForceEstimator:
         if self.method == "residual":
             return self._result(measured, self._stiffness @ measured + offset, np.zeros(len(clamped)),
                                 np.ones(len(clamped), bool))
-        inward = np.stack([-nodal_normals(x, self.triangles)[self.inner] for x in clamped], axis=1)
-        found = solve(self._stiffness, offset, measured, self._program, inward=inward, edges=self._edges)
-        if self.method == "taut":
-            return self._result(found.displacement, found.force, found.residual, found.converged)
-        # The public code evaluates the forces at the optimal displacements, not the sparse split variable.
-        return self._result(found.displacement, self._stiffness @ found.displacement + offset, found.residual,
-                            found.converged)
-
-    def _weights(self) -> ForceProgram:
         o = self.options
-        precision = o.displacement_std**-2
-        program = ForceProgram(precision, tolerance=o.tolerance, iterations=o.iterations)
-        if self.method == "paper":
-            return replace(program, ridge=o.force_scale**-2)
-        if self.method == "released":
-            rim_share = np.asarray(self.calibration.rim).sum() / len(self.rest)
-            return replace(program, weight=2.0 * RELEASED_DISPLACEMENT * rim_share ** 2,  # k |.|^2 = w/2 |.|^2
-                           lasso=RELEASED_FORCE)
-        if self.method == "taut":
-            # Noise of the nodes causes spikes; the model error is as smooth as the press and needs no smoothing.
-            share = o.displacement_std**2 / (o.displacement_std**2 + o.model_std**2)
-            return replace(program, weight=share * precision, lasso=1.0 / o.force_scale,
-                           smooth=share * o.neighbour_scale**-2, friction=o.friction)
-        return replace(program, lasso=1.0 / o.force_scale, smooth=o.neighbour_scale**-2, friction=o.friction)
+        found = ridge(self._stiffness, offset, measured, o.displacement_std**-2, o.force_scale**-2)
+        return self._result(found.displacement, found.force, found.residual, found.converged)
 
     def _cut(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
         return matrix.tocsr()[self.free][:, self.free]
@@ -238,21 +200,24 @@ class DenseForceEstimator:
         force, residual = np.zeros_like(measured), np.zeros(len(position))
         displacement = measured.copy()
         converged = np.ones(len(position), bool)
+        o = self.options
+        program = ForceProgram(o.displacement_std**-2, 1.0 / o.force_scale, o.neighbour_scale**-2, o.friction,
+                               o.tolerance, o.iterations)
         for t in range(len(position)):
             x, found = position[t], None
-            for _ in range(self.options.rounds):
+            for _ in range(o.rounds):
                 tangent = self._cut(self._membrane.tangent(x) - pressure[t] * pressure_stiffness(x, self.triangles))
-                here = (x - self.rest).ravel()[self.free][:, None]
+                here = (x - self.rest).ravel()[self.free]
                 unbalanced = self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)
-                out = unbalanced.ravel()[self.free][:, None] - self._tare
-                inward = -nodal_normals(x, self.triangles)[self.inner][:, None]
-                found = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward,
-                              edges=self._edges, start=None if found is None else found.start)
+                out = unbalanced.ravel()[self.free] - self._tare
+                found = solve(tangent, out - tangent @ here, measured[:, t], program,
+                              inward=-nodal_normals(x, self.triangles)[self.inner], edges=self._edges,
+                              start=None if found is None else found.start)
                 x = self.rest.copy()
-                x.ravel()[self.free] += found.displacement[:, 0]
+                x.ravel()[self.free] += found.displacement
             assert found is not None
-            force[:, t], displacement[:, t] = found.force[:, 0], found.displacement[:, 0]
-            residual[t], converged[t] = found.residual[0], found.converged[0]
+            force[:, t], displacement[:, t] = found.force, found.displacement
+            residual[t], converged[t] = found.residual, found.converged
         return self._result(displacement, force, residual, converged)
 
     def _result(self, displacement: np.ndarray, force: np.ndarray, residual: np.ndarray,

@@ -3,7 +3,6 @@
 They are independent of the simulator's elements in `vsfsim.physics`, and work on the read-out mesh of linear triangles.
 
     plane stress   K_e = A B^T D B in the plane of each triangle, D of modulus times thickness E h [N/m] and nu
-    tension        K_e = A N gradN_a . gradN_b I across the skin, isotropic tension N [N/m]
     neo-Hookean    W = mu h / 2 (tr C + 1 / det C - 3) per reference area; incompressible, plane stress (Treloar 1943)
     air            force p a_i on node i, a_i a third of the area vectors of the triangles around it
 """
@@ -98,36 +97,6 @@ def plane_stress_stiffness(points: np.ndarray, triangles: np.ndarray, stiffness:
     b[:, 2, :, 0], b[:, 2, :, 1] = gradient[..., 1], gradient[..., 0]
     b = np.einsum("msai,mix->msax", b, axes).reshape(len(triangles), 3, 9)
     return assemble(triangles, area[:, None, None] * np.einsum("msi,st,mtj->mij", b, d, b), len(points))
-
-
-def tension_stiffness(points: np.ndarray, triangles: np.ndarray, tension: float) -> sparse.csr_matrix:
-    """Geometric stiffness (3 n, 3 n) [N/m] of a uniform tension [N/m] at ``points`` (n, 3) [m].
-
-    It has only the part across the skin; the part in the plane belongs to the elastic stiffness, which is calibrated as
-    a whole.
-    """
-    axes, gradient, area = _gradients(points, triangles)
-    normal = np.cross(axes[:, 0], axes[:, 1])
-    laplace = area[:, None, None] * np.einsum("mai,mbi->mab", gradient, gradient)
-    element = tension * np.einsum("mab,mx,my->maxby", laplace, normal, normal)
-    return assemble(triangles, element.reshape(len(triangles), 9, 9), len(points))
-
-
-def uniform_tension(points: np.ndarray, triangles: np.ndarray, pressure: float, inner: np.ndarray) -> float:
-    """The uniform tension [N/m], as of a soap film, that best balances the air's pressure [Pa] on the nodes ``inner``
-    (k,), in least squares.
-
-    Raises:
-        SensorError: the mesh is flat, so that no tension balances a pressure.
-    """
-    axes, gradient, area = _gradients(points, triangles)
-    pull = np.zeros_like(points)  # gradient of the area, per unit of tension
-    np.add.at(pull, triangles, np.einsum("m,mai,mix->max", area, gradient, axes))
-    air = nodal_areas(points, triangles)
-    if not np.linalg.norm(pull[inner]) > 1e-6 * np.linalg.norm(air[inner]):
-        raise SensorError("membrane: the rest shape is flat, and no tension holds a pressure there; give the "
-                          "inflated dome.")
-    return float(pressure * np.sum(pull[inner] * air[inner]) / np.sum(pull[inner] ** 2))
 
 
 def pressure_stiffness(points: np.ndarray, triangles: np.ndarray) -> sparse.csr_matrix:

@@ -15,12 +15,12 @@ import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError, VsfsimError
-from vsfsim.data.checks.same import compare
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.lerobot import frame_rows
 from vsfsim.data.recipe import Recipe
+from vsfsim.data.same import compare
 from vsfsim.data.writer import DatasetWriter
 
 RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=2,

@@ -16,14 +16,10 @@ from vsfsim.generate.plants.prepare import Subject, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import audit, verdict
 from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
-from vsfsim.physics.solve.frames import Reason
 from vsfsim.robot.arm import Arm, Postures, chain_of
-from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
 from vsfsim.robot.joint_torque import body_torque
 from vsfsim.robot.path import times
 
-# rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-JOINT_RATE = 0.3
 # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
 # strides any more, and in all. With 200 for the second the work is a third more and the longest touch half as long
 # again, and 3.7 % of the readings are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as
@@ -102,19 +98,10 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
     q = a.angles(np.where(np.isfinite(frames.where[:n, b]), frames.where[:n, b], a.plan[:n]))
     postures = arm.postures(q)
     force, moment = frames.force[:n, b], frames.moment[:n, b]
-    time_, reason = times(n), frames.reason[:n, b].astype(np.int64)
-    if spec.mode == "dynamic" and n > 1:
-        time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
-        motion = simulate(arm, q, time_, series(time_, force, moment),
-                          drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
-        q, torque = motion.q, np.where((motion.saturated | motion.stopped)[:, None], np.nan, motion.torque)
-        reason[np.isnan(torque).any(axis=1) & frames.converged[:n, b]] = Reason.ARM
-    else:
-        torque = body_torque(arm, postures, force, moment=moment)
+    torque = body_torque(arm, postures, force, moment=moment)
     link_force, link_moment = _by_link(arm, postures, force, moment)
-    found = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
     columns = tuple(name for name in AUDIT_COLUMNS if name != "min_det_f")  # beams have no det F
-    return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis,
+    return Touch(time=times(n), mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis,
                  force=force.sum(axis=1), reaction=frames.reaction[:n, b], residual=frames.residual[:n, b],
                  iterations=frames.iterations[:n, b].astype(np.int64),
                  touched=bool((frames.contacts[:n, b] > 0).any()),
@@ -122,13 +109,13 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
                  link_moment=link_moment, draws=a.draws,
                  ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
                  **(_plan(arm, a, frames.where[:n, b]) if scene.required_touches.plan else {}),
-                 **verdict(found, frames.force_balance[:n, b], reason))
+                 **verdict(frames.converged[:n, b], frames.force_balance[:n, b], frames.reason[:n, b].astype(np.int64)))
 
 
 def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, Any]:
     """The planned path of a touch, and which of its frames the frames at rows ``where`` (T,) of the line are.
 
-    A frame is one of the plan if the arm stood where the plan has it at that time; a dynamic arm may still lag behind.
+    A frame is one of the plan if the arm stood where the plan has it at that time.
     """
     q, frame = a.angles(a.plan), np.arange(len(where))
     kept = np.isclose(where, a.plan[:len(where)], rtol=0.0, atol=1e-9)  # rows of the line; also False where NaN

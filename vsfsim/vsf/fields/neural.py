@@ -88,9 +88,6 @@ class GridField(nn.Module):
         return functional.softplus(total)
 
 
-_PACK = 50
-"""Iterations whose batches are drawn together."""
-
 FIELDS: dict[str, Callable[..., nn.Module]] = {"nerf": NerfField, "grid": GridField}
 
 
@@ -147,13 +144,11 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         torch.manual_seed(s.seed)
         model = FIELDS[kind](bounds, unit, **field).to(device)
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
-    on_host = torch.device(device).type == "cpu"
-    parameters = list(model.parameters())
-    optimiser = torch.optim.Adam(parameters, lr=s.rate, foreach=True, capturable=not on_host)
-    draws = _Draws(len(forces.index), size, s.free_points, generator, device)
-
-    def step() -> torch.Tensor:
-        which, free = draws.next()
+    optimiser = torch.optim.Adam(model.parameters(), lr=s.rate, foreach=True)
+    for iteration in range(s.iterations):
+        # drawn on the host, so that they are the same for every device
+        which = torch.randint(len(forces.index), (size,), generator=generator).to(device)
+        free = torch.rand((s.free_points, 3), generator=generator).to(device)
         points, factor, force = forces.rows(which, s.samples)
         value = model(torch.cat([points.reshape(-1, 3), corner[0] + free * (corner[1] - corner[0])]))
         # The field is zero outside its bounding box.
@@ -162,16 +157,9 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         # The constant keeps the gradient of |f - f_hat| finite where both are 0.
         misfit = ((force - predicted).square().sum(dim=1) + 1e-12).sqrt().sum()
         loss = misfit + s.free_space * value[-s.free_points:].mean()
-        # `grad` instead of `backward`, so that a CUDA graph may capture it on its own stream.
-        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters)):
-            parameter.grad = gradient
+        optimiser.zero_grad()
+        loss.backward()
         optimiser.step()
-        return misfit.detach()
-
-    replayed = step if on_host else _Replayed(step, device)
-    for iteration in range(s.iterations):
-        draws.fill(iteration, s.iterations)
-        misfit = replayed()
         if progress is not None and iteration % 50 == 0:
             progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
     if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
@@ -199,69 +187,6 @@ def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
     device = model.bounds.device
     parts = torch.tensor(np.asarray(points), dtype=torch.float32, device=device).split(200_000)
     return np.concatenate([np.zeros(0), *((model(part).double() * model.unit).cpu().numpy() for part in parts)])
-
-
-class _Replayed:
-    """``step`` on a GPU: its first three calls are made, because libraries allocate their memory in them; the next is
-    captured as a CUDA graph, which launches its hundred kernels as one and is replayed from then on. The step must read
-    all that changes from tensors that keep their addresses. The result is overwritten by the next call."""
-
-    def __init__(self, step: Callable[[], torch.Tensor], device: str):
-        self._step, self._device, self._calls = step, torch.device(device), 0
-        self._stream, self._graph = torch.cuda.Stream(self._device), torch.cuda.CUDAGraph()
-
-    def __call__(self) -> torch.Tensor:
-        self._calls += 1
-        with torch.cuda.device(self._device):
-            if self._calls <= 3:  # on the stream of the capture, which takes its memory from the same pool
-                current = torch.cuda.current_stream()
-                self._stream.wait_stream(current)
-                with torch.cuda.stream(self._stream):
-                    self._out = self._step()
-                current.wait_stream(self._stream)
-                return self._out
-            if self._calls == 4:
-                with torch.cuda.graph(self._graph, stream=self._stream):
-                    self._out = self._step()
-            self._graph.replay()
-        return self._out
-
-
-class _Draws:
-    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that no
-    step waits for the host.
-
-    Args:
-        observations: number to draw from.
-        size: of a batch.
-        free: points of free space in an iteration, drawn as fractions of the volume's edges.
-        generator: of the host.
-        device: torch device of the steps.
-    """
-
-    def __init__(self, observations: int, size: int, free: int, generator: torch.Generator, device: str):
-        self.observations, self.generator = observations, generator
-        self.which = torch.zeros(_PACK, size, dtype=torch.int64, device=device)
-        self.free = torch.zeros(_PACK, free, 3, device=device)
-        self.at = torch.zeros(1, dtype=torch.int64, device=device)
-
-    def fill(self, iteration: int, of: int) -> None:
-        """Draw the next pack, if ``iteration`` is the first of one."""
-        if iteration % _PACK:
-            return
-        count = min(_PACK, of - iteration)
-        pairs = [(torch.randint(self.observations, self.which.shape[1:], generator=self.generator),
-                  torch.rand(self.free.shape[1:], generator=self.generator))
-                 for _ in range(count)]
-        for buffer, column in ((self.which, 0), (self.free, 1)):
-            buffer[:count].copy_(torch.stack([pair[column] for pair in pairs]))
-        self.at.zero_()
-
-    def next(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Observations (b,) and free points (n, 3) in 0..1 of this iteration."""
-        out = self.which.index_select(0, self.at)[0], self.free.index_select(0, self.at)[0]
-        self.at += 1
-        return out
 
 
 def _unit(forces: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:

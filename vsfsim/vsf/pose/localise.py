@@ -5,17 +5,10 @@ registered to it repeatedly: RANSAC over triples of points with equal distances 
 iterative closest points (Besl and McKay 1992). The pose with the stiffest inside is kept, by the loss of eq. 7,
 
     L = sum over touched points inside the object of max(threshold - K, 0)
-
-This loss alone favours a pose that contains few points, so every stiff point outside the object adds the threshold
-(``outside=False`` is the papers' way).
-The cloud fills the touched part of the object while the registration fits a surface, which tilts poses by some ten
-degrees; the best poses are therefore refined on the loss itself, by a random search of shrinking steps (``refine=0`` is
-the papers' way). `contact_pose` is the papers' baseline without stiffness: it registers contact points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,12 +16,10 @@ from scipy.spatial import cKDTree
 from trimesh.registration import procrustes
 
 from vsfsim.core.errors import VsfError
-from vsfsim.core.rotation import pose_errors, rotation_matrix
 from vsfsim.physics.mesh.winding import winding_number
 
 TRIES = 40
-"""Registrations of the papers' procedure, of which the best is kept. With 10 of them three of eleven buried objects are
-turned over, with 40 none (`tests/vsf/test_blind.py`)."""
+"""Registrations of the papers' procedure, of which the best is kept."""
 
 _TRIPLES = 20_000
 """Triples of surface points whose edge lengths RANSAC looks up."""
@@ -36,8 +27,6 @@ _CLOUD = 400
 """The most points of the cloud that are registered."""
 _GRID = 32
 """Cells along the longest edge of the inside test."""
-_STARTS, _APART = 3, 0.5
-"""The most poses that the random search starts from, and the least rotation between two of them [rad]."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +92,12 @@ class Pose:
     transform: np.ndarray
     """Object to world (4, 4) [m]."""
     loss: float
-    """The module's loss, in the unit of the stiffness; for `contact_pose` the distance of `register` [m]."""
+    """The module's loss, in the unit of the stiffness."""
 
 
 def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray, *, threshold: float,
-                   tries: int = TRIES, refine: int = 400, outside: bool = True, seed: int = 0) -> Pose:
-    """The pose that best explains an estimate of stiffness.
+                   tries: int = TRIES, seed: int = 0) -> Pose:
+    """The pose of the registration that best explains an estimate of stiffness.
 
     Args:
         known: the object.
@@ -116,9 +105,6 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
         stiffness: at the points (n,).
         threshold: above the cover's stiffness, in the unit of ``stiffness``.
         tries: registrations.
-        refine: steps of the random search, from each of the best three poses that differ by a rotation; 0 keeps the
-            best registration.
-        outside: whether a stiff point outside the object adds to the loss; False is eq. 7 alone.
         seed: of the draws.
 
     Raises:
@@ -128,55 +114,11 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
     if stiff.sum() < 10:
         raise VsfError(f"vsf.localise: {int(stiff.sum())} of {len(points)} points are stiffer than {threshold:g}; "
                        f"lower the threshold (the stiffest has {np.max(stiffness, initial=0.0):g}), or touch more.")
-    lack = np.maximum(threshold - stiffness, 0.0)
-
-    def evaluate(transform: np.ndarray) -> Pose:
-        inside = known.contains((points - transform[:3, 3]) @ transform[:3, :3])
-        missed = np.count_nonzero(stiff & ~inside) if outside else 0
-        return Pose(transform, float(lack[inside].sum() + threshold * missed))
-
-    found = sorted((evaluate(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0])
-                    for attempt in range(tries)), key=lambda p: p.loss)
-    if not refine:
-        return found[0]
-    # An object turned over may fit the thin cloud of stiff points nearly as well, so the search starts from the best
-    # pose of each kind.
-    starts: list[Pose] = []
-    for pose in found:
-        if len(starts) < _STARTS and all(pose_errors(pose.transform, other.transform)[1] > _APART for other in starts):
-            starts.append(pose)
-    return min((_searched(pose, evaluate, points[stiff].mean(axis=0), 0.1 * _GRID * known.cell, refine, seed)
-                for pose in starts), key=lambda p: p.loss)
-
-
-def _searched(best: Pose, evaluate: Callable[[np.ndarray], Pose], centre: np.ndarray, reach: float, steps: int,
-              seed: int) -> Pose:
-    """A random search from ``best`` about ``centre`` (3,) [m]; its steps shrink from ``reach`` [m] and 0.2 rad to a
-    thirtieth of that."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
-    for step in range(steps):
-        size = 30.0 ** (-step / steps)
-        turn = rotation_matrix(0.2 * size * rng.standard_normal(3))
-        moved = best.transform.copy()
-        moved[:3, :3] = turn @ moved[:3, :3]
-        moved[:3, 3] = centre + turn @ (moved[:3, 3] - centre) + reach * size * rng.standard_normal(3)
-        trial = evaluate(moved)
-        best = trial if trial.loss <= best.loss else best
-    return best
-
-
-def contact_pose(known: KnownObject, contacts: np.ndarray, *, tries: int = TRIES, seed: int = 0) -> Pose:
-    """The baseline: the object's surface registered to contact points (n, 3) [m], those whose force exceeds a limit.
-
-    Raises:
-        VsfError: fewer than 10 contact points.
-    """
-    if len(contacts) < 10:
-        raise VsfError(f"vsf.localise: {len(contacts)} contact points are too few to register an object to; lower the "
-                       f"force limit, or touch more.")
-    found = [register(known.surface, contacts, seed=seed * 1000 + attempt) for attempt in range(tries)]
-    transform, error = min(found, key=lambda item: item[1])
-    return Pose(transform, error)
+    lack, poses = np.maximum(threshold - stiffness, 0.0), []
+    for attempt in range(tries):
+        at = register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0]
+        poses.append(Pose(at, float(lack[known.contains((points - at[:3, 3]) @ at[:3, :3])].sum())))
+    return min(poses, key=lambda p: p.loss)
 
 
 def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: int = 0) -> tuple[np.ndarray, float]:
@@ -215,8 +157,7 @@ def _trimmed_closest_points(surface: np.ndarray, tree: cKDTree, cloud: np.ndarra
     """Iterative closest points from ``transform`` (4, 4), cloud to surface, without the points beyond a limit.
 
     The limit falls from a fifth to a twentieth of ``span``, and at least half of the points count. `trimesh` and
-    `small_gicp` have no such limit; on clouds with stiff points outside the object they end in worse poses
-    (tests/vsf/test_blind.py).
+    `small_gicp` have no such limit; on clouds with stiff points outside the object they end in worse poses.
     """
     limit, before = 0.2 * span, np.inf
     for _ in range(60):

@@ -1,1 +1,0 @@
-"""What a finished dataset promises, and whether another is the same."""
