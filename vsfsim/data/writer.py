@@ -11,7 +11,6 @@ from filelock import FileLock
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.file_lock import Held, release, sync_folder, take
 from vsfsim.data import lines
-from vsfsim.data.card import card
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.manifest import (
@@ -21,6 +20,7 @@ from vsfsim.data.manifest import (
     MANIFEST,
     PART_MANIFEST,
     Entry,
+    card,
     file_name,
     make_manifest,
     manifest_bytes,
