@@ -31,7 +31,7 @@ def solver(tier: Annotated[list[str] | None, typer.Option(help="Only this tier; 
                            typer.Option(help="Press this cell of the gate alone, small for eight quick ones, or all "
                                              "for 40; may be given again.")] = None,
            out: JsonFile = None) -> None:
-    """Force error, iterations and CPU time of every tier; or what every mechanism of the solver buys on 40 fixed
+    """Force error, iterations and CPU time of S1 and S2; or what every mechanism of the solver buys on 40 fixed
     presses."""
     if without or cell or against is not None:
         from measurements.gate.compare import measure as measure_gate

@@ -22,8 +22,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.core.solid import Solid
 from vsfsim.data.records import View
 from vsfsim.physics import tiers
-from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press
-from vsfsim.physics.inverse.smooth_field import smooth_basis
+from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press, smooth_basis
 from vsfsim.physics.linear.rest_factor import forget_all
 from vsfsim.physics.model import Model, build_model
 

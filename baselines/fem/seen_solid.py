@@ -10,7 +10,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.data.records import View
 from vsfsim.physics.mesh.lattice import fill_lattice
-from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
+from vsfsim.physics.mesh.validity import body_of_each_tet, drop_pinches
 
 _CELL = 0.003  # edge of the columns whose tops are looked at [m]
 _CLOSE = 27  # columns over which gaps between the seen ones are closed: a near wall hides what is behind it

@@ -14,7 +14,7 @@ from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import scenes
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import tiers
-from vsfsim.physics.mesh.manifold import body_of_each_tet, pinched_vertices
+from vsfsim.physics.mesh.validity import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import footwear
 from vsfsim.scenes._footwear_materials import MATERIALS, modulus_of
 from vsfsim.scenes._footwear_models import CHOICES, MODELS, PARTS

@@ -12,7 +12,7 @@ import trimesh
 from vsfsim.core.errors import SceneError
 from vsfsim.core.quality import worst_angle
 from vsfsim.core.solid import TEXTURES, Solid, tet_volumes
-from vsfsim.physics.mesh.manifold import body_of_each_tet, pinched_vertices
+from vsfsim.physics.mesh.validity import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import shoe
 from vsfsim.scenes._materials import CLASSES, GRADED, SOLE_MATERIAL, TEXTURED, draw_appearance
 from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES

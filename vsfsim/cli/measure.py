@@ -22,7 +22,7 @@ OLD_NAME = "bench"
 def _commands() -> dict[str, Any]:
     """The commands of the checkout by their names, imported when one is asked for."""
     checkout()
-    return typer.main.get_group(importlib.import_module("measurements.commands").app).commands
+    return dict(typer.main.get_group(importlib.import_module("measurements.commands").app).commands)
 
 
 class _Group(WholeSentences):

@@ -23,8 +23,7 @@ from vsfsim.generate.job import Job, jobs_of
 from vsfsim.generate.resim import Planned, job_of, retouch
 from vsfsim.generate.solid import Subject, prepare
 from vsfsim.physics import tiers
-from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus
-from vsfsim.physics.inverse.smooth_field import smooth_basis
+from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, smooth_basis
 
 FIELDS = ("parts", "smooth")
 """Where log E may vary: from part to part, or smoothly."""

@@ -114,3 +114,16 @@ def compile_kernels(kernels: list[Any], device: str, *,
             loaded.result()
     if progress is not None:
         progress(len(modules), len(modules), "kernel modules ready")
+
+
+@contextlib.contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """``count`` threads in PyTorch until the block ends."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

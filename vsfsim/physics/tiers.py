@@ -22,9 +22,9 @@ from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.catalogue import law_of
 from vsfsim.physics.laws.law import Settings, SolidLaw
+from vsfsim.physics.mesh.account import scan_foot
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
-from vsfsim.physics.mesh.foot import scan_foot
 from vsfsim.physics.mesh.inclusions import held_stiffness, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.resolved import TURNED

@@ -10,9 +10,8 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.physics import tiers
 from vsfsim.physics.contact.mount import Mount
-from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press
+from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press, smooth_basis
 from vsfsim.physics.inverse.sensitivity import Sensitivity
-from vsfsim.physics.inverse.smooth_field import smooth_basis
 
 SCENE = parse_scene("""
 name = "block"

@@ -12,7 +12,7 @@ from vsfsim.generate.effectors import bubble
 from vsfsim.physics.bubble import sensor
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.mesh import membrane_refine
+from vsfsim.physics.mesh import membrane
 from vsfsim.press.command import press
 
 TIP = """
@@ -49,7 +49,7 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
                                      at(np.array(place), 0.005), None)
     assert wish[0] == pytest.approx(0.001) and 1 <= len(wish[1]) < 20
     a, b = even.spec.semi_axes
-    flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, (a, b), even.mesh.points,
+    flat, faces, rim = membrane.finer(even.flat, even.mesh.faces, even.mesh.rim, (a, b), even.mesh.points,
                                              (wish,))
     assert np.array_equal(flat[:390], even.flat) and 400 < len(flat) < 2000
     # Euler's formula of a disc: no node hangs and no hole is left

@@ -16,8 +16,8 @@ from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh import scan, tetwild
-from vsfsim.physics.mesh.manifold import pinched_vertices
 from vsfsim.physics.mesh.scan import fill_mesh_file
+from vsfsim.physics.mesh.validity import pinched_vertices
 
 SIZE = 0.03
 VOLUME = float(trimesh.creation.icosphere(subdivisions=2, radius=SIZE).volume)

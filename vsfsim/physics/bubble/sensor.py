@@ -25,9 +25,7 @@ from vsfsim.physics.elements import gas, hinge, stop, triangle
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh import membrane as membrane_mesh
-from vsfsim.physics.mesh import membrane_refine
-from vsfsim.physics.mesh.membrane import TriangleMesh, closed
-from vsfsim.physics.mesh.membrane_refine import Wishes
+from vsfsim.physics.mesh.membrane import TriangleMesh, Wishes, closed
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
@@ -235,7 +233,7 @@ def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> Bubbl
     stored = (disk_cache.folder() if cache is None else Path(cache)) / f"bubble-{digest}.npz"
     if finer:
         even = build_bubble(spec, where=where, cache=cache)
-        flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes,
+        flat, faces, rim = membrane_mesh.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes,
                                                  even.mesh.points, finer)
     else:
         flat, faces, rim = flat_mesh(spec)

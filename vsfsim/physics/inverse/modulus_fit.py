@@ -32,6 +32,7 @@ _STILL = 0.03  # change of log E under which the fit has ended [-]
 _GAIN = 0.005  # share of what is minimised that a step must be expected to take off
 _HALVINGS = 1  # of a step that explains the touches worse
 _NEAR = 1.0  # change of log E up to which a factor is shared: further off its iterations cost more than another one
+_CENTRES = 60  # places of a smooth field whose values decide those of all others
 _TOGETHER = 16  # touches that are solved together
 
 
@@ -167,3 +168,29 @@ def fit_modulus(model_of: Callable[[np.ndarray], Model], prior: Prior, presses: 
             break
         theta, (loss, hessian, downhill, runs) = theta + step, found
     return theta, np.linalg.inv(hessian)
+
+
+def smooth_basis(places: np.ndarray, *, reach: float, std: float) -> np.ndarray:
+    """Functions (n, c) whose sums with standard normal coefficients are a Gaussian process with the covariance
+    std^2 exp(-r^2 / 2 reach^2), as the values at a few places far from one another tell it (Nystroem's method,
+    Williams and Seeger 2001).
+
+    Args:
+        places: where its values are asked (n, 3) [m].
+        reach: over which they are alike [m].
+        std: deviation of each.
+    """
+    centres = [int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmin())]
+    away = np.linalg.norm(places - places[centres[0]], axis=1)
+    while len(centres) < min(_CENTRES, len(places)) and away.max() > 0.5 * reach:
+        centres.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(places - places[centres[-1]], axis=1))
+    chosen = places[centres]
+
+    def alike(a: np.ndarray) -> np.ndarray:
+        square = ((a[:, None] - chosen[None]) ** 2).sum(axis=2)
+        return std**2 * np.exp(-0.5 * square / reach**2)
+
+    value, vector = np.linalg.eigh(alike(chosen))
+    keep = value > 1e-6 * value[-1]
+    return alike(places) @ (vector[:, keep] / np.sqrt(value[keep]))

@@ -14,12 +14,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from vsfsim.physics.elements import gas
 
 # nodes in all and on the rim of the Punyo's published mesh; Euler's formula then gives its 714 triangles
 READ_OUT = (390, 64)
 _SMOOTHINGS = 30
+_GROWTH = 0.2  # of the edge with the distance from what touches: bands of one size are then five triangles wide
+_LEVELS = 5  # a triangle is cut so often at most
+_MOST_NODES = 20_000  # nodes; as many as [sensor] may ask for
+
+Wishes = tuple[tuple[float, tuple[int, ...]], ...]
+"""Where a mesh is to be finer: for every body that touches, the edge on the free dome [m] and the nodes of the even
+mesh that it meets."""
 
 
 @dataclass(frozen=True)
@@ -247,3 +255,35 @@ def cut(flat: np.ndarray, triangles: np.ndarray, rim: np.ndarray, semi_axes: tup
             new_flat[between] /= np.sqrt(((new_flat[between] / semi_axes) ** 2).sum())
             loop.append(between)
     return new_flat, np.concatenate(parts).astype(triangles.dtype), np.array(loop), new_dome
+
+
+def finer(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple[float, float], dome: np.ndarray,
+          wishes: Wishes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh with edges near some nodes as long as wished, growing with the distance from them.
+
+    Triangles are cut in four ("red") while they are longer than wanted; a neighbour that got one node more is cut in
+    two ("green"), one that got two or three in four, so that no node hangs (Bank, Sherman and Weiser 1983). Old nodes
+    keep their numbers, and the mirror symmetry of the mesh stays where what touches has it.
+
+    Args:
+        flat: places before inflation (n, 2) [m]. faces: (f, 3). rim: its nodes in order (r,). semi_axes: of the rim
+        (2,) [m]. dome: nodes of the free dome (n, 3) [m].
+        wishes: see `Wishes`.
+
+    Returns:
+        flat, faces and rim as the arguments; the first n nodes are the old ones.
+    """
+    met = [(edge, cKDTree(dome[list(nodes)])) for edge, nodes in wishes if nodes]
+    for _ in range(_LEVELS):
+        corners = dome[faces]
+        size = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+        wanted = np.full(len(faces), np.inf)
+        for edge, tree in met:
+            wanted = np.minimum(wanted, np.maximum(edge, _GROWTH * tree.query(corners.mean(axis=1))[0]))
+        longer = size > wanted
+        if not longer.any():
+            break
+        if len(flat) + 2 * int(longer.sum()) > _MOST_NODES:
+            break
+        flat, faces, rim, dome = cut(flat, faces, rim, semi_axes, longer, dome)
+    return flat, faces, rim

@@ -19,12 +19,11 @@ from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Appearance, Solid, tet_volumes
 from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh import tetwild
-from vsfsim.physics.mesh.account import TOLD, Account, account, inside, refuse, scan_volume
-from vsfsim.physics.mesh.foot import BASE
+from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, inside, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
-from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, digest, read_surface
 from vsfsim.physics.mesh.surface_distance import nearest_on
+from vsfsim.physics.mesh.validity import body_of_each_tet, drop_pinches
 
 MAX_TETS = 2_000_000
 """Largest estimated number of tetrahedra in the bounding box."""

@@ -26,6 +26,7 @@ from vsfsim.physics.contact.intrusion import LOST
 from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import torch_threads
 from vsfsim.physics.solve import audit, increments, weight
 from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity
@@ -33,7 +34,6 @@ from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_elasticity import LinearElasticity
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.work_check import WorkCheck
-from vsfsim.physics.threads import torch_threads
 
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
 _GROWTHS = 10  # solves of a step while the patch grows, cuts of its faces included

@@ -23,7 +23,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import VsfError, did_you_mean
-from vsfsim.physics.threads import torch_threads
+from vsfsim.physics.runtime import torch_threads
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior
 
