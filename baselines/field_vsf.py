@@ -159,8 +159,7 @@ def _total(reading: Reading):
 def _surface_of(action: Action, force: np.ndarray):
     """The front half of a ball, or the free dome of a bubble, along its path; ``force``: the readings (T,) in their
     unit."""
-    from vsfsim.vsf.fields.line_integrals import TotalTouch
-    from vsfsim.vsf.fields.surface_touch import dome
+    from vsfsim.vsf.fields.line_integrals import TotalTouch, dome
 
     if not isinstance(action.probe, (Sphere, Dome)):
         raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface "

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.baselines.digest import digest
+from vsfsim.baselines.visible_cloud import digest
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View

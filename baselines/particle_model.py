@@ -13,9 +13,8 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from vsfsim.baselines.digest import digest
 from vsfsim.baselines.sensor_surface import dense_touch
-from vsfsim.baselines.visible_cloud import visible_cloud
+from vsfsim.baselines.visible_cloud import digest, visible_cloud
 from vsfsim.bench.method import Action, Reading, check_support
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.errors import MethodError, VsfError

@@ -7,7 +7,7 @@ from scipy.spatial import Delaunay
 
 from vsfsim.bench.method import Reading
 from vsfsim.core.errors import MethodError
-from vsfsim.vsf.fields.surface_touch import DenseTouch
+from vsfsim.vsf.fields.line_integrals import DenseTouch
 
 
 def dense_touch(reading: Reading) -> DenseTouch | None:

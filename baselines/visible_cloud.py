@@ -1,6 +1,9 @@
-"""The visible cloud of a view, or why there is none: the one place where the methods check a view."""
+"""The visible cloud of a view, or why there is none: the one place where the methods check a view; and a key of what a
+method has seen, under which it keeps what it computed from it."""
 
 from __future__ import annotations
+
+import hashlib
 
 import numpy as np
 
@@ -23,3 +26,11 @@ def visible_cloud(view: View) -> np.ndarray:
         raise MethodError(f"the view's depth is 0 or not a number in {lost} of the {depth.size} pixels of its mask; "
                           f"leave them out of the mask.")
     return view.points()
+
+
+def digest(*arrays: np.ndarray) -> bytes:
+    """A hash of the arrays' bytes."""
+    out = hashlib.blake2b()
+    for array in arrays:
+        out.update(np.ascontiguousarray(array).tobytes())
+    return out.digest()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vsfsim.vsf.fields.surface_touch import DenseTouch, dome, oriented_areas
+from vsfsim.vsf.fields.line_integrals import DenseTouch, dome, oriented_areas
 
 Field = Callable[[np.ndarray], np.ndarray]
 

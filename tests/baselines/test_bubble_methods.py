@@ -13,7 +13,7 @@ from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
 from vsfsim.bench.method import Action, Reading, Surface
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.dome import Dome
-from vsfsim.vsf.fields.surface_touch import dome as cap
+from vsfsim.vsf.fields.line_integrals import dome as cap
 
 QUICK = {"iterations": 120, "batch": 400, "samples": 6}
 

@@ -17,7 +17,7 @@ from vsfsim.bench.task import parse_task
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
-from vsfsim.vsf.fields.surface_touch import dome
+from vsfsim.vsf.fields.line_integrals import dome
 from vsfsim.vsf.surface_contact import surface_contact
 
 _POINTS, _FACES = dome(radius=0.03, height=0.015)

@@ -10,7 +10,7 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.mesh.discretise import build_solid
-from vsfsim.physics.rods.family import grow
+from vsfsim.physics.rods.model import grow
 
 
 def test_the_shelf_is_complete() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from vsfsim.bench.reached_points import reached
 from vsfsim.robot.arm import Arm, chain_of
 from vsfsim.robot.joint_torque import body_torque
-from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows
+from vsfsim.vsf.arm_rows import arm_displacements_each, arm_torque_rows
 
 
 def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
@@ -21,7 +21,7 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     particles = (centre[rng.integers(5, len(centre), 400)] + rng.normal(0.0, 0.04, (400, 3)))
     stiffness = rng.uniform(1.0, 50.0, 400)
     w = arm_torque_rows(particles, chain, q, friction=0.4)
-    found = arm_displacements(particles, chain, q, friction=0.4)
+    (found,) = arm_displacements_each(particles, chain, [q], friction=0.4)
     assert len(found) > 2  # several links hold particles
     expected, data, jacobian = np.zeros((7, 7)), mujoco.MjData(arm.model), np.zeros((3, 7))
     for t in range(7):

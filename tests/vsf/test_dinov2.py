@@ -11,9 +11,9 @@ from vsfsim.bench.mock import camera_view, particles
 from vsfsim.core.errors import VsfError
 from vsfsim.data.disk import file_sha256
 from vsfsim.vsf.features import dinov2
+from vsfsim.vsf.features.dinov2 import BASE, SMALL, Architecture, VisionTransformer
 from vsfsim.vsf.features.interface import projection
 from vsfsim.vsf.features.registry import particle_features, view_token
-from vsfsim.vsf.features.transformer import BASE, SMALL, Architecture, VisionTransformer
 
 torch.set_num_threads(1)
 TINY = Architecture(24, 2, 3)

@@ -7,8 +7,8 @@ import pytest
 from vsfsim.bench.reached_points import reached
 from vsfsim.core.dome import Dome
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.fields.surface_touch import dome as cap
-from vsfsim.vsf.observe import pressure_rows
+from vsfsim.vsf.fields.line_integrals import dome as cap
+from vsfsim.vsf.observe import normal_force_rows
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_particles_stick_to_the_skin_and_are_carried(dome):
     assert found[3][1] == pytest.approx([0.0, 0.0, -0.005 - below], abs=1e-6)
     sideways = simulate(particles, dome, down(depths), friction=np.inf)
     assert np.array_equal(sideways.displacement, moved.displacement), "rubber sticks, whatever friction is asked for"
-    rows = pressure_rows(moved, 4, down(depths)[:, :3, 2], area=dome.base_area)
+    rows = normal_force_rows(moved, 4, down(depths)[:, :3, 2]) / dome.base_area
     assert rows[3, 0] == pytest.approx(0.004 / dome.base_area, rel=1e-3) and (rows.toarray() >= 0.0).all()
 
 

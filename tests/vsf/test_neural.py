@@ -6,9 +6,8 @@ import torch
 from palpation import layer_with_inclusion, palpate
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
+from vsfsim.vsf.fields.line_integrals import DenseTouch, TotalForces, TotalTouch, VertexForces, dome, oriented_areas
 from vsfsim.vsf.fields.neural import Fitting, density, fit, predict_totals
-from vsfsim.vsf.fields.surface_touch import DenseTouch, dome, oriented_areas
 
 torch.set_num_threads(1)
 BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])

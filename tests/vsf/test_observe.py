@@ -10,7 +10,7 @@ from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Sphere
 from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.observe import dense_force_rows, joint_torque_rows, normal_force_rows, pressure_rows
+from vsfsim.vsf.observe import dense_force_rows, joint_torque_rows, normal_force_rows
 from vsfsim.vsf.sticking import stick
 
 
@@ -34,10 +34,10 @@ def grid(low, high, spacing):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def test_pressure_is_the_normal_force_over_the_area():
+def test_an_axis_a_frame_is_the_axis_of_all():
     moved, axis = displaced(), np.array([0.0, 0.6, -0.8])
-    ours = pressure_rows(moved, 9, np.tile(axis, (3, 1)), area=0.0066)
-    np.testing.assert_allclose(ours.toarray(), normal_force_rows(moved, 9, axis).toarray() / 0.0066)
+    ours = normal_force_rows(moved, 9, np.tile(axis, (3, 1)))
+    np.testing.assert_allclose(ours.toarray(), normal_force_rows(moved, 9, axis).toarray())
 
 
 def test_joint_torques_are_virtual_power():
@@ -136,10 +136,8 @@ def test_a_rigid_sphere_of_triangles_moves_particles_like_the_exact_sphere():
 def test_refusals():
     moved = displaced()
     base, triangles = plate(3)
-    with pytest.raises(VsfError, match="one unit vector a frame"):
-        pressure_rows(moved, 9, np.ones((3, 3)), area=1.0)
-    with pytest.raises(VsfError, match="square metres"):
-        pressure_rows(moved, 9, np.tile([0, 0, 1.0], (3, 1)), area=0.0)
+    with pytest.raises(VsfError, match="or one a frame"):
+        normal_force_rows(moved, 9, np.ones((3, 3)))
     with pytest.raises(VsfError, match=r"\(T, J, 3\) with T = 3"):
         joint_torque_rows(moved, np.zeros((9, 3)), np.zeros((2, 7, 3)), np.zeros((2, 7, 3)))
     with pytest.raises(VsfError, match="but 2 rest positions"):

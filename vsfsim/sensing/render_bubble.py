@@ -10,7 +10,7 @@ from a hash, which is the same on every device. Rays that miss the skin meet the
 import numpy as np
 import warp as wp
 
-from vsfsim.sensing.cell_hash import cell_hash
+from vsfsim.sensing.render_warp import cell_hash
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

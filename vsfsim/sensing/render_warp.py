@@ -12,7 +12,6 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.solid import TEXTURES
 from vsfsim.core.system.exact import inverse3, product
 from vsfsim.data.records import View
-from vsfsim.sensing.cell_hash import cell_hash
 from vsfsim.sensing.surface import Surface, corner_normals, srgb
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -55,6 +54,16 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
     mask = depth > 0.0
     rgb = np.where(mask[..., None], srgb(colour), np.asarray(background, np.uint8)).astype(np.uint8)
     return View(rgb, depth, mask, intrinsics.copy(), camera_pose.copy())
+
+
+@wp.func
+def cell_hash(x: int, y: int, z: int) -> float:
+    """A fixed number from 0 to 1 for the cell with these indices, the same on every device."""
+    h = wp.uint32(x) * wp.uint32(73856093) ^ wp.uint32(y) * wp.uint32(19349663) ^ wp.uint32(z) * wp.uint32(83492791)
+    h = (h ^ (h >> wp.uint32(16))) * wp.uint32(2146121005)
+    h = (h ^ (h >> wp.uint32(13))) * wp.uint32(1540483477)
+    h = h ^ (h >> wp.uint32(16))
+    return float(h >> wp.uint32(8)) / 16777216.0
 
 
 @wp.func

@@ -18,22 +18,15 @@ from vsfsim.vsf.dynamics import simulate_each
 from vsfsim.vsf.observe import joint_torque_rows
 
 
-def arm_displacements(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu",
-                      max_step: float = 2e-3) -> list[tuple[int, Displacements]]:
-    """The displaced particles of every frame, by the link in contact with them: (link, displacements) of the links that
-    displace any.
-
-    Args:
-        particles: at rest (n, 3) [m]. chain: the arm. q: its joint angles (T, dof) [rad]. friction: [-]. device: Warp
-        device. max_step: see `dynamics.simulate` [m].
-    """
-    return arm_displacements_each(particles, chain, [q], friction=friction, device=device, max_step=max_step)[0]
-
-
 def arm_displacements_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float,
                            device: str = "cpu", max_step: float = 2e-3) -> list[list[tuple[int, Displacements]]]:
-    """`arm_displacements` of several touches, each through particles at rest; on a GPU together, see
-    `dynamics.simulate_each`."""
+    """The displaced particles of every frame of several touches, each through particles at rest, by the link in contact
+    with them: (link, displacements) of the links that displace any. On a GPU together, see `dynamics.simulate_each`.
+
+    Args:
+        particles: at rest (n, 3) [m]. chain: the arm. touches: its joint angles, each (T, dof) [rad]. friction: [-].
+        device: Warp device. max_step: see `dynamics.simulate` [m].
+    """
     low, high = (particles.min(axis=0), particles.max(axis=0)) if len(particles) else (np.zeros(3), np.zeros(3))
     moves: list[tuple[Capsule, np.ndarray]] = []
     which: list[tuple[int, int, int, int]] = []

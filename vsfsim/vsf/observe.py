@@ -4,7 +4,6 @@ Each function computes the rows of W of one touch from its displacements; stack 
 
     force_sum_rows      SBML eq. 8         sum of |f_i|: the papers' pressure, up to a factor
     normal_force_rows                      force along an axis
-    pressure_rows       openvsf            the same over an area
     joint_torque_rows   SBML eq. 7         J^T f at the joints of an arm
     dense_force_rows    Neural VSF eq. 3   forces on the vertices of a sensor's surface
 """
@@ -42,47 +41,27 @@ def normal_force_rows(displacements: Displacements, particles: int, axis: np.nda
     Args:
         displacements: of one touch.
         particles: how many particles the VSF has, n.
-        axis: unit press direction, world (3,) [-]; then W K is the force with which the object resists the press.
+        axis: unit press direction, world (3,), or one a frame (T, 3) [-]; then W K is the force with which the object
+            resists the press. Over the area of a bubble's base it is openvsf's pressure [Pa]: 7.1827e-3 m^2 for its
+            mesh of the Punyo alone, 6.6019e-3 m^2 for that on the arm, whose frame is tilted
+            (references/openvsf_base_area.json).
 
     Returns:
         W (T, n) [m]. Entries may be negative (a particle dragged against the axis).
 
     Raises:
-        VsfError: a displaced particle is not among the n, or the axis is not a unit vector.
+        VsfError: a displaced particle is not among the n, or the axis is not a unit vector, or one a frame.
     """
     axis = np.asarray(axis, np.float64)
-    if axis.shape != (3,) or not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-6:
+    shapes = ((3,), (displacements.frames, 3))
+    if axis.shape not in shapes or not (np.abs(np.linalg.norm(axis, axis=-1) - 1.0) < 1e-6).all():
         raise VsfError(f"vsf.normal_force_rows: axis is {axis.tolist()}; give a unit vector (3,), the press direction "
-                       f"in the world.")
-    return _rows(displacements, displacements.displacement @ axis, particles, "normal_force_rows")
-
-
-def pressure_rows(displacements: Displacements, particles: int, axes: np.ndarray, *, area: float) -> sparse.csr_matrix:
-    """Rows of the pressure in a bubble, W[t, i] = u_i . axis_t / area: the force into the bubble over the area of its
-    base.
-
-    Args:
-        displacements: of one touch. particles: how many particles the VSF has, n.
-        axes: unit vector out of the sensor in every frame, world (T, 3) [-].
-        area: of the base [m^2]. openvsf's is 7.1827e-3 for its mesh of the Punyo alone, 6.6019e-3 for its mesh on the
-            arm, whose frame is tilted (references/openvsf_base_area.json).
-
-    Returns:
-        W (T, n) [1/m]: times stiffnesses [N/m] it gives the pressure above that without contact [Pa].
-
-    Raises:
-        VsfError: as `normal_force_rows`; an area that is not positive.
-    """
-    axes = np.asarray(axes, np.float64)
-    if axes.shape != (displacements.frames,
-                      3) or (len(axes) and np.abs(np.linalg.norm(axes, axis=1) - 1.0).max() > 1e-6):
-        raise VsfError(f"vsf.pressure_rows: axes have shape {axes.shape}; give one unit vector a frame, "
-                       f"({displacements.frames}, 3).")
-    if not 0.0 < area < np.inf:
-        raise VsfError(f"vsf.pressure_rows: area is {area!r}; it must be greater than 0, in square metres.")
+                       f"in the world, or one a frame, ({displacements.frames}, 3).")
+    if axis.ndim == 1:
+        return _rows(displacements, displacements.displacement @ axis, particles, "normal_force_rows")
     frame = np.repeat(np.arange(displacements.frames), np.diff(displacements.pointer))
-    values = np.einsum("ki,ki->k", displacements.displacement, axes[frame]) / area
-    return _rows(displacements, values, particles, "pressure_rows")
+    values = np.einsum("ki,ki->k", displacements.displacement, axis[frame])
+    return _rows(displacements, values, particles, "normal_force_rows")
 
 
 def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.ndarray,

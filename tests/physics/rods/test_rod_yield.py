@@ -10,9 +10,8 @@ import warp as wp
 from stems import crossing, plant, stem, touch
 
 from vsfsim.core.errors import SceneError
-from vsfsim.physics.rods.memory import make_trees
 from vsfsim.physics.rods.model import build
-from vsfsim.physics.rods.structs import Trees, Work, allocate
+from vsfsim.physics.rods.structs import Trees, Work, allocate, make_trees
 
 LENGTH, RADIUS, E = 0.3, 0.004, 2e9
 EI = E * np.pi * RADIUS**4 / 4.0

@@ -22,8 +22,8 @@ from vsfsim.core.system.exact import snapped
 from vsfsim.data.streams import Stream, stream
 from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, NothingReached, aim_arm, load
-from vsfsim.physics.rods.family import grow as grow_family
 from vsfsim.physics.rods.model import RodModel, build
+from vsfsim.physics.rods.model import grow as grow_family
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
 from vsfsim.robot.arm import Arm
 from vsfsim.robot.joint_torque import body_torque

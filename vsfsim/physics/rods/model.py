@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.core.errors import VsfsimError
+from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.plant import Plant
+from vsfsim.core.shape import Family
+from vsfsim.core.shelf import family
 
 SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a round and a flat section
 BLADE_SPACING = 0.008  # of fibres across a leaf blade [m]
@@ -206,3 +208,16 @@ def _fibres(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
             raise RodError(f"segment {i} of the plant is {2 * plant.half_width[i]:g} m wide: it has more contact "
                            f"fibres than a segment may have. A blade may be {2 * widest:g} m wide.")
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]
+
+
+def grow(shape: Family, rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
+    """The plant of a family, as object ``number`` of its dataset.
+
+    Raises:
+        SceneError: an unknown family, one that makes solid bodies, or a parameter that is wrong.
+    """
+    module = family(shape.name, where)
+    if not hasattr(module, "grow"):
+        raise SceneError(f"{where}: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use "
+                         f"family = \"plant\", or take [arm] out and give a [probe].")
+    return module.grow(shape.parameters, rng, where=where, number=number)

@@ -17,9 +17,8 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.kernels.lanes import LANES
-from vsfsim.physics.rods.memory import levels_of, make_trees, quaternions, start
 from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel
-from vsfsim.physics.rods.structs import Results, Touches, Work, allocate
+from vsfsim.physics.rods.structs import Results, Touches, Work, allocate, levels_of, make_trees, quaternions, start
 
 SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
 ROOM = 512  # places for the contacts (three points of a fibre beside a capsule) of a touch

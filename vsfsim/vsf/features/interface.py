@@ -160,3 +160,17 @@ def normalised_position(view: View, points: np.ndarray) -> np.ndarray:
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     low[2] = min(low[2], 0.0)
     return (points - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-6)
+
+
+class XyzRgb:
+    """Normalised position and colour: the papers' naive feature (SBML appendix C.6)."""
+
+    def image(self, view: View) -> FeatureImage:
+        """Colour (H, W, 3) in 0..1."""
+        values = view.rgb.astype(np.float32) / 255.0
+        visible = values[view.mask]
+        return FeatureImage(values, view.mask, np.concatenate([visible.mean(axis=0), visible.std(axis=0)]))
+
+    def of_particles(self, view: View, projected: Projection) -> np.ndarray:
+        """Position within the box around the visible cloud, -1..1 along each axis (n, 3)."""
+        return normalised_position(view, projected.points)

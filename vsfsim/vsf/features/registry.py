@@ -19,9 +19,8 @@ import numpy as np
 from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.descriptor import LocalDescriptor
-from vsfsim.vsf.features.interface import Extractor, project, projection
+from vsfsim.vsf.features.interface import Extractor, XyzRgb, project, projection
 from vsfsim.vsf.features.thickness import PlaceDescriptor, ThicknessDescriptor
-from vsfsim.vsf.features.xyzrgb import XyzRgb
 
 
 def particle_features(name: str, view: View, particles: np.ndarray, *, spacing: float, weights: str = "",

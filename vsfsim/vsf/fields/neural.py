@@ -23,8 +23,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
-from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
-from vsfsim.vsf.fields.surface_touch import DenseTouch
+from vsfsim.vsf.fields.line_integrals import DenseTouch, TotalForces, TotalTouch, VertexForces
 
 
 class NerfField(nn.Module):
