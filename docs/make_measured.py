@@ -97,7 +97,6 @@ def claims() -> str:
 def audits() -> str:
     """What `vsfsim audit` says of each living task that it audits, from the rows and audits that ship."""
     from vsfsim.bench.commands.audit import KINDS, audit
-    from vsfsim.bench.leaderboard import over_objects
     from vsfsim.bench.task import load_task
     from vsfsim.core.shelf import tasks
 
@@ -109,7 +108,7 @@ def audits() -> str:
             *(f"sees only: {kind}" if kind != "constant" else "sees nothing" for kind in KINDS), "over-fit", "source"]
     table = []
     for task in map(load_task, tasks()):
-        if task.superseded_by or not over_objects(task) or task.metric.higher_is_better:
+        if task.superseded_by or not task.protocol.folds or task.metric.higher_is_better:
             continue
         found = audit(task, [], measure=False)
         shortcut = {s.sees: f"{s.mean:.3f} ± {s.error:.3f}" for s in found.shortcuts}

@@ -376,11 +376,5 @@ def improvement(verdict: Verdict) -> str:
 
 def table(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
     """The verdicts for JSON."""
-    return [{"claim": v.claim.text, "source": v.claim.source, "paper": said(v.claim.figures, v.claim.words),
-             "cells": list(v.claim.figures), "task": v.claim.task, "metric": v.claim.metric,
-             "direction": v.answers.direction, "size": v.answers.size, "chance": list(v.answers.chance),
-             "here": v.ours, "note": v.claim.note,
-             "difference": None if v.difference is None else dataclasses.asdict(v.difference),
-             "commands": list(v.commands),
-             "experiments": [{"changes": e.changes, "study": e.study, "verdict": e.answer, "conclusion": e.conclusion}
-                             for e in v.experiments]} for v in verdicts]
+    return [{**dataclasses.asdict(v), "paper": said(v.claim.figures, v.claim.words),
+             "conclusions": [e.conclusion for e in v.experiments]} for v in verdicts]

@@ -37,8 +37,8 @@ def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]
                     d = paired(mine, base.values(study.metric, shot))
                     apart[shot] = {"mean": d.mean, "error": d.error, "objects": d.objects} if d.objects > 1 else None
         rows.append({"variant": variant.name, "method": variant.method, "preset": variant.preset,
-                     "parameters": dict(variant.parameters), "values": values, "difference": apart,
-                     "paper": {shot: list(v) for shot, v in variant.paper.items()},
+                     "parameters": dict(variant.set), "values": values, "difference": apart,
+                     "paper": dict(variant.paper),
                      "file": str(one.path) if one is not None else None,
                      "task": one.result.task if one is not None else None})
     return {"study": study.name, "title": study.title, "source": study.source, "metric": study.metric, "size": size,
@@ -123,7 +123,7 @@ def _difference(value: Mapping[str, Any] | None) -> str:
     return f"{d.mean:+.3f} ± {d.error:.3f}{' *' if d.told_apart else ''}"
 
 
-def _paper(value: list[float | None] | None) -> str:
+def _paper(value: float | tuple[float, float] | None) -> str:
     if value is None:
         return ""
-    return f"{value[0]:.2f}" + ("" if value[1] is None else f" ± {value[1]:.2f}")
+    return " ± ".join(f"{v:.2f}" for v in (value if isinstance(value, tuple) else (value,)))

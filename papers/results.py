@@ -10,13 +10,10 @@ from pathlib import Path
 from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
-from vsfsim.bench.board.named import EARLIER, listed, row_sha256
-from vsfsim.bench.board.same import SAME_READINGS
+from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed, row_sha256
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.commands.presets import on_device
-from vsfsim.bench.commands.side_by_side import make
-from vsfsim.bench.evaluate import Row
-from vsfsim.bench.metrics import Answer
+from vsfsim.bench.evaluate import Row, make
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
@@ -102,7 +99,7 @@ def ship(task: str, out: Path) -> None:
     """
     rows = {row.name: row for row in read_rows(folder("leaderboard") / "studies" / f"{task}.json")}
     for path in sorted((MADE / "studies" / task).glob("*.json")):
-        rows[path.name] = Shipped(path.name, Result.load(path), "", False)
+        rows[path.name] = Shipped(path.name, dataclasses.replace(Result.load(path), maps={}), "", False)
     if rows:
         write_rows([rows[name] for name in sorted(rows)], out)
 
@@ -159,18 +156,7 @@ def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> R
     else:
         path = MADE / "studies" / task.name / f"{study.stem(variant)}.json"
     return Row.at(path, choice.method, task, dataset, parameters=choice.parameters, preset=choice.preset,
-                  training=training, after=_plain if row else _slim)
-
-
-def _plain(result: Result) -> Result:
-    return result
-
-
-def _slim(result: Result) -> Result:
-    """Tables and claims need no calibration and no maps."""
-    answers = {name: rows for name, rows in result.answers.items() if name != Answer.READING_STD.value}
-    slimmer = dataclasses.replace(result, answers=answers, maps={})
-    return dataclasses.replace(slimmer, scores=slimmer.computed())
+                  training=training)
 
 
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
@@ -203,8 +189,8 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
             yield name, str(error)
             continue
         jobs.setdefault(one.path, (name, one))
-    for one, message in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
-        yield jobs[one.path][0], message
+    for one, made in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
+        yield jobs[one.path][0], str(made) if isinstance(made, VsfsimError) else ""
 
 
 def differences(found: Mapping[str, Found], boards: dict[str, leaderboard.Board]) -> dict[str, bool]:

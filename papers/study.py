@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,13 @@ from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.task import DatasetWanted, Task, load_task, open_dataset
 from vsfsim.bench.trials.training import RULES, Extra, Training
+from vsfsim.bench.typed_table import Count, Positive, Share, one_of, typed
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
-from vsfsim.core.table import Table, parse_toml, read_text
+from vsfsim.core.table import parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 
 SIZES = ("mini", "standard")
-_SETTINGS = ("method", "preset", "set", "train", "share_of_objects", "share_of_touches", "train_views", "test_views",
-             "extra", "data", "world", "only")
 
 
 @dataclass(frozen=True)
@@ -38,108 +37,123 @@ class Pool:
 
     data: str
     """Name of a table [data.NAME]."""
-    objects: int
+    objects: Positive
     """How many of them."""
-    first: int
+    first: Count = 0
     """Number of the first of them."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One row of a study."""
+    """``[[variant]]``: one row of a study."""
 
     name: str
     """In the study."""
     method: str
     """Name of the method."""
-    preset: str
+    preset: str = "tuned"
     """Of its settings."""
-    parameters: Mapping[str, Any]
-    """Over those of the preset."""
-    train: str
+    set: Mapping[str, Any] = field(default_factory=dict)
+    """Parameters over those of the preset."""
+    train: str = "others"
     """A key of `vsfsim.bench.trials.training.RULES`."""
-    objects: float
+    share_of_objects: Share = 1.0
     """Share of the training objects."""
-    touches: float
+    share_of_touches: Share = 1.0
     """Share of the touches of each."""
-    train_views: tuple[int, ...]
+    train_views: tuple[Count, ...] = ()
     """Of training objects; () for all."""
-    test_views: tuple[int, ...]
+    test_views: tuple[Count, ...] = ()
     """That are scored; () for all."""
-    extra: tuple[Pool, ...]
+    extra: tuple[Pool, ...] = ()
     """Further training objects."""
-    data: str
+    data: str = ""
     """Name of a table [data.NAME] whose dataset takes the place of the task's; "" for the task's."""
-    world: str
+    world: str = ""
     """A key of `papers.worlds.WORLDS` that takes the place of the task; "" for none."""
-    only: str
+    only: str = ""
     """Class of the objects that count; "" for all."""
-    paper: Mapping[str, tuple[float, float | None]]
-    """The paper's figures: mean and spread by shot."""
+    paper: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)
+    """The paper's figures: mean, or mean and spread, by shot."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A claim, or an experiment on one, that two variants decide."""
+    """``[[claim]]`` or ``[[experiment]]`` on one, which two variants decide."""
 
     text: str
     """In our words; of an experiment the key of the claim."""
-    source: str
-    """Paper and place."""
-    figures: tuple[str, ...]
-    """Cells of `papers.figures` of both sides; () where the paper prints none."""
-    words: str
-    """In the place of figures."""
     better: tuple[str, str]
     """Variant and shot that are claimed to be better."""
     worse: tuple[str, str]
     """Than which."""
-    equal: bool
-    """The claim is that they cannot be told apart."""
     metric: str
-    """By which metric."""
-    note: str
+    """By which metric; default: the study's."""
+    source: str = ""
+    """Paper and place."""
+    figures: tuple[str, ...] = ()
+    """Cells of `papers.figures` of both sides; () where the paper prints none."""
+    words: str = "drawn, no number"
+    """In the place of figures."""
+    equal: bool = False
+    """The claim is that they cannot be told apart."""
+    note: str = ""
     """What is different here, or of an experiment what it changes."""
 
 
-@dataclass(frozen=True)
-class Study:
-    """One study."""
-
-    name: str
-    """Of its file."""
+@dataclass(frozen=True, kw_only=True)
+class _Head:
     title: str
     """One line."""
     source: str
     """Paper and table."""
-    unit: str
+    unit: str = ""
     """Of the paper's figures."""
-    metric: str
+    metric: str = "rmse_ratio"
     """Name of the metric that is shown."""
-    tasks: Mapping[str, str]
+    tasks: Mapping[str, str] = field(default_factory=dict)
     """Name of the task by size; {} where every variant has a world."""
-    baseline: str
+    baseline: str = ""
     """Variant from which the differences are."""
-    shots: tuple[int, ...]
+    shots: tuple[Count, ...] = ()
     """Instead of the task's; () for the task's."""
-    trainings: int
+    trainings: Count = 0
     """Instead of the task's; 0 for the task's."""
-    draws: int
+    draws: Count = 0
     """Instead of the task's; 0 for the task's."""
-    folds: int
+    folds: Count = 0
     """Instead of the task's; 0 for the task's."""
+    data: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Datasets other than the tasks', by name: fields of `DatasetWanted` over those of the task, in a table a size."""
+    note: str = ""
+    """What is different here."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(_Head):
+    variant: list[dict[str, Any]]
+    settings: dict[str, Any] = field(default_factory=dict)
+    """Of all variants."""
+    classes: dict[str, list[str]] = field(default_factory=dict)
+    """Models of each class."""
+    claim: list[dict[str, Any]] = field(default_factory=list)
+    experiment: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(_Head):
+    """One study."""
+
+    name: str
+    """Of its file."""
     variants: tuple[Variant, ...]
     """In order."""
     classes: Mapping[str, str]
     """Class of each model."""
-    data: Mapping[str, Mapping[str, Any]]
-    """Datasets other than the tasks', by name: fields of `DatasetWanted` over those of the task, in a table a size."""
     claims: tuple[Asked, ...]
     """Of the paper."""
     experiments: tuple[Asked, ...]
     """On claims that do not hold: each asks the same of other data."""
-    note: str
-    """What is different here."""
 
     def variant(self, name: str) -> Variant:
         """Raises:
@@ -180,7 +194,7 @@ class Study:
                             f"of the support. That task has no cross-validation of its own; give trainings = ... and "
                             f"draws = ... of 1 or more in the study's file.")
         protocol = dataclasses.replace(p, shots=self.shots or p.shots, trainings=trainings, draws=draws,
-                                       folds=self.folds or p.folds, seeds=trainings * draws)
+                                       folds=self.folds or p.folds, seeds=0 if trainings else p.seeds)
         return dataclasses.replace(task, protocol=protocol)
 
     def wanted(self, name: str, size: str, task: Task) -> DatasetWanted:
@@ -199,8 +213,8 @@ class Study:
     def is_row(self, variant: Variant) -> bool:
         """Whether a variant is what `vsfsim evaluate --preset` makes of the task, so that a row of its leaderboard
         serves."""
-        return (variant.train, variant.objects, variant.touches) == ("others", 1.0, 1.0) and not (
-            variant.parameters or variant.train_views or variant.test_views or variant.extra or variant.data
+        return (variant.train, variant.share_of_objects, variant.share_of_touches) == ("others", 1.0, 1.0) and not (
+            variant.set or variant.train_views or variant.test_views or variant.extra or variant.data
             or variant.world)
 
     def choice(self, variant: Variant, task: Task) -> Choice:
@@ -212,16 +226,16 @@ class Study:
         # a row of a leaderboard is asked for what its task's metric scores, a variant of its own for the study's
         metric = task.metric if self.is_row(variant) else METRICS[self.metric]
         known = chosen(variant.method, variant.preset, task.observation.name, metric.answer.value)
-        return dataclasses.replace(known, parameters={**known.parameters, **variant.parameters})
+        return dataclasses.replace(known, parameters={**known.parameters, **variant.set})
 
     def stem(self, variant: Variant) -> str:
         """Of the result file: the same for the same evaluation in another study."""
-        told = {"set": dict(variant.parameters), "train": variant.train, "objects": variant.objects,
-                "touches": variant.touches, "views": [variant.train_views, variant.test_views],
+        told = {"set": dict(variant.set), "train": variant.train, "objects": variant.share_of_objects,
+                "touches": variant.share_of_touches, "views": [variant.train_views, variant.test_views],
                 "extra": [[p.data, p.objects, p.first, self.data.get(p.data)] for p in variant.extra],
                 "data": self.data.get(variant.data), "world": variant.world,
                 "protocol": [self.shots, self.trainings, self.draws, *([self.folds] if self.folds else [])]}
-        words = [f"{variant.method}.{variant.preset}", *(str(v) for v in variant.parameters.values()),
+        words = [f"{variant.method}.{variant.preset}", *(str(v) for v in variant.set.values()),
                  *([variant.train] if variant.train != "others" else []), *([variant.data] if variant.data else []),
                  *(f"{p.data}{p.objects}" for p in variant.extra)]
         digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:8]
@@ -248,8 +262,8 @@ class Study:
             of = self._asked(load_task(given["task"])) if "task" in given else task
             of = dataclasses.replace(of, dataset=self.wanted(pool.data, size, task))
             extra.append(Extra(of, open_dataset(of), pool.objects, pool.first))
-        return Training(variant.train, variant.objects, variant.touches, variant.train_views, variant.test_views,
-                        self.classes, tuple(extra))
+        return Training(variant.train, variant.share_of_objects, variant.share_of_touches, variant.train_views,
+                        variant.test_views, self.classes, tuple(extra))
 
 
 def studies() -> dict[str, Path]:
@@ -272,94 +286,30 @@ def load_study(name: str) -> Study:
 
 def parse_study(text: str, path: Path) -> Study:
     """Like `load_study`, from text; ``path`` names it in messages."""
-    top = Table(parse_toml(text, path, "study", TaskError), str(path), (
-        "title", "source", "unit", "metric", "tasks", "baseline", "shots", "trainings", "draws", "folds", "settings",
-        "variant", "classes", "data", "claim", "experiment", "note"), error=TaskError)
-    metric = top.text("metric", "rmse_ratio")
-    if metric not in METRICS:
-        raise TaskError(f"{path}: metric is '{metric}'. {did_you_mean(metric, METRICS)}")
-    settings = _plain(top, "settings")
-    variants = tuple(_variant(row, settings, f"{path} [[variant]] {k + 1}")
-                     for k, row in enumerate(top.rows("variant")))
-    classes = {str(model): str(kind) for kind, models in _plain(top, "classes").items() for model in models}
-    shots = top.counts("shots")
-    out = Study(
-        path.stem, top.text("title"), top.text("source"), top.text("unit", ""), metric,
-        {str(k): str(v) for k, v in _plain(top, "tasks").items()}, top.text("baseline", ""), shots,
-        top.count("trainings", 0, 0), top.count("draws", 0, 0), top.count("folds", 0, 0), variants, classes,
-        _plain(top, "data"),
-        tuple(_asked(row, metric, f"{path} [[claim]] {k + 1}") for k, row in enumerate(top.rows("claim"))),
-        tuple(_asked(row, metric, f"{path} [[experiment]] {k + 1}") for k, row in enumerate(top.rows("experiment"))),
-        top.text("note", ""))
-    _check(out, path)
-    return out
-
-
-def _check(study: Study, path: Path) -> None:
-    names = [v.name for v in study.variants]
-    if len(set(names)) < len(names) or len(names) < 2:
+    file = typed(parse_toml(text, path, "study", TaskError), _File, str(path))
+    one_of(file.metric, METRICS, f"{path}: metric")
+    variants = tuple(typed({**file.settings, **row}, Variant, f"{path} [[variant]] {k + 1}")
+                     for k, row in enumerate(file.variant))
+    claims, experiments = (tuple(typed({"metric": file.metric, **row}, Asked, f"{path} [[{kind}]] {k + 1}")
+                                 for k, row in enumerate(rows))
+                           for kind, rows in (("claim", file.claim), ("experiment", file.experiment)))
+    study = Study(name=path.stem, variants=variants, claims=claims, experiments=experiments,
+                  classes={model: kind for kind, models in file.classes.items() for model in models},
+                  **{key.name: getattr(file, key.name) for key in dataclasses.fields(_Head)})
+    if len({v.name for v in variants}) < max(len(variants), 2):
         raise TaskError(f"{path}: a study compares two or more [[variant]] with different names; it has "
-                        f"{', '.join(names) or 'none'}.")
-    for name in (study.baseline, *(side[0] for a in (*study.claims, *study.experiments)
-                                   for side in (a.better, a.worse))):
+                        f"{', '.join(v.name for v in variants) or 'none'}.")
+    for asked in (*claims, *experiments):
+        for name in asked.figures:
+            figure(name)
+    for name in (study.baseline, *(side[0] for a in (*claims, *experiments) for side in (a.better, a.worse))):
         study.variant(name)
-    for v in study.variants:
+    for v in variants:
+        where = f"{path}: variant '{v.name}'"
+        one_of(v.train, RULES, f"{where}: train")
+        one_of(v.world, ("", *worlds.WORLDS), f"{where}: world")
         for name in (v.data, *(p.data for p in v.extra)):
-            if name and name not in study.data:
-                raise TaskError(f"{path}: variant '{v.name}' names the data '{name}'. {did_you_mean(name, study.data)}")
+            one_of(name, ("", *study.data), f"{where}: data")
     for size in study.tasks:
-        if size not in SIZES:
-            raise TaskError(f"{path}: tasks names the size '{size}'. {did_you_mean(size, SIZES)}")
-
-
-def _plain(top: Table, key: str) -> dict[str, Any]:
-    value = top.table.get(key, {})
-    if not isinstance(value, dict):
-        raise TaskError(f"{top.where}: {key} is {value!r}; it must be a table.")
-    return value
-
-
-def _variant(row: Mapping[str, Any], settings: Mapping[str, Any], where: str) -> Variant:
-    t = Table({**settings, **row}, where, ("name", "paper", *_SETTINGS), error=TaskError)
-    train = t.text("train", "others")
-    if train not in RULES:
-        raise TaskError(f"{where}: train is '{train}'. {did_you_mean(train, RULES)}")
-    world = t.text("world", "")
-    if world and world not in worlds.WORLDS:
-        raise TaskError(f"{where}: world is '{world}'. {did_you_mean(world, worlds.WORLDS)}")
-    paper = {str(shot): _figure(v, f"{where} paper: {shot}") for shot, v in _plain(t, "paper").items()}
-    extra = tuple(_pool(p, f"{where} extra {k + 1}") for k, p in enumerate(t.rows("extra")))
-    return Variant(t.text("name"), t.text("method"), t.text("preset", "tuned"), _plain(t, "set"), train,
-                   t.number("share_of_objects", 1.0, 0.0, 1.0), t.number("share_of_touches", 1.0, 0.0, 1.0),
-                   t.counts("train_views"), t.counts("test_views"), extra,
-                   t.text("data", ""), world, t.text("only", ""), paper)
-
-
-def _pool(row: Any, where: str) -> Pool:
-    t = Table(row, where, ("data", "objects", "first"), error=TaskError)
-    return Pool(t.text("data"), t.count("objects", None, 1), t.count("first", 0, 0))
-
-
-def _figure(value: Any, where: str) -> tuple[float, float | None]:
-    """A figure of the paper: a number, or its mean and spread."""
-    given = value if isinstance(value, list) else [value]
-    if len(given) not in (1, 2) or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in given):
-        raise TaskError(f"{where} is {value!r}; give a number, or [mean, spread].")
-    return float(given[0]), float(given[1]) if len(given) == 2 else None
-
-
-def _asked(row: Mapping[str, Any], metric: str, where: str) -> Asked:
-    t = Table(dict(row), where, ("text", "source", "figures", "better", "worse", "equal", "metric", "note"),
-              error=TaskError)
-    sides = []
-    for key in ("better", "worse"):
-        side = t.need(key)
-        if not isinstance(side, list) or len(side) != 2:
-            raise TaskError(f"{where}: {key} is {side!r}; give a variant and a shot, e.g. [\"narrow\", \"0\"].")
-        sides.append((str(side[0]), str(side[1])))
-    cells = t.table.get("figures", "drawn, no number")
-    for name in cells if isinstance(cells, list) else ():
-        figure(name)
-    figures, words = (tuple(cells), "") if isinstance(cells, list) else ((), str(cells))
-    return Asked(t.text("text"), t.text("source", ""), figures, words, sides[0], sides[1],
-                 t.flag("equal", False), t.text("metric", metric), t.text("note", ""))
+        one_of(size, SIZES, f"{path}: a size of tasks")
+    return study

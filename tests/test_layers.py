@@ -67,7 +67,7 @@ HEAVY = {
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
                    "newton", "embreex", "open3d", "OpenGL", "pyrender"},
     "references": {"numpy", "scipy", "torch", "timm", "skfem"},
-    "bench": {"numpy", "h5py", "msgspec"},
+    "bench": {"numpy", "h5py", "msgspec", "jinja2", "markupsafe"},
     "active": {"numpy", "gymnasium"},
     "papers": {"numpy", "scipy"},
     "baselines": {"numpy", "scipy", "torch"},

@@ -149,7 +149,7 @@ def test_every_package_folder_is_declared():
 # ------------------------------------------------------------------------------------------------- weight
 
 
-BASE = {"numpy", "scipy", "h5py", "typer", "rich", "filelock", "msgspec"}
+BASE = {"numpy", "scipy", "h5py", "typer", "rich", "filelock", "msgspec", "jinja2"}
 IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn", "rerun-sdk": "rerun",
                "scikit-fem": "skfem"}
 """Distributions whose package has another name."""
@@ -214,7 +214,7 @@ def in_bare(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess
     return subprocess.run([str(python), "-P", *words], capture_output=True, text=True, cwd=cwd, env=env)
 
 
-def test_seven_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path):
+def test_the_base_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path):
     def vsfsim(*words):
         return in_bare(bare, "-c", "from vsfsim.cli.main import main; main()", *words, cwd=tmp_path)
 

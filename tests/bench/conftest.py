@@ -1,5 +1,6 @@
 import json
 import os
+from collections import Counter
 
 import pytest
 
@@ -36,6 +37,17 @@ def task_text():
 
 
 @pytest.fixture(scope="session")
+def folded_text():
+    """The text of the same task with four objects and cross-validation over them."""
+    text = TASK
+    for old, new in {'train = "train", test = "test", ': "folds = 2, draws = 2, trainings = 2, ", "seeds = 3, ": "",
+                     "objects = 3": "objects = 4", '"rmse"': '"rmse_ratio"'}.items():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+@pytest.fixture(scope="session")
 def task():
     return parse_task(TASK, "toy-v1.toml")
 
@@ -47,10 +59,12 @@ def toy_views():
 
 @pytest.fixture(scope="session")
 def write_dataset(tmp_path_factory):
-    """Writes the views of three mock objects, the first for training, into a folder of their own."""
-    def write(views):
-        recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=len(views[0].touches),
-                        splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    """Writes the views of some mock objects into a folder of their own."""
+    def write(views, scene_text="mock", seed=0):
+        splits = Counter({view.object_index: view.split for view in views}.values())
+        recipe = Recipe(scene="mock", scene_text=scene_text, seed=seed, objects=sum(splits.values()), views=1,
+                        touches=len(views[0].touches), splits=dict(splits), device="cpu", tier="vsf",
+                        precision="float64", renderer="warp")
         with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in views]) as writer:
             for view in views:
                 writer.add(view)

@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 from toy_methods import Constant
@@ -93,22 +92,6 @@ class LearnsUnpicklable(Learns):
 
 class Unsaved(LearnsUnpicklable):
     save = load = None
-
-
-class OpensPath(Hostile):
-    """Opens a file whose absolute path it was told."""
-
-    def __init__(self, *, path="", report=""):
-        super().__init__(report=report)
-        self.path = path
-
-    def predict(self, touches):
-        if self.path:
-            try:
-                self.found(len(Path(self.path).read_bytes()))
-            except OSError as error:
-                self.found(type(error).__name__)
-        return super().predict(touches)
 
 
 class Overwrites(Hostile):
@@ -246,11 +229,6 @@ class LeavesSession(Hostile):
 
     def _reports(self):
         return open(self.report).read().count("\n") if os.path.exists(self.report) else 0
-
-
-class SleepsInCheck(Hostile):
-    def adapt(self, view, support):
-        time.sleep(1000.0)
 
 
 class PrintsMuch(Hostile):

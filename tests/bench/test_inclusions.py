@@ -17,8 +17,6 @@ from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.material import Inclusion
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
 SCENE = """
 name = "mock"
@@ -34,17 +32,11 @@ choice = [ [
   { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 },
 ] ]
 """
-RECIPE = Recipe(scene="mock", scene_text=SCENE, seed=3, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
-                device="cpu", tier="vsf", precision="float64", renderer="warp")
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
-    with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", RECIPE, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        return writer.finish()
+def dataset(write_dataset):
+    return write_dataset([mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)], SCENE, 3)
 
 
 def of(task_text, primary):
@@ -161,7 +153,7 @@ def test_meshes_of_the_parts_are_closed_and_wound_outwards(kind, numbers, volume
 
 def test_a_scene_without_inclusions_is_refused(dataset):
     text = SCENE[:SCENE.index("[object.young")].replace("[object]", "[object]\nyoung_modulus = 1e5")
-    plain = dataclasses.replace(RECIPE, scene_text=text)
+    plain = dataclasses.replace(dataset.recipe, scene_text=text)
     with pytest.raises(TaskError, match="no inclusions"):
         Inclusions.of(plain, dataset.load(dataset.names("test")[0]))
 

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.metric_functions import (
     best_f1,
     can_be_scored,
@@ -14,10 +12,8 @@ from vsfsim.bench.metric_functions import (
     touch_errors,
     touch_uncertainty,
 )
-from vsfsim.bench.metrics import METRICS, Answer, Metric, record_scores
-from vsfsim.bench.noise import Noise, noisy_force
+from vsfsim.bench.metrics import Answer, record_scores
 from vsfsim.bench.reached_points import distance
-from vsfsim.bench.task import parse_task
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 
 
@@ -97,30 +93,6 @@ def test_stiffness_uncertainty_allows_the_same_scale_on_mean_and_std():
     assert first["stiffness_std_spearman"] > 0.5
     for none in (None, np.zeros(5)):
         assert stiffness_scores(mean, truth, none)["stiffness_nll"] is None
-
-
-def test_a_new_metric_is_one_row_and_one_function(task_text, toy_dataset, tmp_path, monkeypatch):
-    def worst(touches):
-        return max((touch["sse"] / touch["n"]) ** 0.5 for touch in touches)
-
-    row = Metric("rmse_worst", Answer.READINGS, worst, "Largest error of a touch.", unit=None, ranks=True)
-    monkeypatch.setitem(METRICS, row.name, row)
-    task = parse_task(task_text.replace('primary = "rmse"', 'primary = "rmse_worst"'), "toy-v1.toml")
-    for value in (1.0, 50.0):
-        result = evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": value}, check=False)
-        score, mean = (result.scores[name]["all"].mean for name in ("rmse_worst", "rmse"))
-        squares = [sse / n for sse, n in zip(result.queries["sse"], result.queries["n"], strict=True)]
-        assert score == pytest.approx(max(squares) ** 0.5) and score > mean
-        result.save(tmp_path / f"{value}.json")
-    board = collect(task, [tmp_path])
-    assert [r.result.parameters["value"] for r in board.rows] == [1.0, 50.0]
-    assert text(board).startswith("rmse_worst of normal-force [N], mean ± std over seeds, lower is better")
-
-
-def test_noise_is_reproducible_and_per_touch():
-    a, b, c = (noisy_force(np.ones((10, 3)), Noise(0.15, 0.0, 0.0, 0, 0), object_index=0, view_index=0, touch_index=k)
-               for k in (0, 0, 1))
-    assert np.array_equal(a, b) and not np.array_equal(a, c)
 
 
 @pytest.mark.parametrize(("probe", "point", "want"), [

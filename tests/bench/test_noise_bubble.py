@@ -6,7 +6,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vsfsim.bench.mock import mock_view
 from vsfsim.bench.noise import (
     NOISE_KINDS,
     Noise,
@@ -17,7 +16,6 @@ from vsfsim.bench.noise import (
     relaxed,
     window,
 )
-from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import TaskError
 
@@ -177,25 +175,3 @@ def test_node_forces_are_off_by_their_share_where_there_is_contact():
     assert late[:, 0, 0] == pytest.approx([0.0, 0.5, 1.5, 2.5])
     with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
         noisy_node_force(force[0], seconds(300), punyo(), **WHICH)
-
-
-def test_a_task_may_read_the_pressure(task_text):
-    text = task_text.replace('kind = "normal-force"', 'kind = "pressure"')
-    text = text.replace('noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }',
-                        'noise = { kind = "punyo", tare_frames = 2, seed = 0 }')
-    task = parse_task(text, "toy-v1.toml")
-    view = mock_view(1, split="test", touches=4)
-    with pytest.raises(TaskError, match="no pressure"):
-        record(view, task)
-    touches = [dataclasses.replace(t, rest_pressure=7400.0, pressure=7400.0 + 139.0 * t.normal_force())
-               for t in view.touches]
-    touches[0].converged[7], touches[0].pressure[7] = False, np.nan
-    recording = record(dataclasses.replace(view, touches=tuple(touches)), task)
-    for touch, reading, clean in zip(touches, recording.readings, recording.clean):
-        assert reading.value.shape == (len(touch.time), 1) and reading.action.observation == "pressure"
-        assert np.isfinite(reading.value[reading.valid]).all() and np.isnan(reading.value[~reading.valid]).all()
-        assert clean[touch.converged, 0] == pytest.approx(139.0 * touch.normal_force()[touch.converged], abs=1e-9)
-        error = (reading.value - clean)[touch.converged, 0]
-        # white noise and that of a tare of two frames, a relaxation of 2 % of the reading and a drift of 1.6 Pa/s
-        bound = SIGMAS * 5.4 * np.sqrt(1.5) + 0.02 * np.ptp(clean[touch.converged]) + 1.6 * np.ptp(touch.time)
-        assert 0.0 < np.abs(error).max() < bound

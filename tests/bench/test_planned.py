@@ -12,7 +12,6 @@ from vsfsim.bench.task import load_task, parse_task
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import find_task, tasks
-from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.recipe import text_sha256
 
 LIMIT = 4.0  # N: about half of the mock's touches meet it
@@ -34,45 +33,11 @@ def views():
     return [dataclasses.replace(v, touches=tuple(cut(t) for t in v.touches)) for v in made]
 
 
-class ReadsTheLength:
-    """Predicts each frame of a touch by the mean reading in that frame of learned touches that ended at the same
-    frame."""
-
-    def __init__(self, recordings):
-        self.by_length = {}
-        for recording in recordings:
-            for reading, clean in zip(recording.readings, recording.clean, strict=True):
-                self.by_length.setdefault(len(reading.action.time), []).append(clean)
-
-    def __call__(self, action):
-        n = len(action.time)
-        alike = self.by_length.get(n) or [c for same in self.by_length.values() for c in same]
-        return np.mean([c for c in alike if len(c) == n] or [np.zeros((n, 1))], axis=0)
-
-
-def error(method, recordings, shown):
-    """RMS error over all frames that are scored, when ``shown(recording, index)`` is what the method sees."""
-    squares = []
-    for recording in recordings:
-        for index, query in enumerate(recording.queries):
-            answer = method(shown(recording, index))[:len(recording.clean[index])]
-            squares.append(((answer - recording.clean[index]) ** 2).ravel())
-            assert np.array_equal(recording.clean[index], query.clean[query.scored])
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
-
-
 def test_the_length_of_the_path_tells_the_reading_and_that_of_the_plan_does_not(views, task):
     recordings = [record(view, task) for view in views]
     lengths = {len(r.action.time) for one in recordings for r in one.readings}
     assert len(lengths) > 3, "the path that was taken ends where the limit was met"
     assert {len(q.action.time) for one in recordings for q in one.queries} == {max(lengths)}
-    method, new = ReadsTheLength(recordings[:4]), recordings[4:]
-    leaking = error(method, new, lambda one, k: one.readings[k].action)
-    closed = error(method, new, lambda one, k: one.queries[k].action)
-    blind = error(lambda action: np.mean([c for some in method.by_length.values() for c in some
-                                          if len(c) == max(lengths)], axis=0), new, lambda one, k: None)
-    assert leaking < 0.8 * closed, "with the path that was taken, the method gains (measured: 0.64)"
-    assert closed == pytest.approx(blind, rel=1e-12), "with the plan, it knows what a constant knows"
 
 
 def test_only_frames_made_as_planned_are_scored(views, task):
@@ -88,19 +53,12 @@ def test_only_frames_made_as_planned_are_scored(views, task):
     assert 0 not in draw.query and 0 not in draw.pool, "a touch without such a frame cannot be a query"
 
 
-def test_the_plan_survives_the_file(views, tmp_path):
-    write_view(tmp_path / "v.h5", views[0])
-    back = read_view(tmp_path / "v.h5").touches[0]
-    for name in ("planned_time", "planned_pose", "planned_frame"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(views[0].touches[0], name))
-    assert back.planned_q is None
-
-
 def test_an_arm_without_its_plan_is_refused_where_objects_are_cross_validated(task):
     upright = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
     arm = Chain(upright, ((0.0, 0.0, 0.2),), ((1.0, 0.0, 0.0, 0.0),), (0,), ())
     view = dataclasses.replace(mock_view(0), probe=arm)
-    folded = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, folds=2, draws=3, trainings=1))
+    protocol = dataclasses.replace(task.protocol, folds=2, draws=3, trainings=1, seeds=0)
+    folded = dataclasses.replace(task, protocol=protocol)
     with pytest.raises(TaskError, match=r"does not keep the planned paths .* plan = true in \[touches\]"):
         record(view, folded)
     assert record(view, task).queries, "older tasks go on"
@@ -110,7 +68,8 @@ def test_frames_that_the_mesh_does_not_resolve_are_left_out_unless_the_task_says
     """Of a straight touch, of one that leaves its plan, and of one without a resolved frame, which is no query."""
     scored = parse_task(task_text.replace("protocol = {", 'protocol = { unresolved = "scored",'), "toy-v1.toml")
     task = parse_task(task_text, "toy-v1.toml")
-    assert task.sha256 != scored.sha256 and not task.protocol.unresolved and scored.protocol.unresolved
+    assert task.sha256 != scored.sha256
+    assert (task.protocol.unresolved, scored.protocol.unresolved) == ("left out", "scored")
 
     def odd(touch, none):
         good = np.arange(len(touch.time)) % 3 != 1
@@ -133,5 +92,5 @@ def test_frames_that_the_mesh_does_not_resolve_are_left_out_unless_the_task_says
 def test_tasks_that_were_released_before_score_every_frame_and_keep_their_sha256():
     for name in tasks():
         text = find_task(name).read_text()
-        assert load_task(name).protocol.unresolved and 'unresolved = "scored"\n' in text
+        assert load_task(name).protocol.unresolved == "scored" and 'unresolved = "scored"\n' in text
         assert load_task(name).sha256 == text_sha256(re.sub(r"(?m)^(superseded_by|unresolved) *=.*\n", "", text))

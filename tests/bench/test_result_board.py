@@ -1,7 +1,6 @@
 """Result files and the table made of them."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -32,24 +31,6 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
         if metric.name != "rmse_norm"}, "from the raw values; a force is one number and has no norm of its own"
     assert back.task_sha256 == task.sha256 and back.made_by["vsfsim"] and back.versions["numpy"] == np.__version__
     assert back.timing["adapts"] == 2 * (1 + 3 + 3 + 1)
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    (lambda t: t.pop("format"), "not a result"),
-    (lambda t: t.update(schema_version=99), "schema version 99"),
-    (lambda t: t.pop("timing"), "missing required field `timing`"),
-    (lambda t: t["queries"]["n"].pop(), "different lengths"),
-    (lambda t: t["readings"]["ss"].pop(), "columns object, touch, n, ss have different lengths"),
-    (lambda t: t["scores"]["rmse"]["0"].update(mean=0.0), "does not fit its 3 seeds"),
-    (lambda t: t["scores"]["rmse"]["0"].pop("std"), "malformed"),
-])
-def test_malformed_results_are_refused(results, plain_table, tmp_path, change, message):
-    results[0].save(tmp_path / "r.json")
-    table = plain_table(tmp_path / "r.json")
-    change(table)
-    (tmp_path / "r.json").write_text(json.dumps(table))
-    with pytest.raises(TaskError, match=message):
-        Result.load(tmp_path / "r.json")
 
 
 def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, tmp_path):
@@ -145,12 +126,6 @@ def test_equal_results_are_one_row(results, task, tmp_path):
     results[0].save(tmp_path / "here.json")
     dataclasses.replace(results[0], timing={**results[0].timing, "adapt_s": 9.0}).save(tmp_path / "there.json")
     assert len(leaderboard.collect(task, [tmp_path]).rows) == 1
-
-
-def test_a_task_that_names_its_dataset_ranks_only_that(results, task, tmp_path):
-    results[0].save(tmp_path / "a.json")
-    pinned = dataclasses.replace(task, dataset=dataclasses.replace(task.dataset, sha256="0" * 64))
-    assert [row.rank for row in leaderboard.collect(pinned, [tmp_path]).rows] == [None]
 
 
 def test_results_of_another_task_are_refused(results, task, tmp_path):

@@ -43,12 +43,13 @@ def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
     recipe = make_recipe(scene, seed=wanted.seed)
     assert (recipe.scene, recipe.seed, recipe.objects, recipe.views, recipe.touches, recipe.tier) == \
         (wanted.scene, wanted.seed, wanted.objects, wanted.views, wanted.touches, wanted.tier)
+    assert load_task(name).superseded_by or wanted.scene_sha256 in ("", recipe.scene_sha256)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('name = "toy-v1"', 'name = "toy"', "ends in its version"),
     ("query = 4", "querry = 4", r"\[protocol\]: unknown key 'querry'. Did you mean 'query'\?"),
-    ("query = 4", "query = 0", "query is 0; it must be a whole number of at least 1"),
+    ("query = 4", "query = 0", "query is 0; it must be a whole number >= 1"),
     ("shots = [0, 1, 5]", "shots = [5, 1]", "increasing whole numbers"),
     ('kind = "normal-force"', 'kind = "colour"', "observation 'colour' is unknown"),
     ('noise = { ', 'noise = { kind = "punio", ', "Did you mean 'punyo'"),
@@ -59,8 +60,8 @@ def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
     ('primary = "rmse"', 'primary = "rsme"', "Did you mean 'rmse'"),
     ("ranking_shot = 5", "ranking_shot = 7", "one of the shots: 0, 1, 5, all"),
     ("description", "descripton", "unknown key 'descripton'"),
-    ("comparable = false", 'comparable = "no"', "comparable must be true or false"),
-    ("all = 0.5", "ten = 0.5", "values names shot 'ten'"),
+    ("comparable = false", 'comparable = "no"', "comparable is 'no'; it must be true or false"),
+    ("all = 0.5", "ten = 0.5", "a shot of values is 'ten'"),
     ("name =", "name", "not valid TOML"),
     ('scene = "mock", ', "", "'scene' is missing"),
 ])

@@ -82,7 +82,7 @@ def test_the_ceiling_errs_by_nothing_and_is_not_ranked(board):
     assert springs.rank == 1 and ceiling.rank is None and ceiling.mark == leaderboard.CEILING
     assert all(score.mean < 1e-4 for score in ceiling.scores["rmse_ratio"].values())
     assert set(ceiling.objects["1"]) == set(springs.objects["1"])
-    _, numbers = inspect_result(folder / "resim.json", None)
+    _, numbers = inspect_result(folder / "resim.json")
     assert all(one["gain"] == pytest.approx(1.0, abs=1e-4) for one in numbers["touches"])
 
 

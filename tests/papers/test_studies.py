@@ -3,7 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from papers import report, verdicts, worlds
@@ -14,7 +13,6 @@ from papers.results import Found
 from papers.study import load_study, parse_study, studies
 from vsfsim.bench.commands.presets import preset
 from vsfsim.bench.result import Result
-from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import scenes
 
@@ -140,7 +138,7 @@ def test_the_same_evaluation_has_one_file_in_all_studies(study):
     half, every = study.variant("half"), study.variant("all")
     other = parse_study(TEXT.replace("A toy", "Another"), Path("other.toml"))
     assert study.stem(half) == other.stem(half) and study.stem(half).startswith("sbml.tuned-")
-    assert study.stem(half) != study.stem(dataclasses.replace(half, touches=0.5))
+    assert study.stem(half) != study.stem(dataclasses.replace(half, share_of_touches=0.5))
     assert study.is_row(every) and not study.is_row(half)
     folds = parse_study(TEXT.replace('title = "A toy"', 'title = "A toy"\nfolds = 3'), Path("toy.toml"))
     assert folds.task_of(half, "mini").protocol.folds == 3 and folds.stem(half) != study.stem(half)
@@ -153,7 +151,7 @@ def test_folds_of_a_task_without_cross_validation_need_trainings_and_draws():
     with pytest.raises(TaskError, match="localization-mini-v3 for 0 trainings and 0 draws"):
         study.task_of(study.variant("all"), "mini")
     study = parse_study(text.replace("folds = 4", "folds = 4\ntrainings = 1\ndraws = 2"), Path("toy.toml"))
-    assert study.task_of(study.variant("all"), "mini").protocol.seeds == 2
+    assert study.task_of(study.variant("all"), "mini").protocol.runs(seeded=True) == (0, 1)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
@@ -161,12 +159,12 @@ def test_folds_of_a_task_without_cross_validation_need_trainings_and_draws():
     ("share_of_objects = 0.5", "share_of_objects = 2.0", "share_of_objects is 2.0"),
     ("share_of_objects = 0.5", 'train = "mine"', "train is 'mine'"),
     ("share_of_objects = 0.5", 'world = "moon"', "world is 'moon'"),
-    ('worse = ["half", "0"]', 'worse = "half"', "give a variant and a shot"),
+    ('worse = ["half", "0"]', 'worse = "half"', "1: worse is 'half'; it must be a list, got text"),
     ("share_of_objects = 0.5", 'extra = [{ data = "more" }]', r"\[\[variant\]\] 2 extra 1: 'objects' is missing"),
-    ("share_of_objects = 0.5", 'extra = [{ data = "more", objects = 1 }]', "'half' names the data 'more'"),
-    ("share_of_objects = 0.5", 'train_views = ["left"]', r"train_views\[0\] is 'left'"),
-    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper: 0 is 'two'"),
-    ('title = "A toy"', 'title = "A toy"\nshots = [0.5]', r"shots\[0\] is 0.5"),
+    ("share_of_objects = 0.5", 'extra = [{ data = "more", objects = 1 }]', "variant 'half': data is 'more'"),
+    ("share_of_objects = 0.5", 'train_views = ["left"]', r"train_views is \['left'\]; it must be a whole number"),
+    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper is {'0': 'two'}; it must be a number"),
+    ('title = "A toy"', 'title = "A toy"\nshots = [0.5]', r"shots is \[0.5\]; it must be a whole number"),
     ('title = "A toy"', 'titel = "A toy"', "titel")])
 def test_a_wrong_file_is_refused(old, new, message):
     with pytest.raises(TaskError, match=message):
@@ -214,16 +212,6 @@ def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
     assert all(len(found) == 2 for found in colours) and not colours[0] & colours[1], "each block has its own"
     assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, looks))
     assert worlds.task("springs").protocol.folds == 4
-
-
-def test_the_classes_of_a_world_differ_in_stiffness_and_are_those_of_its_study(tmp_path, monkeypatch):
-    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
-    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("objects = 24", "objects = 5"))
-    plain, classes = worlds.dataset("springs"), worlds.dataset("springs-classes")
-    factors = [float(np.median(a.truth.vsf_stiffness / b.truth.vsf_stiffness)) for a, b in zip(classes, plain)]
-    assert factors == pytest.approx([0.5, 1.0, 2.0, 4.0, 0.5])
-    of = Training("same-class", classes=load_study("world-classes").classes).classes_of(classes)
-    assert list(of.values()) == ["soft", "medium", "firm", "hard", "soft"]
 
 
 def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):

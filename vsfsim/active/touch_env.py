@@ -16,7 +16,6 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from vsfsim.bench.folds import folds_of
 from vsfsim.bench.method import (
     Action,
     Method,
@@ -27,7 +26,7 @@ from vsfsim.bench.method import (
     checked_prediction,
     frozen_view,
 )
-from vsfsim.bench.protocol import Query, divide, record, specimen_of
+from vsfsim.bench.protocol import Query, divide, folds_of, record, specimen_of
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import methods

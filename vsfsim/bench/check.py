@@ -6,13 +6,12 @@ import contextlib
 import copy
 import dataclasses
 import hashlib
-import json
 import pickle
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from vsfsim.bench.method import (
     frozen,
     frozen_view,
     parameters_of,
+    plain_parameters,
 )
 from vsfsim.bench.metric_functions import rmse, touch_errors
 from vsfsim.bench.mock import mock_view
@@ -59,7 +59,6 @@ class Finding:
     """What was observed."""
 
 
-_Clause = tuple[str, Callable[[], str | None]]
 _Extra = Callable[[Method, "_Mock"], None]
 
 
@@ -85,14 +84,12 @@ class _Mock:
         return [reading.action for reading in self.readings[5:]]
 
 
-def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool = False,
-          before: Callable[[str], None] = lambda call: None) -> tuple[Finding, ...]:
+def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool = False) -> tuple[Finding, ...]:
     """Test every clause of the contract on mock objects.
 
     Args:
         name: an installed method, or module:attribute. parameters: of its constructor.
         brief: only the clauses that a few adaptations of one instance can test; `vsfsim evaluate` tests these first.
-        before: called with the name of each function of the method before it is called.
 
     Returns:
         One finding a clause; the method conforms if none of them failed.
@@ -104,10 +101,10 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
     values = parameters_of(factory, parameters or {})
     mock, learned = _mock(), list[Method]()
     gap, untouched = _with_gap(mock.support), _digest(mock)
+    build_method(factory, values)
 
     def learn() -> Method:
-        before("its constructor")
-        method = cast(Method, _Told(build_method(factory, values), before))
+        method = build_method(factory, values)
         method.meta_fit(mock.specimens)
         return method
 
@@ -120,28 +117,26 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
         except Exception:  # of what a method holds, anything may refuse to be copied
             return learn()
 
-    before("its constructor")
-    build_method(factory, values)
-    extras = (_stiffness_here, _predict_std_here, _choose_here)
-    quick: tuple[_Clause, ...] = (
-        ("parameters are plain values", lambda: _plain(values)),
-        ("meta_fit learns from training objects", lambda: _nothing(fitted())),
-        ("predicts before any touch (0-shot)", lambda: _run(fitted(), mock, [], extras if brief else ())),
-        ("copes with frames that have no reading", lambda: _run(fitted(), mock, gap, extras if brief else ())),
-        ("is deterministic", lambda: _deterministic(fitted(), fitted() if brief else learn(), mock, gap)),
-        ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
-        ("leaves its input alone", lambda: _unchanged(mock, untouched)))
-    thorough: tuple[_Clause, ...] = (
-        ("adapts to touches and predicts (5-shot)", lambda: _run(fitted(), mock, mock.support)),
-        ("adapt forgets the object before", lambda: _forgets(fitted, mock)),
-        ("predict can be called twice", lambda: _twice(fitted(), mock)),
-        ("what it learned can be handed to a trial", lambda: _handed_on(fitted, lambda: build_method(factory, values),
-                                                                        mock)),
-        ("stiffness is finite and not negative", lambda: _adapted(fitted(), mock, _stiffness_here)),
-        ("predict_std is finite and not negative", lambda: _adapted(fitted(), mock, _predict_std_here)),
-        ("choose names one of the offered touches", lambda: _adapted(fitted(), mock, _choose_here)))
+    extras = (_stiffness_here, _predict_std_here, _choose_here) if brief else ()
+    thorough: dict[str, Callable[[], str | None]] = {
+        "adapts to touches and predicts (5-shot)": lambda: _run(fitted(), mock, mock.support),
+        "adapt forgets the object before": lambda: _forgets(fitted, mock),
+        "predict can be called twice": lambda: _twice(fitted(), mock),
+        "what it learned can be handed to a trial": lambda: _handed_on(fitted(), build_method(factory, values), mock),
+        "stiffness is finite and not negative": lambda: _adapted(fitted(), mock, _stiffness_here),
+        "predict_std is finite and not negative": lambda: _adapted(fitted(), mock, _predict_std_here),
+        "choose names one of the offered touches": lambda: _adapted(fitted(), mock, _choose_here)}
+    clauses: dict[str, Callable[[], str | None]] = {
+        "parameters are plain values": lambda: plain_parameters(values),
+        "meta_fit learns from training objects": lambda: _nothing(fitted()),
+        "predicts before any touch (0-shot)": lambda: _run(fitted(), mock, [], extras),
+        "copes with frames that have no reading": lambda: _run(fitted(), mock, gap, extras),
+        "is deterministic": lambda: _deterministic(fitted(), fitted() if brief else learn(), mock, gap),
+        "refuses a reading that is not a number": lambda: _refuses_nan(fitted(), mock),
+        **({} if brief else thorough),
+        "leaves its input alone": lambda: _unchanged(mock, untouched)}
     out: list[Finding] = []
-    for clause, test in quick if brief else (*quick[:-1], *thorough, quick[-1]):
+    for clause, test in clauses.items():
         out.append(_try(clause, test))
         if brief and out[-1].outcome == "failed":
             break  # the next clause would fail for the same reason
@@ -162,21 +157,6 @@ def table(name: str, findings: Sequence[Finding]) -> dict[str, Any]:
     """The findings for JSON."""
     return {"method": name, "conforms": all(f.outcome != "failed" for f in findings),
             "clauses": [dataclasses.asdict(f) for f in findings]}
-
-
-class _Told:
-    """A method that says which of its functions is called next."""
-
-    def __init__(self, method: Method, before: Callable[[str], None]):
-        self.method, self._before = method, before
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):  # while a copy is made, which has nothing yet
-            raise AttributeError(name)
-        found = getattr(self.method, name)
-        if callable(found):
-            self._before(name)
-        return found
 
 
 class _NotOffered(Exception):
@@ -219,14 +199,6 @@ def _same(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> bool:
 
 def _nothing(_: object) -> None:
     return None
-
-
-def _plain(values: Mapping[str, Any]) -> None:
-    try:
-        json.dumps(dict(values), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise MethodError(f"a parameter cannot be written into a result file: {error}. Use numbers, "
-                          f"text, lists.") from error
 
 
 def _run(method: Method, mock: _Mock, support: Sequence[Reading], extras: Sequence[_Extra] = ()) -> str:
@@ -288,27 +260,26 @@ def _refuses_nan(method: Method, mock: _Mock) -> None:
                       "names the touch.")
 
 
-def _handed_on(fitted: Callable[[], Method], fresh: Callable[[], Method], mock: _Mock) -> str:
+def _handed_on(method: Method, fresh: Any, mock: _Mock) -> str:
     """By save and load if there are any, and by pickle."""
-    method = fitted()
-    straight, saved = _answer(method, mock, mock.support), hasattr(method, "save") and hasattr(method, "load")
-    ways = []
-    if saved:
-        with tempfile.TemporaryDirectory() as folder:
-            method.save(Path(folder))  # type: ignore[attr-defined]
-            ways.append(("a loaded method", fresh()))
-            ways[-1][1].load(Path(folder))  # type: ignore[attr-defined]
+    copies = {}
     try:
-        ways.append(("an unpickled method", pickle.loads(pickle.dumps(getattr(fitted(), "method", fitted())))))
+        copies["an unpickled method"] = pickle.loads(pickle.dumps(method))
     except Exception as error:  # of what a method holds, anything may refuse to be pickled
-        if not saved:
+        if not hasattr(method, "save") or not hasattr(method, "load"):
             raise MethodError(f"it cannot be pickled ({error}) and has no save() and load(). Give it both: what it "
                               f"learned reaches its trials by one of them.") from error
-    for what, again in ways:
+    straight = _answer(method, mock, mock.support)
+    if hasattr(method, "save") and hasattr(method, "load"):
+        with tempfile.TemporaryDirectory() as folder:
+            method.save(Path(folder))
+            fresh.load(Path(folder))
+        copies["a loaded method"] = fresh
+    for what, again in copies.items():
         if not _same(_answer(again, mock, mock.support), straight):
             raise MethodError(f"{what} answers differently from the one that learned. What it learned must belong to "
                               f"the object.")
-    return " and ".join(what for what, _ in ways)
+    return " and ".join(copies)
 
 
 def _adapted(method: Method, mock: _Mock, here: _Extra) -> None:

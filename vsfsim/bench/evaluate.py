@@ -1,17 +1,27 @@
-"""Run a method through a task and score it. The same code for our baselines and for everybody else's method.
+"""Run methods through tasks and score them. The same code for our baselines and for everybody else's methods.
 
-The method runs in processes of its own (`vsfsim.bench.isolation`), a fresh copy of what it learned in every trial
+A method runs in processes of its own (`vsfsim.bench.isolation`), a fresh copy of what it learned in every trial
 (`vsfsim.bench.trials.jobs`). Only when all its answers are there, the truth is read and the answers are scored
 (`vsfsim.bench.trials.score`).
+
+Threads make the jobs of one or several results, as the work is in the processes. What a job answered is kept beside the
+result, and a second call with the same operands makes only what is missing. Where a method's ``device`` is "cuda",
+without a number, each of its trainings is shown one GPU, that with the fewest of them. Instead of this machine, a Ray
+cluster or the shards of a job array may run the jobs (`vsfsim.core.system.engines`), over a folder that their machines
+share.
 """
 
 from __future__ import annotations
 
-import functools
+import contextlib
+import itertools
+import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +33,14 @@ from vsfsim.bench.method import check_name
 from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers, Reader
-from vsfsim.bench.trials.jobs import Evaluation, Progress
+from vsfsim.bench.trials.jobs import Evaluation, Job, Progress
 from vsfsim.bench.trials.score import map_of, result_of
 from vsfsim.bench.trials.training import PLAIN, Training
-from vsfsim.core.errors import Interrupted
+from vsfsim.core.errors import Interrupted, MethodError, VsfsimError
+from vsfsim.core.system import engines
 from vsfsim.core.system.content import file_sha256
+from vsfsim.core.system.engines import HERE, Fan
+from vsfsim.core.system.file_lock import Held, release, take
 from vsfsim.data.dataset import Dataset
 
 
@@ -43,8 +56,6 @@ class Row:
     """Name of the settings, for the leaderboard; they are in the evaluation's parameters already."""
     curves: Path | None = None
     """File for all predictions beside the truth (`vsfsim.bench.curves.Curves`), or None."""
-    after: Callable[[Result], Result] = lambda result: result
-    """What becomes of the result before it is written."""
 
     @classmethod
     def at(cls, path: Path, name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
@@ -61,7 +72,7 @@ class Row:
         Raises:
             MethodError: an answer is missing.
         """
-        result = self.after(_scored(self.of, self.preset, self.curves))
+        result = _scored(self.of, self.preset, self.curves)
         result.save(self.path)
         log_of(self.path).unlink(missing_ok=True)
         if text := self.printed():
@@ -75,14 +86,12 @@ class Row:
 
 
 def evaluate(name: str, task: Task, dataset: Dataset, *, log: str | Path | None = None, **options: Any) -> Result:
-    """Score a method.
+    """Score a method; the result is written nowhere.
 
     Args:
         name: an installed method, or module:attribute. Its module is imported in another process only.
-        task: the task.
-        dataset: as `open_dataset` returns it.
-        log: file to which everything goes that the method prints; None for none.
-        options: of `finish`.
+        task: the task. dataset: as `open_dataset` returns it. log: file to which everything goes that the method
+        prints; None for none. options: of `finish`.
 
     Raises:
         MethodError: the method is unknown, breaks its contract, raises, takes too long, or answers with something that
@@ -98,15 +107,13 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, log: str | Path | None 
         return result
 
 
-def finish(name: str, task: Task, dataset: Dataset, path: Path, *, check: bool = True,
-           progress: Progress | None = None, **options: Any) -> Result:
+def finish(name: str, task: Task, dataset: Dataset, path: Path, *, check: bool = True, processes: int = 1,
+           progress: Progress = lambda *_: None, **options: Any) -> Result:
     """Score a method and write the result. Finished trainings are kept beside it, and a second call with the same
     operands goes on with them.
 
     Args:
-        name, task, dataset: as of `evaluate`. path: of the result.
-        check: test on mock objects first whether the method keeps its contract.
-        progress: called with (trials done, of how many, what is going on).
+        name, task, dataset: as of `evaluate`. path: of the result. check, processes, progress: as of `make`.
         options: ``parameters`` of the method's constructor, over its defaults; ``seeds``, draws of the support set,
             None for the task's own number; with cross-validation, of one training; ``isolation``, how the method is
             kept from what it may not see, None for the strongest sandbox that works here; ``preset``, name of the
@@ -118,29 +125,188 @@ def finish(name: str, task: Task, dataset: Dataset, path: Path, *, check: bool =
         As `evaluate`.
     """
     check_name(name)
-    row, tell = Row.at(path, name, task, dataset, **options), progress or (lambda *_: None)
-    one, reader = row.of, Reader()
+    ((_, made),) = make([Row.at(path, name, task, dataset, **options)], processes, check=check, progress=progress)
+    if isinstance(made, VsfsimError):
+        raise made
+    return made
+
+
+@contextlib.contextmanager
+def own(result: Path) -> Iterator[None]:
+    """Hold the result file ``result`` for this process: two evaluations that write one would mix their answers.
+
+    Raises:
+        MethodError: another evaluation writes it, or its folder cannot be written.
+    """
+    path = result.with_name(f".{result.name}.lock")
+    made = [folder for folder in (result.parent, *result.parent.parents) if not folder.exists()]
     try:
-        with one:
-            tell(0, 1, "contract")
-            one.look(check=check)
-            sizes = {job.name: len(job.asked(task.protocol.labels)) for job in one.jobs}
-            left = one.left
-            before, total = sum(sizes.values()) - sum(sizes[job.name] for job in left), sum(sizes.values())
-            one.read(left, reader)
-            for job in left:
-                one.make(job, reader, functools.partial(_tell, tell, before, total))
-                before += sizes[job.name]
+        result.parent.mkdir(parents=True, exist_ok=True)
+        lock, _ = take(path, unlocked=True)
+    except Held as held:
+        raise MethodError(f"{result} is being written by process {held}. Wait for it, stop it, or choose another "
+                          f"--out.") from None
+    except OSError as error:
+        raise MethodError(f"{result} cannot be written: {error.strerror}. Choose another --out.") from error
+    try:
+        yield
+    finally:
+        release(lock)
+        with contextlib.suppress(OSError):  # what the evaluation wrote stays, and so do its folders
+            for folder in made:
+                folder.rmdir()
+
+
+def make(rows: Sequence[Row], processes: int, *, check: bool = True, fan: Fan = HERE,
+         progress: Progress = lambda *_: None) -> Iterator[tuple[Row, Result | VsfsimError]]:
+    """Make results side by side.
+
+    Args:
+        rows: what to make; their results must have different paths.
+        processes: trainings that run at the same time, each with one thread unless the environment says otherwise.
+        check: test each method's contract on mock objects first.
+        fan: where the jobs run; a shard makes its share of the trainings and scores nothing.
+        progress: called with (trials done, of how many, what is going on).
+
+    Yields:
+        Each row when it is finished, with its result or its failure; of a shard only failures.
+
+    Raises:
+        Interrupted: the user has stopped it; finished trainings are kept.
+    """
+    counted = itertools.count()  # all trainings, so that every shard counts alike whatever is finished
+    reader, queue, left, trials = Reader(), list[tuple[Row, Job]](), dict[Path, int](), _Count(progress)
+    try:
+        with contextlib.ExitStack() as held:
+            for row in rows:
+                try:
+                    if fan.shard is None:
+                        held.enter_context(own(row.path))
+                    held.enter_context(row.of)
+                    progress(0, 1, f"{row.path.stem}: contract and dataset")
+                    row.of.look(check=check)
+                    mine = [job for job in row.of.jobs
+                            if fan.shard is None or next(counted) % fan.shard[1] == fan.shard[0]]
+                    jobs = [job for job in row.of.left if job in mine]
+                    if not fan.ray:
+                        row.of.read(jobs, reader)
+                except VsfsimError as error:
+                    yield row, error
+                    continue
+                queue += [(row, job) for job in jobs]
+                trials.add(row.of, mine, jobs)
+                left[row.path] = len(jobs)
+                if not jobs and fan.shard is None:
+                    yield row, _finished(row)
+            made = _by_ray(queue, fan, trials) if fan.ray else _by_threads(queue, processes, reader, trials)
+            for number, failure in made:
+                row, _ = queue[number]
+                left[row.path] -= 1
+                if failure is not None and left[row.path] >= 0:
+                    left[row.path] = -1  # the first failure is told, and nothing after it
+                    yield row, failure
+                elif left[row.path] == 0 and fan.shard is None:
+                    yield row, _finished(row)
     except KeyboardInterrupt as stop:
-        made = len(one.jobs) - len(one.left) if one.description is not None else 0
-        raise Interrupted("interrupted; no training was finished, so nothing is kept." if not made else
-                          f"interrupted; {made} of {len(one.jobs)} trainings are finished and kept in {one.parts}. Run "
-                          f"the same command again to go on, or delete that folder to start again.") from stop
-    return row.finish()
+        known = [row.of for row in rows if row.of.description is not None]
+        done, of = sum(len(one.jobs) - len(one.left) for one in known), sum(len(one.jobs) for one in known)
+        raise Interrupted("interrupted; no training was finished, so nothing is kept." if not done else
+                          f"interrupted; {done} of {of} trainings are finished and kept in "
+                          f"{', '.join(str(one.parts) for one in known)}. Run the same command again to go on, or "
+                          f"delete what is kept to start again.") from stop
 
 
-def _tell(tell: Progress, before: int, total: int, done: int, _: int, what: str) -> None:
-    tell(before + done, total, what)
+class _Count:
+    """Tells how many trials of all rows are done, whichever thread has done them."""
+
+    def __init__(self, progress: Progress):
+        self._progress, self._lock, self.done, self.total = progress, threading.Lock(), 0, 0
+
+    def add(self, of: Evaluation, jobs: Sequence[Job], left: Sequence[Job]) -> None:
+        """Count the trials of some jobs, and those that are not ``left`` as done."""
+        sizes = {job.name: len(job.asked(of.task.protocol.labels)) for job in jobs}
+        self.total += sum(sizes.values())
+        self.done += sum(sizes.values()) - sum(sizes[job.name] for job in left)
+
+    def tell(self, number: int, what: str) -> None:
+        """More trials are done."""
+        with self._lock:
+            self.done += number
+            self._progress(self.done, self.total, what)
+
+
+def _finished(row: Row) -> Result | VsfsimError:
+    try:
+        return row.finish()
+    except VsfsimError as error:
+        return error
+
+
+def _by_threads(queue: Sequence[tuple[Row, Job]], processes: int, reader: Reader, trials: _Count
+                ) -> Iterator[tuple[int, VsfsimError | None]]:
+    """The number of each job in ``queue`` as it ends, with what went wrong."""
+    gpus, failed = _Gpus(), set[Path]()
+
+    def work(row: Row, job: Job) -> VsfsimError | None:
+        if row.path in failed:
+            return MethodError("not made")
+        with gpus.one(row.of.parameters.get("device") == "cuda") as given:
+            try:
+                row.of.make(job, reader, trials.tell, environment=given)
+            except VsfsimError as error:
+                failed.add(row.path)
+                return error
+        return None
+
+    with ThreadPoolExecutor(processes) as pool:
+        numbers = {pool.submit(work, row, job): number for number, (row, job) in enumerate(queue)}
+        try:
+            for ready in as_completed(numbers):
+                yield numbers[ready], ready.result()
+        except BaseException:  # Ctrl-C, or nobody asks for more
+            pool.shutdown(wait=False, cancel_futures=True)
+            for row, _ in queue:
+                row.of.stop()
+            raise
+
+
+def _by_ray(queue: Sequence[tuple[Row, Job]], fan: Fan, trials: _Count) -> Iterator[tuple[int, VsfsimError | None]]:
+    """As `_by_threads`, on a cluster; a path must mean the same there."""
+    items = [(replace(row.of, dataset=replace(row.of.dataset, path=row.of.dataset.path.absolute())), job)
+             for row, job in queue]
+    for number, message in engines.on_ray(_train, items, address=fan.ray, gpus=fan.gpus):
+        row, job = queue[number]
+        trials.tell(len(job.asked(row.of.task.protocol.labels)), job.name)
+        yield number, MethodError(message) if message else None
+
+
+def _train(item: tuple[Evaluation, Job]) -> None:
+    """In a task of a cluster."""
+    one, job = item
+    with one:
+        one.make(job, Reader())
+
+
+class _Gpus:
+    """What CUDA_VISIBLE_DEVICES may name here, each with the number of trainings that use it."""
+
+    def __init__(self) -> None:
+        shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+        names = ([str(k) for k in range(len(list(Path("/dev").glob("nvidia[0-9]*"))))] if shown is None else
+                 [name.strip() for name in shown.split(",") if name.strip()])
+        self._used, self._lock = dict.fromkeys(names, 0), threading.Lock()
+
+    @contextlib.contextmanager
+    def one(self, any_of_them: bool) -> Iterator[Mapping[str, str]]:
+        """The variable that shows the GPU which is used least; {} where there is none, or not any of them may be."""
+        with self._lock:
+            name = min(self._used, key=lambda one: self._used[one], default="") if any_of_them else ""
+            self._used.update({name: self._used[name] + 1} if name else {})
+        try:
+            yield {"CUDA_VISIBLE_DEVICES": name} if name else {}
+        finally:
+            with self._lock:
+                self._used.update({name: self._used[name] - 1} if name else {})
 
 
 def log_of(result: Path) -> Path:
@@ -158,7 +324,7 @@ def _scored(one: Evaluation, preset: str, curves: Path | None) -> Result:
               "adapt_s": sum(a.adapt_s for a in answers), "predict_s": sum(a.predict_s for a in answers),
               "adapts": sum(a.adapt_s > 0.0 for a in answers),
               "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
-    notes = [*one.notes, *([f"superseded by {task.superseded_by}"] if task.superseded_by else [])]
+    notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
     wanted = len(task.protocol.runs(seeded=said.seeded))
     if len(one.runs) != wanted:
         notes.append(f"{len(one.runs)} seeds instead of the task's {wanted}")

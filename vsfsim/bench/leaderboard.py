@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,14 @@ from vsfsim.bench.board.named import (
     absent,
     claimed,
     command_of,
+    contradicts,
+    far_apart,
     is_ceiling,
-    labels_of,
+    is_same,
     listed,
     row_sha256,
     write_list,
 )
-from vsfsim.bench.board.same import contradicts, far_apart, is_same, over_objects
 from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
 from vsfsim.bench.metrics import METRICS, Answer, Score
 from vsfsim.bench.result import Result, machine
@@ -142,7 +143,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         same = next((k for k, before in enumerate(rows) if is_same(result, before.result)), None)
         if same is None:
             objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
-                       } if over_objects(task) and mark in ("", CEILING, EARLIER) else {}
+                       } if task.protocol.folds and mark in ("", CEILING, EARLIER) else {}
             row = Row(None, mark, result, scores, path, other and not mark, objects, "made here" if here else "shipped",
                       "open" if entry is None else entry.evidence)
             if entry is None and not mark and any(
@@ -154,7 +155,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda row: (sign * row.scores[task.primary][task.ranking_shot].mean, row.result.method))
-    ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if over_objects(task) else range(
+    ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if task.protocol.folds else range(
         1, len(good) + 1)
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
     again = record.again.touches if record is not None and record.again is not None else 0.0
@@ -165,6 +166,20 @@ def _most(results: list[Result], task: Task) -> str:
     """The dataset of most results of this very task, "" if there is none."""
     counts = Counter(result.dataset_sha256 for result in results if result.task_sha256 == task.sha256)
     return max(sorted(counts), key=counts.__getitem__, default="")
+
+
+def labels_of(rows: Sequence[Row]) -> list[str]:
+    """The method's name and preset; where it has several rows, with the parameters in which they differ."""
+    out = []
+    for row in rows:
+        result = row.result
+        twins = [other.result.parameters for other in rows
+                 if (other.result.method, other.result.preset) == (result.method, result.preset)]
+        differ = [f"{key}={value}" for key, value in result.parameters.items()
+                  if value != "" and any(twin.get(key) != value for twin in twins)]
+        words = [*filter(None, ["claimed" if row.mark == CLAIMED else "", result.preset]), *differ]
+        out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
+    return out
 
 
 def ship(board: Board, path: Path) -> None:
@@ -205,11 +220,11 @@ def table(board: Board) -> dict[str, Any]:
 
 def text(board: Board) -> str:
     """The board for a terminal; its last column says which results shipped and which were made here."""
-    head, rows = _cells(board)
+    head, rows = cells(board)
     head, rows = [*head, "result"], [[*cells, row.origin] for cells, row in zip(rows, board.rows, strict=True)]
     lines = [_title(board), "", text_table(head, rows)]
-    lines += _footnotes(board)
-    paper = _paper(board)
+    lines += footnotes(board)
+    paper = published(board)
     if paper:
         lines += ["", "From the literature (not comparable: other data or another quantity, see the unit):",
                   text_table(paper[0], paper[1:])]
@@ -218,10 +233,10 @@ def text(board: Board) -> str:
 
 def markdown(board: Board) -> str:
     """The board as a page."""
-    head, rows = _cells(board, escaped)
+    head, rows = cells(board, escaped)
     lines = [f"# {board.task.name}", "", board.task.description, "", _title(board), "", *_piped([head, *rows])]
-    lines += ["", *_footnotes(board, escaped)]
-    paper = _paper(board)
+    lines += ["", *footnotes(board, escaped)]
+    paper = published(board)
     if paper:
         lines += ["", "From the literature, as context only (not comparable: other data or another quantity, "
                       "see the unit):", "", *_piped(paper)]
@@ -230,21 +245,19 @@ def markdown(board: Board) -> str:
 
 def score_table(result: Result, metric: str) -> str:
     """One result for a terminal: every metric by shot."""
-    head = [f"{result.method}", *(f"{label}-shot" for label in result.shots)]
-    # A method without the function that the task ranks by has no such row.
-    order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
-    rows = []
-    for name in order:
-        unit = unit_of(name, result.unit)
-        rows.append([f"{name} [{unit}]" if unit else name,
-                     *(score_text(result.scores[name].get(label)) for label in result.shots)])
-    return text_table(head, rows)
+    head, rows = score_cells(result, result.scores, metric)
+    return text_table([result.method, *head[1:]], rows)
 
 
-def superseded(task: Task) -> str:
-    """What the rows of a superseded task are worth."""
-    return (f"superseded by {task.superseded_by}: the rows that ship were made on data of an earlier vsfsim, and "
-            f"compare with one another only; a dataset made today may differ")
+def score_cells(result: Result, scores: Mapping[str, Mapping[str, Score]], metric: str
+                ) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of a table of every metric by shot, that called ``metric`` first."""
+    # a method without the function that the task ranks by has no such row
+    order = [*(m for m in (metric,) if m in scores), *(m for m in scores if m != metric)]
+    units = {name: unit_of(name, result.unit) for name in order}
+    return ["metric", *(f"{label}-shot" for label in result.shots)], [
+        [f"{name} [{unit}]" if unit else name, *(score_text(scores[name].get(label)) for label in result.shots)]
+        for name, unit in units.items()]
 
 
 def unit_of(metric: str, of_reading: str) -> str:
@@ -258,12 +271,13 @@ def _title(board: Board) -> str:
     unit = unit_of(task.primary, task.observation.unit) or "-"
     what = f"{'of' if task.metric.answer is Answer.READINGS else 'from'} {task.observation.name}"
     better = "higher" if task.metric.higher_is_better else "lower"
-    spread = "standard error over objects" if over_objects(task) else "std over seeds"
+    spread = "standard error over objects" if task.protocol.folds else "std over seeds"
     return (f"{task.primary} {what} [{unit}], mean ± {spread}, {better} is better; ranked at "
             f"{task.ranking_shot}-shot")
 
 
-def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
+def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of a board; ``shown`` is what becomes of names."""
     task = board.task
     labels = task.protocol.labels
     ceiling = possible(board)
@@ -276,10 +290,11 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
-        values = [interval_text(row.objects[shot]) if row.objects and over_objects(task) else
+        share = share_of_possible(row, ceiling, task.ranking_shot)
+        values = [interval_text(row.objects[shot]) if row.objects and task.protocol.folds else
                   score_text(by_shot.get(shot)) for shot in labels]
         rows.append([str(row.rank or "-"), shown(label) + row.signs, *values,
-                     *([share_text(row, ceiling, task.ranking_shot)] if ceiling else []),
+                     *(["" if share is None else f"{share:.2f}"] if ceiling else []),
                      score_text(stiffness), row.evidence, f"{adapt:.2f} s",
                      shown(row.result.isolation or "-"), shown(made_by)])
     return head, rows
@@ -299,58 +314,54 @@ def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> floa
     return None if score is None or shot not in ceiling else (1.0 - score.mean) / (1.0 - ceiling[shot])
 
 
-def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
-    lines = list(dict.fromkeys(f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows
+def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
+    """What its columns and signs say, and which rows are not ranked or absent; operands as of `cells`."""
+    task, rows, marks = board.task, board.rows, {row.mark for row in board.rows}
+    lines = list(dict.fromkeys(f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in rows
                                if row.mark not in ("", EARLIER)))
-    if board.task.superseded_by:
-        lines.append(superseded(board.task))
-    if over_objects(board.task) and board.rows:
+    if task.superseded_by:
+        lines.append(f"superseded by {task.superseded_by}: the rows that ship were made on data of an earlier vsfsim, "
+                     f"and compare with one another only; a dataset made today may differ")
+    if task.protocol.folds and rows:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")
-    lines += column_notes(board)
-    if board.rows and not board.has_record:
+    if possible(board):
+        lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {task.ranking_shot}-shot; 0 "
+                     f"predicts zero, 1 is the true object asked again")
+    if rows:
+        lines.append("evidence, by the list of the repository (leaderboard/evidence.json): open, made once; sealed, "
+                     "scored on readings that only the maintainers have; verified, made again by them to the same "
+                     "numbers")
+    if any(row.other_bits for row in rows):
+        lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
+            f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
+    verdict = "are scored" if task.protocol.unresolved == "scored" else "are left out"
+    if board.unresolved is None:
+        lines.append(f"frames whose contact the mesh does not resolve {verdict}; their share was not measured")
+    else:
+        frames, odd, share = board.unresolved
+        lines.append(f"{odd} of {frames} contact frames of the query touches ({odd / max(frames, 1):.0%}) are not "
+                     f"resolved by the mesh; they carry {share:.0%} of the squared force and {verdict}")
+    if EARLIER in marks:
+        lines.append(f"† {EARLIER}; not ranked, and no claim rests on it")
+    lines += [f"no row of {names}: {reason}" for names, reason in absent(task.name).items()]
+    if rows and not board.has_record:
         lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
-    if not board.rows:
-        lines.append("no results yet; `vsfsim evaluate --method NAME --task " + board.task.name
-                     + " --out FILE` makes one")
-    elif any("stiffness_spearman" in row.scores for row in board.rows):
-        lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {board.task.ranking_shot}-shot with the "
+    if not rows:
+        lines.append(f"no results yet; `vsfsim evaluate --method NAME --task {task.name} --out FILE` makes one")
+    elif any("stiffness_spearman" in row.scores for row in rows):
+        lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {task.ranking_shot}-shot with the "
                      f"true probe stiffness where touched")
     return lines
 
 
-def column_notes(board: Board) -> list[str]:
-    """What the columns "of possible" and "evidence" say, and ~ and † behind a name, where the board has them; and
-    which rows are absent."""
-    lines = []
-    if possible(board):
-        lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {board.task.ranking_shot}-shot; 0 "
-                     f"predicts zero, 1 is the true object asked again")
-    if board.rows:
-        lines.append("evidence, by the list of the repository (leaderboard/evidence.json): open, made once; sealed, "
-                     "scored on readings that only the maintainers have; verified, made again by them to the same "
-                     "numbers")
-    if any(row.other_bits for row in board.rows):
-        lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
-            f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
-    lines.append(_unresolved(board))
-    if any(row.mark == EARLIER for row in board.rows):
-        lines.append(f"† {EARLIER}; not ranked, and no claim rests on it")
-    return lines + [f"no row of {names}: {reason}" for names, reason in absent(board.task.name).items()]
-
-
-def _unresolved(board: Board) -> str:
-    verdict = "and are scored" if board.task.protocol.unresolved else "and are left out"
-    if board.unresolved is None:
-        return f"frames whose contact the mesh does not resolve {verdict[4:]}; their share was not measured"
-    frames, odd, share = board.unresolved
-    return (f"{odd} of {frames} contact frames of the query touches ({odd / max(frames, 1):.0%}) are not resolved by "
-            f"the mesh; they carry {share:.0%} of the squared force {verdict}")
-
-
-def _paper(board: Board) -> list[list[str]]:
+def published(board: Board) -> list[list[str]]:
+    """Head and rows of the literature, [] without any. In brackets stands the ratio to the 0-shot error of the paper's
+    zero Gaussian prior, which predicts zero."""
     labels = board.task.protocol.labels
-    rows = [[row.method, *(_pair(row.values.get(label)) for label in labels), row.unit,
+    zero = {row.unit: _mean(row.values["0"]) for row in board.task.paper
+            if "(zero)" in row.method and "0" in row.values}
+    rows = [[row.method, *(_pair(row.values.get(label), zero.get(row.unit)) for label in labels), row.unit,
              row.source + ("" if row.comparable else " (not comparable)")]
             for row in board.task.paper]
     return [["method", *(f"{label}-shot" for label in labels), "unit", "source"], *rows] if rows else []
@@ -361,21 +372,21 @@ def score_text(score: Score | None) -> str:
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
 
 
-def share_text(row: Row, ceiling: Mapping[str, float], shot: str) -> str:
-    share = share_of_possible(row, ceiling, shot)
-    return "" if share is None else f"{share:.2f}"
-
-
 def interval_text(values: ByObject) -> str:
     """A mean over objects with its standard error."""
     mean, error = interval(values)
     return f"{mean:.3f} ± {error:.3f}" if error == error else f"{mean:.3f}"
 
 
-def _pair(value: tuple[float, float | None] | None) -> str:
+def _pair(value: float | tuple[float, float] | None, zero: float | None) -> str:
     if value is None:
         return ""
-    return f"{value[0]:.2f}" + ("" if value[1] is None else f" ± {value[1]:.2f}")
+    mean, *std = value if isinstance(value, tuple) else (value,)
+    return " ± ".join(f"{v:.2f}" for v in (mean, *std)) + ("" if zero is None else f" ({mean / zero:.2f})")
+
+
+def _mean(value: float | tuple[float, float]) -> float:
+    return value[0] if isinstance(value, tuple) else value
 
 
 def _piped(rows: list[list[str]]) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import operator
 import os
 import sys
@@ -204,6 +205,19 @@ def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:
         if value is inspect.Parameter.empty:
             raise MethodError(f"{label} needs a value for '{name}'; give --set {name}=VALUE.")
     return values
+
+
+def plain_parameters(values: Mapping[str, Any]) -> None:
+    """Refuse parameters that a result file cannot hold.
+
+    Raises:
+        MethodError: with what is no plain value.
+    """
+    try:
+        json.dumps(dict(values), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise MethodError(f"a parameter cannot be written into a result file: {error}. Use numbers, text, "
+                          f"lists.") from error
 
 
 def build_method(factory: type, parameters: Mapping[str, Any]) -> Method:

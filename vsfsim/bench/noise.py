@@ -25,11 +25,16 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from vsfsim.core.errors import TaskError
 
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Signed = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Size = Annotated[float, msgspec.Meta(ge=0.0, le=1e9)]
 # channels of the random streams; the force has none
 _PRESSURE, _TRACKING, _NODES, _TORQUE, _NODE_FORCE, _ARM, _SIGN = range(1, 8)
 
@@ -38,57 +43,57 @@ _PRESSURE, _TRACKING, _NODES, _TORQUE, _NODE_FORCE, _ARM, _SIGN = range(1, 8)
 class Noise:
     """Parameters of the sensors' noise; see the noise of each channel for what they do."""
 
-    force_std: float
+    force_std: Size
     """White noise of the force, per component [N]."""
-    offset_std: float
+    offset_std: Size
     """Offset of the force in a touch, per component [N]."""
-    drift_std: float
+    drift_std: Size
     """Change of the force's offset from the first to the last frame of a touch, per component [N]."""
-    tare_frames: int
+    tare_frames: Count
     """Greatest number of leading contact-free frames whose mean is subtracted; 0 for no tare."""
-    seed: int
-    """Root of the random streams, >= 0; each touch of each view of each object has its own."""
-    force_lag: float = 0.0
+    seed: Count
+    """Root of the random streams; each touch of each view of each object has its own."""
+    force_lag: Size = 0.0
     """Delay of the force relative to the pressure [s]."""
-    pressure_std: float = 0.0
+    pressure_std: Size = 0.0
     """White noise of the pressure [Pa]."""
-    pressure_drift: float = 0.0
+    pressure_drift: Signed = 0.0
     """Mean rate of the pressure's drift [Pa/s]."""
-    pressure_drift_std: float = 0.0
+    pressure_drift_std: Size = 0.0
     """Standard deviation of that rate over touches [Pa/s]."""
-    relaxation: float = 0.0
+    relaxation: Size = 0.0
     """Fraction of a change of pressure by which the sensor overshoots at first [-]."""
-    relaxation_time: float = 0.15
+    relaxation_time: Annotated[float, msgspec.Meta(gt=0.0, le=1e9)] = 0.15
     """Time constant with which the overshoot decays [s]."""
-    depth_std: float = 0.0
+    depth_std: Size = 0.0
     """White noise of a pixel's depth [m]."""
-    depth_quantum: float = 0.0
+    depth_quantum: Size = 0.0
     """Quantisation step of the depth [m]; 0 for none."""
-    image_lag: float = 0.0
+    image_lag: Size = 0.0
     """Delay of images, and of node positions made from them, relative to the pressure [s]."""
-    tracking_std: float = 0.0
+    tracking_std: Size = 0.0
     """Drift of a node across its ray at the end of a touch, per component [m], as of a tracker that accumulates its
     errors from frame to frame; 0 at the first frame."""
-    tracking_length: float = 0.010
+    tracking_length: Size = 0.010
     """Correlation length of that drift over the skin [m]."""
-    window: float = 0.0
+    window: Size = 0.0
     """Part of the rim's semi-axes within which the inside camera sees nodes [-]; nodes outside are not shown. 0: all
     are."""
-    node_force_share: float = 0.0
+    node_force_share: Size = 0.0
     """Error of an estimated contact force on a node, relative to the RMS force of the nodes in contact in that frame
     [-]."""
-    torque_std: float = 0.0
+    torque_std: Size = 0.0
     """White noise of the torque sensors of joints 1 to 4 [N m]; here and below, joints 5 to 7 have half as much."""
-    torque_offset_std: float = 0.0
+    torque_offset_std: Size = 0.0
     """Offset of a torque in a touch [N m]."""
-    torque_drift_std: float = 0.0
+    torque_drift_std: Size = 0.0
     """Random walk of a torque after one second [N m]."""
-    torque_pose_std: float = 0.0
+    torque_pose_std: Size = 0.0
     """Standard deviation over postures of the error of the arm's gravity model at joints 2, 4 and 6, mean over arms
     [N m]; 0.375 of it at joints 1 and 3, 0.25 at 5 and 7."""
-    torque_pose_length: float = 0.3
+    torque_pose_length: Size = 0.3
     """Correlation length of that error in joint angles [rad]."""
-    torque_hysteresis: float = 0.0
+    torque_hysteresis: Size = 0.0
     """Half of the drives' hysteresis, which changes its sign with a joint's velocity, mean over arms [N m]; of joints 5
     to 7 half as much."""
 
@@ -125,9 +130,6 @@ demos/vsf_playground.ipynb a touch that meets almost nothing leaves 0.45 N m a j
 the offset moves by 0.39 N m from touch to touch. Kortex issue 145 shows that readings depend on the direction of
 motion. The division into an error of the gravity model and hysteresis of the drives is an assumption that gives those
 figures."""
-
-SIGNED = ("pressure_drift",)
-"""Keys that may be negative."""
 
 FREE_FORCE = 1e-6
 """A frame is contact-free if the noise-free force is below this [N]: rounding error of the solver, far below the noise

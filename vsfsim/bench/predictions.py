@@ -17,9 +17,8 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.folds import folds_of
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
-from vsfsim.bench.protocol import Trial, divide, record, support
+from vsfsim.bench.protocol import Trial, divide, folds_of, record, support
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
@@ -86,8 +85,7 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
             read = [given.read(key, shape) for key, shape in zip(question.keys, shapes, strict=True)]
             predictions = checked_prediction(read, question.actions, question.keys)
             trial = Trial(question.name, question.shot, question.seed, ())
-            answers.setdefault(question.name, []).append(
-                Answers(trial, tuple(predictions), None, None, None, None, None, 0.0, 0.0))
+            answers.setdefault(question.name, []).append(Answers(trial, tuple(predictions)))
             asked.update(question.keys)
         for key in given.keys:
             if key not in asked:

@@ -1,8 +1,9 @@
-"""Support and query touches: the draws of a task, and the readings behind them.
+"""Support and query touches and folds of objects: the draws of a task, and the readings behind them.
 
 All draws come from `SeedSequence(protocol.seed, spawn_key=...)`: the query set of an object from (0, object, view), the
-support order of a seed from (1, object, view, seed). A support set of k touches is the first k of that order, so the 5
-touches of a seed contain its 1 touch.
+support order of a seed from (1, object, view, seed), the folds of cross-validation from (2,). A support set of k
+touches is the first k of that order, so the 5 touches of a seed contain its 1 touch. Every object of a dataset is a
+test object exactly once, and all views of an object are in the same fold.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from vsfsim.bench.noise import Noise, noisy_node_force, noisy_nodes, window
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
+from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, Touch
 
 
@@ -104,7 +106,7 @@ def counted(touch: Touch, protocol: Protocol) -> np.ndarray:
     """Which frames of a query touch are scored (T,) bool: those made as planned whose contact the mesh resolves, or all
     of them where the task says so or nothing is known of it."""
     made = as_planned(touch)
-    return made if protocol.unresolved or touch.resolved is None else made & touch.resolved
+    return made if protocol.unresolved == "scored" or touch.resolved is None else made & touch.resolved
 
 
 def share_unresolved(touches: Iterable[Touch]) -> tuple[int, int, float]:
@@ -226,3 +228,45 @@ class Trial:
     def where(self) -> str:
         """For messages."""
         return f"{self.subject}, {self.shot}-shot, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One division of a dataset's object views."""
+
+    number: int
+    """From 0."""
+    train: tuple[str, ...]
+    """Names of the views that methods learn from."""
+    test: tuple[str, ...]
+    """Names of the views that are scored."""
+
+
+def folds_of(dataset: Dataset, protocol: Protocol) -> tuple[Fold, ...]:
+    """The folds of a task; one fold, of its two splits, for a task without cross-validation.
+
+    Raises:
+        TaskError: there are fewer objects than folds.
+    """
+    if not protocol.folds:
+        return (Fold(0, tuple(dataset.names(protocol.train)), tuple(dataset.names(protocol.test))),)
+    objects = np.array(sorted({entry.object_index for entry in dataset.entries}), dtype=int)
+    if len(objects) < protocol.folds:
+        raise TaskError(f"the dataset in {dataset.path} has {len(objects)} objects, and the task divides them into "
+                        f"{protocol.folds} folds. Generate more objects, or lower folds in a task of your own.")
+    order = np.random.default_rng(np.random.SeedSequence(protocol.seed, spawn_key=(2,))).permutation(objects)
+    number = {int(index): place % protocol.folds for place, index in enumerate(order)}
+    return tuple(Fold(k, tuple(e.name for e in dataset.entries if number[e.object_index] != k),
+                      tuple(e.name for e in dataset.entries if number[e.object_index] == k))
+                 for k in range(protocol.folds))
+
+
+def test_names(dataset: Dataset, protocol: Protocol) -> tuple[str, ...]:
+    """Names of all object views that are scored, fold by fold."""
+    return tuple(name for fold in folds_of(dataset, protocol) for name in fold.test)
+
+
+def shown_names(dataset: Dataset, protocol: Protocol) -> tuple[str, ...]:
+    """Names of all object views that a method meets, training objects first; each once."""
+    folds = folds_of(dataset, protocol)
+    return tuple(dict.fromkeys([*(n for f in folds for n in f.train), *(n for f in folds for n in f.test)]))

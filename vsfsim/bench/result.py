@@ -14,7 +14,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.board import compare
 from vsfsim.bench.metrics import Answer, Score, scores_of
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result_file import SCHEMA_VERSION, Count, Size, as_rows, beside_zero, checked, pack, read_json
@@ -154,7 +153,7 @@ class Result:
             TaskError: it cannot be written.
         """
         path = Path(path)
-        table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(), "objects": self._objects(),
+        table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(),
                  "queries": pack(self.queries), "readings": pack(self.readings) if self.readings else {},
                  "answers": {name: pack(columns) for name, columns in self.answers.items()},
                  "maps": pack(self.maps) if self.maps else {}, "data": self.data}
@@ -185,19 +184,6 @@ class Result:
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             what = f"it has no {error}" if isinstance(error, KeyError) else plain(error, longest=300)
             raise TaskError(f"result {path} is malformed: {what}. Evaluate the method again.") from error
-
-    def _objects(self) -> dict[str, list]:
-        """For the reader of the file: the error of each object at each shot [unit], and over that of predicting zero,
-        both means over runs. `load` does not read it."""
-        out: dict[str, list] = {"object": [], "shot": [], "rmse": [], "rmse_ratio": []}
-        for shot in self.shots:
-            error, ratio = compare.absolute(self, shot), compare.ratios(self, shot)
-            for name, value in error.items():
-                out["object"].append(name)
-                out["shot"].append(shot)
-                out["rmse"].append(float(f"{value:.6g}"))
-                out["rmse_ratio"].append(float(f"{ratio[name]:.6g}") if name in ratio else None)
-        return out
 
     def rows(self) -> list[dict[str, Any]]:
         """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.result_file.beside_zero`). They

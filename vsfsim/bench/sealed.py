@@ -14,15 +14,16 @@ import json
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Literal, TypeVar
 from zipfile import BadZipFile
 
+import msgspec
 import numpy as np
 
-from vsfsim.bench.folds import test_names
 from vsfsim.bench.method import Action, Reading, Surface, frozen_view
 from vsfsim.bench.predictions import Question
-from vsfsim.bench.protocol import Draw, divide, record, support
+from vsfsim.bench.protocol import Draw, divide, record, support, test_names
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.plain_text import from_json, plain
@@ -33,9 +34,9 @@ from vsfsim.data.records import View
 from vsfsim.data.safety import check_name
 
 INDEX = "sealed.json"
-FORMAT, PRIVATE_FORMAT = "vsfsim-sealed", "vsfsim-sealed-private"
 FEWEST_SEEDS = 10**11
 """A smaller seed can be found by making an object of each and comparing pictures."""
+T = TypeVar("T")
 _VIEW = ("rgb", "depth", "mask", "intrinsics", "camera_pose")
 
 
@@ -62,16 +63,13 @@ def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
         public.mkdir(parents=True)
     except OSError as error:
         raise TaskError(f"folder {public} cannot be made: {error.strerror}. Choose another --public.") from error
-    table = {"format": PRIVATE_FORMAT, "version": 1, "commitment": commitment, "text": text}
-    write_atomic(private, (json.dumps(table, indent=1) + "\n").encode(), error=TaskError)
+    _write(private, _Private("vsfsim-sealed-private", 1, commitment, text))
     files = {}
     for number, name in enumerate(names):
         content = _public_part(dataset, task, name)
         write_atomic(public / f"object-{number:04d}.npz", content, error=TaskError)
         files[f"object-{number:04d}.npz"] = hashlib.sha256(content).hexdigest()
-    index = {"format": FORMAT, "version": 1, "task": task.name, "task_sha256": task.sha256, "commitment": commitment,
-             "files": files}
-    write_atomic(public / INDEX, (json.dumps(index, indent=1) + "\n").encode(), error=TaskError)
+    _write(public / INDEX, _Index("vsfsim-sealed", 1, task.name, task.sha256, commitment, files))
     return commitment
 
 
@@ -86,12 +84,11 @@ def questions(public: Path, task: Task) -> Iterator[Question]:
     Raises:
         TaskError: the folder is no sealed set of this task, or a file of it was changed.
     """
-    index = _table(public / INDEX, FORMAT)
-    if index.get("task_sha256") != task.sha256:
-        raise TaskError(f"{public} is a sealed set of task {plain(index.get('task'))}, not of this text of "
-                        f"{task.name}.")
-    for file, sha256 in index["files"].items():
-        yield from _questions_of(public / check_name(file, str(public / INDEX)), str(sha256), task)
+    index = _read(public / INDEX, _Index)
+    if index.task_sha256 != task.sha256:
+        raise TaskError(f"{public} is a sealed set of task {plain(index.task)}, not of this text of {task.name}.")
+    for file, sha256 in index.files.items():
+        yield from _questions_of(public / check_name(file, str(public / INDEX)), sha256, task)
 
 
 def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
@@ -100,12 +97,11 @@ def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
     Raises:
         TaskError: with what differs.
     """
-    table = _table(private, PRIVATE_FORMAT)
-    text = str(table.get("text"))
-    if hashlib.sha256(text.encode()).hexdigest() != table.get("commitment"):
+    part = _read(private, _Private)
+    if hashlib.sha256(part.text.encode()).hexdigest() != part.commitment:
         raise TaskError(f"{private} does not keep its commitment: the sha256 of its text is another one.")
     try:
-        said = from_json(text)
+        said = from_json(part.text)
         pairs = {"task_sha256": task.sha256, "dataset_sha256": dataset.sha256, "seed": dataset.recipe.seed}
         odd = [key for key, value in pairs.items() if said[key] != value]
     except (ValueError, KeyError, TypeError) as error:
@@ -121,9 +117,9 @@ def receipt(private: Path, row_sha256: str) -> dict[str, str]:
     Raises:
         TaskError: the file is no private part.
     """
-    table = _table(private, PRIVATE_FORMAT)
-    return {"commitment": str(table["commitment"]),
-            "receipt": hashlib.sha256(f"{table['text']}{row_sha256}".encode()).hexdigest()}
+    part = _read(private, _Private)
+    return {"commitment": part.commitment,
+            "receipt": hashlib.sha256(f"{part.text}{row_sha256}".encode()).hexdigest()}
 
 
 def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
@@ -166,20 +162,13 @@ def _questions_of(path: Path, sha256: str, task: Task) -> list[Question]:
         readings = {k: Reading(_action(arrays, k, probes, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
                                _surface(arrays, k)) for k in draw.pool}
         asked = tuple(_action(arrays, k, probes, task) for k in draw.query)
-        who = _Numbers(int(head["object_index"]), int(head["view_index"]))
+        who = SimpleNamespace(object_index=int(head["object_index"]), view_index=int(head["view_index"]))
         name = check_name(head["name"], str(path))
     except (OSError, ValueError, KeyError, TypeError, IndexError, BadZipFile, EOFError, SceneError) as error:
         raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
     return [Question(name, label, run, view, tuple(readings[k] for k in support(who, draw, label, run, task.protocol)),
                      draw.query, asked, tuple(f"{name}/{label}/{run}/{k:03d}" for k in draw.query), ())
             for run in task.protocol.runs(seeded=False) for label in task.protocol.labels]
-
-
-class _Numbers:
-    """What chooses the random streams of an object view."""
-
-    def __init__(self, object_index: int, view_index: int):
-        self.object_index, self.view_index = object_index, view_index
 
 
 def _action(arrays: Mapping[str, np.ndarray], k: int, probes: Sequence[ProbeShape], task: Task) -> Action:
@@ -192,11 +181,28 @@ def _surface(arrays: Mapping[str, np.ndarray], k: int) -> Surface | None:
     return Surface(arrays[f"{k}/vertices"], arrays[f"{k}/node_force"]) if f"{k}/vertices" in arrays else None
 
 
-def _table(path: Path, wanted: str) -> dict[str, Any]:
+class _Private(msgspec.Struct):
+    format: Literal["vsfsim-sealed-private"]
+    version: Literal[1]
+    commitment: str
+    text: str
+
+
+class _Index(msgspec.Struct):
+    format: Literal["vsfsim-sealed"]
+    version: Literal[1]
+    task: str
+    task_sha256: str
+    commitment: str
+    files: dict[str, str]
+
+
+def _read(path: Path, kind: type[T]) -> T:
     try:
-        table = from_json(path.read_text())
-        if table["format"] != wanted or table["version"] != 1:
-            raise ValueError(f"its format is {plain(table['format'])}")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, msgspec.MsgspecError) as error:
         raise TaskError(f"{path} is no part of a sealed set as `vsfsim seal` writes it: {plain(error)}.") from error
-    return table
+
+
+def _write(path: Path, table: Any) -> None:
+    write_atomic(path, msgspec.json.format(msgspec.json.encode(table), indent=1) + b"\n", error=TaskError)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from vsfsim.bench.metrics import METRICS, Metric
-from vsfsim.bench.noise import NOISE_KINDS, SIGNED, Noise
+from vsfsim.bench.noise import NOISE_KINDS, Noise
 from vsfsim.bench.observations import Observation, observation
+from vsfsim.bench.typed_table import Count, Positive, one_of, typed
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean
 from vsfsim.core.shelf import datasets, find_task
-from vsfsim.core.table import Table, parse_toml, read_text
+from vsfsim.core.table import parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
 
@@ -39,19 +42,19 @@ class DatasetWanted:
     """Its place under ``datasets/``."""
     scene: str
     """Name of the scene."""
-    scene_sha256: str
-    """Of the scene's text, or "" for any."""
-    seed: int
+    seed: Count
     """Of the recipe."""
-    objects: int
+    objects: Positive
     """Of the recipe."""
-    views: int
+    views: Positive
     """Of each object."""
-    touches: int
+    touches: Positive
     """Of each view."""
-    tier: str
+    scene_sha256: str = ""
+    """Of the scene's text, or "" for any."""
+    tier: str = "auto"
     """Of the recipe, or "auto" for any."""
-    sha256: str
+    sha256: str = ""
     """Of the content, or "" for any."""
 
     def path(self) -> Path:
@@ -73,35 +76,46 @@ class Protocol:
     method without a ``seed`` has one training.
     """
 
-    train: str
-    """Name of the split that methods learn from; "" with cross-validation."""
-    test: str
-    """Name of the split that is scored; "" with cross-validation."""
-    shots: tuple[int, ...]
+    shots: Annotated[tuple[Count, ...], msgspec.Meta(min_length=1)]
     """Sizes of the support set, increasing."""
-    seeds: int
-    """Number of runs: of draws of the support set; with cross-validation, of trainings times draws."""
-    query: int
+    query: Positive
     """Number of query touches of each test object, the same for every shot and seed."""
-    seed: int
-    """Root of all draws, >= 0."""
-    folds: int = 0
+    seed: Count
+    """Root of all draws."""
+    train: str = "train"
+    """Name of the split that methods learn from; not used with cross-validation."""
+    test: str = "test"
+    """Name of the split that is scored; not used with cross-validation."""
+    seeds: Count = 0
+    """Number of draws of the support set; 0 with cross-validation."""
+    folds: Count = 0
     """Parts into which the objects are divided, each of them tested once; 0 for the two splits above."""
-    draws: int = 0
+    draws: Count = 0
     """With cross-validation, draws of the support set; else 0."""
-    trainings: int = 0
+    trainings: Count = 0
     """With cross-validation, trainings of a method with a ``seed``, each with another seed; else 0."""
-    chosen: bool = False
-    """A method with `choose` names its support touches itself, one after the other; others are given the drawn ones."""
-    unresolved: bool = False
-    """Frames are scored whose contact the mesh does not resolve (`vsfsim.data.records.Touch.resolved`)."""
+    support: Literal["drawn", "chosen"] = "drawn"
+    """"chosen": a method with `choose` names its support touches itself, one after the other; others are given the
+    drawn ones."""
+    unresolved: Literal["left out", "scored"] = "left out"
+    """Whether frames are scored whose contact the mesh does not resolve (`vsfsim.data.records.Touch.resolved`)."""
     transfer: bool = False
     """Queries are the presses of other kinds than the scene's own (``[[touches.other]]``), and only its own are learned
     from, on training objects as well."""
 
+    def __post_init__(self) -> None:
+        if sorted(set(self.shots)) != list(self.shots):
+            raise ValueError(f"shots is {list(self.shots)}; give increasing whole numbers, e.g. [0, 1, 5, 10]")
+        if self.folds and (self.folds < 2 or not (self.draws and self.trainings) or self.seeds):
+            raise ValueError("with cross-validation every object is a test object once; give folds of at least 2, "
+                             "draws and trainings of at least 1, and no seeds")
+        if not self.folds and (self.draws or self.trainings or not self.seeds):
+            raise ValueError("draws and trainings belong to cross-validation; give folds too, or give seeds of at "
+                             "least 1 without them")
+
     def runs(self, *, seeded: bool) -> tuple[int, ...]:
         """Numbers of the runs of a method that takes a ``seed``, or does not."""
-        return tuple(range(self.draws if self.folds and not seeded else self.seeds))
+        return tuple(range(self.draws * (self.trainings if seeded else 1) if self.folds else self.seeds))
 
     def draw_of(self, run: int) -> int:
         """Number of the support draw of a run."""
@@ -129,8 +143,8 @@ class PaperRow:
     """Of its numbers."""
     comparable: bool
     """False where the data or the quantity differ, so that the numbers are context only."""
-    values: Mapping[str, tuple[float, float | None]]
-    """(mean, standard deviation or None) by shot label, in ``unit``."""
+    values: Mapping[str, float | tuple[float, float]]
+    """Mean, or mean and standard deviation, by shot label, in ``unit``."""
 
 
 @dataclass(frozen=True)
@@ -212,42 +226,70 @@ def load_task(given: str | Path) -> Task:
 
 def parse_task(text: str, path: str | Path) -> Task:
     """Like `load_task`, from text; ``path`` names it in messages."""
-    tree = parse_toml(text, Path(path), "task", TaskError)
-    top = Table(tree, str(path), ("name", "description", "superseded_by", "dataset", "protocol", "observation",
-                                  "noise", "metrics", "paper"), error=TaskError)
-    name = top.text("name")
-    if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
-        raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-v3-mini-v1.")
-    d = top.section("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
-                              "sha256", "development"))
-    wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""),
-                           d.count("seed", None, 0), d.count("objects", None, 1), d.count("views", None, 1),
-                           d.count("touches", None, 1), d.text("tier", "auto"), d.text("sha256", ""))
+    file = typed(parse_toml(text, Path(path), "task", TaskError), _File, str(path))
+    if not re.fullmatch(r"[a-z0-9-]+-v\d+", file.name):
+        raise TaskError(f"{path}: name is {file.name!r}; a task's name ends in its version, e.g. "
+                        f"fewshot-shoes-v3-mini-v1.")
+    where = f"{path} [dataset]"
+    wanted = typed(file.dataset, DatasetWanted, where, also=("development",))
     development = None
-    if "development" in d.table:
-        o = Table(d.table["development"], f"{d.where} development", ("folder", "seed", "objects"), error=TaskError)
-        development = replace(wanted, folder=o.text("folder"), seed=o.count("seed", None, 0),
-                              objects=o.count("objects", None, 1), sha256="")
+    if "development" in file.dataset:
+        own = typed(file.dataset["development"], _Development, f"{where} development")
+        development = replace(wanted, folder=own.folder, seed=own.seed, objects=own.objects, sha256="")
         if development.seed == wanted.seed or development.folder == wanted.folder:
-            raise TaskError(f"{o.where}: seed {development.seed} and folder '{development.folder}' must both differ "
-                            f"from those of [dataset], so that no object is in both.")
-    protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed", "folds", "draws",
-                                                  "trainings", "support", "transfer", "unresolved")))
-    o = top.section("observation", ("kind",))
-    noise = _noise(top.section("noise", ("kind", *(f.name for f in fields(Noise)))))
-    m = top.section("metrics", ("primary", "ranking_shot"))
-    primary, ranking = m.text("primary"), str(m.need("ranking_shot"))
-    rankable = [name for name, metric in METRICS.items() if metric.ranks]
-    if primary not in rankable:
-        raise TaskError(f"{m.where}: primary is '{primary}'. {did_you_mean(primary, rankable)}")
+            raise TaskError(f"{where} development: seed {development.seed} and folder '{development.folder}' must both "
+                            f"differ from those of [dataset], so that no object is in both.")
+    protocol = typed(file.protocol, Protocol, f"{path} [protocol]")
+    where = f"{path} [noise]"
+    kind = file.noise.get("kind", "")
+    preset = NOISE_KINDS[one_of(kind, NOISE_KINDS, f"{where}: kind")] if kind else {}
+    noise = typed({"offset_std": 0.0, "drift_std": 0.0, **preset, **file.noise}, Noise, where, also=("kind",))
+    where = f"{path} [metrics]"
+    metrics = typed(file.metrics, _Metrics, where)
+    one_of(metrics.primary, [name for name, metric in METRICS.items() if metric.ranks], f"{where}: primary")
+    ranking = str(metrics.ranking_shot)
     if ranking not in protocol.labels:
-        raise TaskError(f"{m.where}: ranking_shot is {ranking}; it must be one of the shots: "
+        raise TaskError(f"{where}: ranking_shot is {ranking}; it must be one of the shots: "
                         f"{', '.join(protocol.labels)}.")
-    paper = tuple(_paper(Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values"),
-                               error=TaskError), protocol) for i, row in enumerate(top.rows("paper")))
-    return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, development, protocol,
-                observation(o.text("kind"), o.where), noise, primary, ranking, paper,
-                text_sha256(_NOT_COUNTED.sub("", text) + ("" if protocol.unresolved else "unresolved left out")))
+    paper = tuple(typed(row, PaperRow, f"{path} [[paper]] {k + 1}") for k, row in enumerate(file.paper))
+    for k, label in ((k, label) for k, row in enumerate(paper) for label in row.values):
+        one_of(label, protocol.labels, f"{path} [[paper]] {k + 1}: a shot of values")
+    where = f"{path} [observation]"
+    read = observation(typed(file.observation, _Observation, where).kind, where)
+    return Task(file.name, file.description, file.superseded_by, wanted, development, protocol, read, noise,
+                metrics.primary, ranking, paper, text_sha256(_NOT_COUNTED.sub("", text) + (
+                    "" if protocol.unresolved == "scored" else "unresolved left out")))
+
+
+@dataclass(frozen=True)
+class _File:
+    name: str
+    description: str
+    dataset: dict[str, Any]
+    protocol: dict[str, Any]
+    observation: dict[str, Any]
+    noise: dict[str, Any]
+    metrics: dict[str, Any]
+    superseded_by: str = ""
+    paper: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class _Development:
+    folder: str
+    seed: Count
+    objects: Positive
+
+
+@dataclass(frozen=True)
+class _Observation:
+    kind: str
+
+
+@dataclass(frozen=True)
+class _Metrics:
+    primary: str
+    ranking_shot: int | str
 
 
 def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
@@ -284,65 +326,3 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
     for split in (task.protocol.train, task.protocol.test) if not task.protocol.folds else ():
         dataset.names(split)
     return dataset
-
-
-def _protocol(t: Table) -> Protocol:
-    shots = t.need("shots")
-    if (not isinstance(shots, list) or not shots or sorted(set(shots)) != shots
-        or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots)):
-        raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
-    query, seed, given = t.count("query", None, 1), t.count("seed", None, 0), t.text("support", "drawn")
-    more: dict[str, bool] = {"transfer": t.flag("transfer", False), "chosen": given == "chosen",
-                             "unresolved": t.word("unresolved", "left out", ("left out", "scored")) == "scored"}
-    if given not in ("drawn", "chosen"):
-        raise TaskError(f"{t.where}: support is '{given}'; it is drawn (at random) or chosen (by the method).")
-    if "folds" not in t.table:
-        odd = [key for key in ("draws", "trainings") if key in t.table]
-        if odd:
-            raise TaskError(f"{t.where}: {odd[0]} belongs to cross-validation; give folds too, or give train, test and "
-                            f"seeds without it.")
-        return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
-                        query, seed, **more)
-    odd = [key for key in ("train", "test", "seeds") if key in t.table]
-    if odd:
-        raise TaskError(f"{t.where}: {odd[0]} and folds exclude each other. With cross-validation every object is a "
-                        f"test object once; give folds, draws and trainings.")
-    draws, trainings = t.count("draws", None, 1), t.count("trainings", None, 1)
-    return Protocol("", "", tuple(shots), draws * trainings, query, seed, t.count("folds", None, 2), draws, trainings,
-                    **more)
-
-
-def _noise(t: Table) -> Noise:
-    kind = t.text("kind", "")
-    if kind and kind not in NOISE_KINDS:
-        raise TaskError(f"{t.where}: kind is '{kind}'. {did_you_mean(kind, NOISE_KINDS)}")
-    preset = NOISE_KINDS.get(kind, {})
-    values: dict[str, Any] = {}
-    for f in fields(Noise):
-        if f.name in ("tare_frames", "seed"):
-            values[f.name] = t.count(f.name, None, 0)
-            continue
-        # without a kind the white noise of the force must be given
-        without_kind: Any = {"offset_std": 0.0, "drift_std": 0.0, "force_std": None}
-        default: Any = preset.get(f.name, without_kind.get(f.name, f.default))
-        values[f.name] = t.number(f.name, default, -1e9 if f.name in SIGNED else 0.0, 1e9)
-    if not values["relaxation_time"] > 0.0:
-        raise TaskError(f"{t.where}: relaxation_time is 0; it must be greater than 0, in seconds.")
-    return Noise(**values)
-
-
-def _paper(t: Table, protocol: Protocol) -> PaperRow:
-    values = t.need("values")
-    out: dict[str, tuple[float, float | None]] = {}
-    for label, value in (values.items() if isinstance(values, Mapping) else ()):
-        if label not in protocol.labels:
-            raise TaskError(f"{t.where}: values names shot '{label}'. {did_you_mean(label, protocol.labels)}")
-        numbers = value if isinstance(value, list) else [value]
-        if len(numbers) not in (1, 2) or not all(isinstance(x, (int, float)) for x in numbers):
-            raise TaskError(f"{t.where}: values.{label} is {value!r}; give a mean, or [mean, std].")
-        out[label] = (float(numbers[0]), float(numbers[1]) if len(numbers) == 2 else None)
-    comparable = t.need("comparable")
-    if not isinstance(comparable, bool) or not out:
-        raise TaskError(f"{t.where}: comparable must be true or false and values a table, e.g. "
-                        f"{{ 0 = [8.27, 0.00], all = 4.10 }}.")
-    return PaperRow(t.text("method"), t.text("source"), t.text("unit"), comparable, out)

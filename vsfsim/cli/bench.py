@@ -67,7 +67,7 @@ def tasks(record: Annotated[Path | None, typer.Option("--record", metavar="FOLDE
 
 def _record(dataset: Path, name: str | None) -> None:
     """Write the record of a dataset beside the tasks that it belongs to."""
-    from vsfsim.bench.admission.fingerprint import record_path, write_record
+    from vsfsim.bench.admission.fingerprint import make_record, record_path, save_record
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.core import shelf
     from vsfsim.data.dataset import Dataset
@@ -79,15 +79,14 @@ def _record(dataset: Path, name: str | None) -> None:
         raise TaskError(f"no task reads a dataset called '{folder}'. Name the task with --task.")
     for one in wanted:
         path = record_path(one)
-        made = write_record(one, open_dataset(one, dataset), path)
+        made = make_record(one, open_dataset(one, dataset))
+        save_record(made, path)
         print(f"{path}: {len(made.entries)} views, {sum(len(e.of_touches) for e in made.entries)} touches, "
               f"{path.stat().st_size / 1e3:.0f} kB")
 
 
 def _again(path: Path, name: str | None) -> None:
     """Measure how far a dataset that another machine made differs from a task's record, and write it there."""
-    from dataclasses import replace
-
     from vsfsim.bench.admission import fingerprint
     from vsfsim.bench.admission.admit import again
     from vsfsim.bench.task import load_task, open_dataset
@@ -101,7 +100,7 @@ def _again(path: Path, name: str | None) -> None:
     found = (fingerprint.make_record(task, open_dataset(task, path)) if path.is_dir()
              else fingerprint.load_record(path))
     measured = again(found, known)
-    fingerprint.save_record(replace(known, again=measured), fingerprint.record_path(task))
+    fingerprint.save_record(known, fingerprint.record_path(task), again=measured)
     print(f"{fingerprint.record_path(task)}: {100.0 * measured.touches:.3g} % of the touches come to another end, the "
           f"readings of a view are up to {100.0 * measured.size:.2g} % larger or smaller")
 
@@ -139,7 +138,7 @@ def evaluate(task: TaskName,
              shard: ShardOf = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
              printed: Printed = False,
              keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
-                                                    "RESULT.predictions.npz, which `vsfsim inspect RESULT` draws.")
+                                                    "RESULT.predictions.npz, which `vsfsim view RESULT` draws.")
                              ] = "",
              sandbox: Annotated[str, typer.Option(help="namespaces: in a container, which hides your files and the "
                                                        "network; process: in a process of its own; default: "
@@ -183,7 +182,7 @@ def evaluate(task: TaskName,
         rows = [presets.Choice(row.method, row.preset, {**row.parameters, **given}) for row in rows]
     elif every:
         every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value,
-                                    chosen=wanted.protocol.chosen)
+                                    chosen=wanted.protocol.support == "chosen")
         rows = [row for row in every_row if preset in ("", row.preset)]
         rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
     if every or fan != HERE:
@@ -193,8 +192,7 @@ def evaluate(task: TaskName,
         show = str(json) != "-"
         made = []
         with Progress("evaluate") as progress:
-            for one in evaluate_all(wanted, rows, folder, before=lambda row: print(f"evaluate {row.stem}", flush=True)
-                                    if show else None, progress=progress, fan=fan, **shared):
+            for one in evaluate_all(wanted, rows, folder, progress=progress, fan=fan, **shared):
                 made.append(one)
                 if show:
                     print(f"{one.choice.stem:<28}{one.state}", flush=True)
@@ -238,7 +236,7 @@ def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str
             print(f"note: {note}")
         if log.exists():
             print(f"what the method printed is in {log}")
-        print(f"written to {path}" + (f"\n\nvsfsim inspect {path}   # draws them" if shared["keep"] else ""))
+        print(f"written to {path}" + (f"\n\nvsfsim view {path}   # draws them" if shared["keep"] else ""))
     write_json(numbers[0] if len(names) == 1 else numbers, json)
 
 

@@ -85,8 +85,7 @@ def press(request: Request, scene: SceneName, json: JsonFile = None,
 @app.command()
 def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE|RESULT",
                                                 help="Folder of a dataset, a scene, or a result file (.json).")],
-            out: Annotated[Path | None, picture_option("File to write; default: NAME.png here, and of a result an "
-                                                       "HTML page beside it.", "--out", more=[".html"])] = None,
+            out: Annotated[Path | None, picture_option("File to write; default: NAME.png here.", "--out")] = None,
             seed: Seed = 0, device: Device = "cpu",
             shot: Annotated[str, typer.Option(help="Number of touches at which a result's errors are sorted; default: "
                                                    "the one that ranks.")] = "",
@@ -94,13 +93,12 @@ def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE|RESULT",
     """Draw a dataset, a scene's object, or where a method errs.
 
     A dataset: its summary and a contact sheet. A scene: a turntable of its object, coloured by Young's modulus. A
-    result of `vsfsim evaluate`: errors by object and by touch, the worst first, and after `evaluate --keep predictions`
-    a page with the curve of every touch.
+    result of `vsfsim evaluate`: errors by object and by touch, the worst first; `vsfsim view` draws them.
     """
     if Path(what).suffix == ".json":
         from vsfsim.bench.commands.inspect_result import inspect_result
 
-        report(*inspect_result(Path(what), out, shot=shot), json)
+        report(*inspect_result(Path(what), shot=shot), json)
         return
     from vsfsim.generate import inspect as look
 

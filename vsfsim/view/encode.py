@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import struct
-import zlib
 from typing import Any
 
 import numpy as np
@@ -35,22 +33,6 @@ def values_of(table: dict[str, Any]) -> np.ndarray:
     """The rows (n, k) of what `quantised` made."""
     raw = np.frombuffer(base64.b64decode(table["data"]), "<u2").reshape(-1, len(table["low"]))
     return np.array(table["low"]) + raw / STEPS * np.array(table["span"])
-
-
-def png_uri(image: np.ndarray) -> str:
-    """An image as the address of a PNG that it holds itself.
-
-    Args:
-        image: sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8.
-    """
-    height, width, bands = image.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
-    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 2: 4}[bands], 0, 0, 0)
-    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
-    content = b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks)
-    return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def rounded(values: np.ndarray, digits: int) -> Any:

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.bench.board.charts import png_uri
 from vsfsim.core.shape import ProbeShape, Sphere
 from vsfsim.data.records import ObjectView, Touch, Truth, View
-from vsfsim.view.encode import base64_of, png_uri, quantised, rounded
+from vsfsim.view.encode import base64_of, quantised, rounded
 
 if TYPE_CHECKING:
     from vsfsim.generate.effector import Drawing

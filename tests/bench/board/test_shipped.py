@@ -66,10 +66,6 @@ def test_a_damaged_file_is_refused(task, results, tmp_path, change):
         read_rows(path)
 
 
-def test_what_ships_is_small():
-    assert sum(path.stat().st_size for path in shelf.folder("leaderboard").rglob("*.json")) < 5e6
-
-
 def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
     """Each row that every board should have is there or in `leaderboard/absent.toml`, never both."""
     wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml"}
@@ -81,14 +77,6 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
         assert task.superseded_by or wanted <= there | set(said), task.name
         title = leaderboard.text(leaderboard.collect(task))
         assert all(f"no row of {names}: {reason}" in title for names, reason in named.absent(task.name).items())
-
-
-def test_a_damaged_list_of_absent_rows_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("vsfsim.bench.board.named.folder", lambda _: tmp_path)
-    for text in ("[broken", 'fewshot-shoes-v3-v1 = "text"'):
-        (tmp_path / "absent.toml").write_text(text)
-        with pytest.raises(TaskError, match=r"absent\.toml"):
-            named.absent("fewshot-shoes-v3-v1")
 
 
 # ------------------------------------------------------------------ rows made by hand, from what ships alone

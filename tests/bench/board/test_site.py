@@ -15,8 +15,6 @@ from vsfsim.bench.board.site import _called, _index, write_site
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import load_task, parse_task
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
 EVIL = "<script>document.title='taken'</script>\"'&\u202ename"
 VOID = {"meta", "img", "br"}
@@ -49,21 +47,11 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def site(task_text, tmp_path_factory):
+def site(folded_text, write_dataset, tmp_path_factory):
     """Pages of one task with two methods, one of which has a hostile name."""
-    changes = {'train = "train", test = "test", ': "folds = 2, draws = 1, trainings = 1, ", "seeds = 3, ": "",
-               "objects = 3": "objects = 4", '"rmse"': '"rmse_ratio"', 'method = "somebody"': 'method = "prior (zero)"'}
-    for old, new in changes.items():
-        task_text = task_text.replace(old, new)
-    task = parse_task(task_text, "toy-v1.toml")
-    folder = tmp_path_factory.mktemp("site")
-    views = [mock_view(i, touches=12) for i in range(4)]
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=4, views=1, touches=12, splits={"test": 4},
-                    device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(folder / "toy", recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        dataset = writer.finish()
+    text = folded_text.replace("draws = 2, trainings = 2", "draws = 1, trainings = 1")
+    task = parse_task(text.replace('method = "somebody"', 'method = "prior (zero)"'), "toy-v1.toml")
+    folder, dataset = tmp_path_factory.mktemp("site"), write_dataset([mock_view(i, touches=12) for i in range(4)])
     result = evaluate("toy_methods:Sure", task, dataset, parameters={"value": 2.0}, check=False)
     (folder / "results").mkdir()
     result.save(folder / "results" / "a.json")
@@ -107,7 +95,7 @@ def test_names_of_strangers_are_text(site):
 
 def test_an_object_has_its_map_beside_the_truth(site):
     text = next(p for p in site[1] if "mock-0001" in p.name).read_text()
-    assert text.count("<svg") == 1 + 1 + 1  # the truth, the ranked method, the colours
+    assert text.count("<svg") == 1 + 1 and "linear-gradient(to right, #440154" in text  # the truth, the ranked method
     assert "truth (x right, y up)" in text and "Its picture is in the dataset" in text
     fills = re.findall(r'stroke="(#\w{6})"', text.partition("truth (x right")[0])
     assert len(set(fills)) > 3, "the soft and the stiff half differ"

@@ -19,10 +19,8 @@ from vsfsim.core.errors import MethodError, TaskError
 
 
 @pytest.fixture
-def folded(task_text):
-    words = task_text.replace('train = "train", test = "test", shots = [0, 1, 5], seeds = 3',
-                              "folds = 3, shots = [0, 1, 5], draws = 1, trainings = 1")
-    return parse_task(words.replace('"rmse"', '"rmse_ratio"'), "toy-v1.toml")
+def folded(folded_text):
+    return parse_task(folded_text.replace("draws = 2, trainings = 2", "draws = 1, trainings = 1"), "toy-v1.toml")
 
 
 def row(task, name, errors, folder):

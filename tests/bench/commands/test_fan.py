@@ -33,7 +33,7 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
     for k in range(2):
         found = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan((k, 2)))
         assert list(found) == [] and not list(tmp_path.glob("*.json"))
-    parts = list((tmp_path / "toy_methods:Constant.parts").glob("*/*.npz"))
+    parts = list((tmp_path / "toy_methods:Constant.parts").glob("*/*.answers"))
     assert len(parts) == 3, "the trainings of three folds"
     (last,) = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, processes=2)
     assert last.state == "made" and rows_of(Result.load(last.path)) == rows_of(made)
@@ -47,7 +47,7 @@ def test_a_shard_of_a_row_with_a_file_of_its_own_can_be_finished(folded, toy_dat
         for k in range(2):
             assert not list(evaluate_all(folded, row, tmp_path / "mine.json", dataset=toy_dataset.path,
                                          fan=Fan((k, 2))))
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("mine.parts/*/*.npz")}
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("mine.parts/*/*.answers")}
     assert len(before) == 6, "three trainings of each"
     made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0}, out=tmp_path / "mine.json")
     assert made.parameters == {"value": 2.0} and made.timing["fits"] == 3

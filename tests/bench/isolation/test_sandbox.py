@@ -77,11 +77,11 @@ def test_the_default_is_the_strongest_that_works(monkeypatch):
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/ns/user"), reason="no Linux namespaces")
-def test_the_time_limit_is_that_of_one_call_in_the_check_too(task, toy_dataset):
+def test_the_time_limit_holds_in_the_check_too(task, toy_dataset):
     start = time.monotonic()
-    with pytest.raises(MethodError, match=r"adapt in the check of its contract took longer than the 3 s of --timeout"):
-        run("SleepsInCheck", task, toy_dataset, "process", check=True, timeout=3.0)
-    assert time.monotonic() - start < 20.0
+    with pytest.raises(MethodError, match=r"the check of its contract took longer than 5 s; --timeout is 0.5 s a call"):
+        run("Sleeps", task, toy_dataset, "process", check=True, timeout=0.5)
+    assert time.monotonic() - start < 60.0
 
 
 @pytest.mark.parametrize("box", BOXES)

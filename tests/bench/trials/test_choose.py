@@ -73,7 +73,7 @@ def test_a_choice_that_was_not_offered_is_refused(chosen, toy_dataset, answer):
 
 
 def test_a_task_says_how_support_is_made(task_text):
-    with pytest.raises(TaskError, match=r"support is 'best'; it is drawn \(at random\) or chosen"):
+    with pytest.raises(TaskError, match=r"support is 'best'\. Allowed: chosen, drawn"):
         parse_task(task_text.replace("shots =", "support = 'best', shots ="), "toy-v1.toml")
 
 

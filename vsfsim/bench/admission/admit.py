@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,30 +156,63 @@ _SAMPLED = frozenset(("probed points", "probed stiffness"))
 _OF_PIXELS = frozenset(("colour", "depth", "mask")) | _SAMPLED
 
 
+@dataclass(frozen=True)
+class Apart:
+    """Where two records of the same plan differ."""
+
+    shape: str
+    """Why they cannot be compared number by number, or ""; nothing else is known then."""
+    views: list[tuple[str, list[str]]]
+    """Views that differ, with the kinds of what differs."""
+    touches: list[tuple[str, list[str]]]
+    """Touches that differ, likewise."""
+    total: int
+    """Number of touches."""
+    size: float
+    """Largest relative difference, over object views, of the root mean square of the readings [-]."""
+
+    @classmethod
+    def of(cls, found: Record, known: Record) -> Apart:
+        """Of a record from the record ``known``."""
+        other, floors, size = _other_shape(found, known), _floors(known), 0.0
+        views, touches = list[tuple[str, list[str]]](), list[tuple[str, list[str]]]()
+        for one, before in zip(found.entries, known.entries, strict=True) if not other else ():
+            count = len(one.of_view)
+            odd = _odd(one.kinds[:count], one.of_view, before.of_view, floors)
+            views += [(one.name, odd)] if odd else []
+            for index, (a, b) in enumerate(zip(one.of_touches, before.of_touches, strict=True)):
+                odd = _odd(one.kinds[count:], a, b, floors)
+                touches += [(f"{one.name} touch {index}", odd)] if odd else []
+            mine, theirs = _size(one), _size(before)
+            size = max(size, abs(mine - theirs) / max(theirs, floors.get(READING, 0.0), np.finfo(float).tiny))
+        return cls(other, views, touches, max(sum(e.touches for e in known.entries), 1), size)
+
+    def other_views(self, known: Record) -> list[str]:
+        """What differs but the touches, in words."""
+        first = plain(": ".join([self.views[0][0], self.views[0][1][0]])) if self.views else ""
+        return [self.shape] if self.shape else [
+            f"{len(self.views)} of {len(known.entries)} views differ ({first})"] if self.views else []
+
+
 def differences(found: Record, known: Record) -> list[str]:
     """What is different in ``found`` from the record ``known``: a phrase a difference, [] if it is the same data."""
-    other = _other_shape(found, known)
-    if other:
-        return [other]
-    floors = _floors(known)
-    out = _other_views(found, known, floors)
-    total = sum(len(e.of_touches) for e in known.entries)
-    marks = touches = ends = 0
-    first = ""
-    for name, odd in _odd_touches(found, known, floors):
-        if known.again is not None and _OF_PHYSICS.issuperset(odd):
-            ends += 1
-        elif MARK in odd and _OF_MARKED.issuperset(odd):
-            marks += 1
-        else:
-            touches += 1
-            first = first or f"{name}: {odd[0]}"
+    apart = Apart.of(found, known)
+    ends, marks, touches = list[str](), list[str](), list[str]()
+    for name, odd in apart.touches:
+        of = ends if known.again is not None and _OF_PHYSICS.issuperset(odd) else (
+            marks if MARK in odd and _OF_MARKED.issuperset(odd) else touches)
+        of.append(f"{name}: {odd[0]}")
+    out, share = apart.other_views(known), len(ends) / apart.total
     if touches:
-        out.append(f"{touches} of {total} touches differ ({plain(first)})")
-    if marks > OTHER_MARKS * total:
-        out.append(f"{marks} of {total} touches have other frames that did not converge")
-    if known.again is not None:
-        out += _beyond(known.again, ends / max(total, 1), _size_apart(found, known, floors))
+        out.append(f"{len(touches)} of {apart.total} touches differ ({plain(touches[0])})")
+    if len(marks) > OTHER_MARKS * apart.total:
+        out.append(f"{len(marks)} of {apart.total} touches have other frames that did not converge")
+    if known.again is not None and share > AGAIN_TOUCHES * known.again.touches:
+        out.append(f"{100.0 * share:.3g} % of its touches come to another end, where "
+                   f"{100.0 * known.again.touches:.3g} % did on another machine")
+    if known.again is not None and apart.size > AGAIN_SIZE * known.again.size:
+        out.append(f"the readings of a view are {100.0 * apart.size:.2g} % larger or smaller, where "
+                   f"{100.0 * known.again.size:.2g} % was seen on another machine")
     return out
 
 
@@ -189,30 +222,13 @@ def again(found: Record, known: Record) -> Again:
     Raises:
         TaskError: they are not the same views or the same planned touches.
     """
-    other, floors = _other_shape(found, known), _floors(known)
-    wrong = [other] if other else _other_views(found, known, floors)
-    ends = 0
-    for name, odd in _odd_touches(found, known, floors) if not wrong else ():
-        if not _OF_PHYSICS.issuperset(odd):
-            wrong.append(f"{name}: {', '.join(odd)}")
-        ends += 1
+    apart = Apart.of(found, known)
+    wrong = apart.other_views(known) + [f"{name}: {', '.join(odd)}" for name, odd in apart.touches
+                                        if not _OF_PHYSICS.issuperset(odd)]
     if wrong:
         raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
                         f"one that `vsfsim generate` made on another machine with the operands of the task.")
-    return Again(ends / max(sum(len(e.of_touches) for e in known.entries), 1),
-                 _size_apart(found, known, floors), found.made_by)
-
-
-def _beyond(measured: Again, touches: float, size: float) -> list[str]:
-    """Whether more differs than what another machine was seen to change."""
-    out = []
-    if touches > AGAIN_TOUCHES * measured.touches:
-        out.append(f"{100.0 * touches:.3g} % of its touches come to another end, where "
-                   f"{100.0 * measured.touches:.3g} % did on another machine")
-    if size > AGAIN_SIZE * measured.size:
-        out.append(f"the readings of a view are {100.0 * size:.2g} % larger or smaller, where "
-                   f"{100.0 * measured.size:.2g} % was seen on another machine")
-    return out
+    return Again(len(apart.touches) / apart.total, apart.size, found.made_by)
 
 
 def _other_shape(found: Record, known: Record) -> str:
@@ -223,38 +239,10 @@ def _other_shape(found: Record, known: Record) -> str:
         which = f", e.g. {plain(odd[0])}" if odd else ""
         return f"its object views or their splits are others{which}"
     for one, other in zip(found.entries, known.entries, strict=True):
-        if one.kinds != other.kinds or one.of_touches.shape != other.of_touches.shape or (
-                one.of_view.shape != other.of_view.shape) or one.query != other.query:
+        if (one.kinds, one.touches, len(one.view), one.query) != (
+                other.kinds, other.touches, len(other.view), other.query):
             return f"{plain(one.name)} has other touches or other readings"
     return ""
-
-
-def _other_views(found: Record, known: Record, floors: Mapping[str, float]) -> list[str]:
-    views, first = 0, ""
-    for one, other in zip(found.entries, known.entries, strict=True):
-        wrong = _odd(one.kinds[:len(one.of_view)], one.of_view, other.of_view, floors)
-        views += bool(wrong)
-        first = first or (f"{one.name}: {wrong[0]}" if wrong else "")
-    return [f"{views} of {len(known.entries)} views differ ({plain(first)})"] if views else []
-
-
-def _odd_touches(found: Record, known: Record, floors: Mapping[str, float]) -> Iterator[tuple[str, list[str]]]:
-    """Touches that differ, with the kinds of what differs."""
-    for one, other in zip(found.entries, known.entries, strict=True):
-        kinds = one.kinds[len(one.of_view):]
-        for index, (a, b) in enumerate(zip(one.of_touches, other.of_touches, strict=True)):
-            odd = _odd(kinds, a, b, floors)
-            if odd:
-                yield f"{one.name} touch {index}", odd
-
-
-def _size_apart(found: Record, known: Record, floors: Mapping[str, float]) -> float:
-    """Largest relative difference, over object views, of the root mean square of the readings [-]."""
-    floor, apart = floors.get(READING, 0.0), [0.0]
-    for one, other in zip(found.entries, known.entries, strict=True):
-        mine, theirs = _size(one), _size(other)
-        apart.append(abs(mine - theirs) / max(theirs, floor, np.finfo(float).tiny))
-    return max(apart)
 
 
 def _size(entry: Entry) -> float:
@@ -269,22 +257,20 @@ def _floors(known: Record) -> dict[str, float]:
     sizes: dict[str, list[float]] = {}
     for entry in known.entries:
         count = len(entry.of_view)
-        for kind, item in zip(entry.kinds[:count], entry.of_view, strict=True):
-            sizes.setdefault(kind, []).append(float(item["norm"]))
-        for column, kind in enumerate(entry.kinds[count:]):
-            sizes.setdefault(kind, []).extend(float(n) for n in entry.of_touches[:, column]["norm"])
+        for kinds, items in ((entry.kinds[:count], entry.of_view[None]), (entry.kinds[count:], entry.of_touches)):
+            for kind, norms in zip(kinds, items["norm"].astype(float).T, strict=True):
+                sizes.setdefault(kind, []).extend(norms)
     return {kind: SMALLEST * float(np.sqrt(np.mean(np.square(norms)))) for kind, norms in sizes.items()}
 
 
 def _odd(kinds: Sequence[str], mine: np.ndarray, theirs: np.ndarray, floors: Mapping[str, float]) -> list[str]:
-    return [kind for kind, a, b in zip(kinds, mine, theirs, strict=True) if not _same(a, b, kind, floors)]
-
-
-def _same(a: np.void, b: np.void, kind: str, floors: Mapping[str, float]) -> bool:
-    size = max(float(b["norm"]), floors[kind])
-    apart = np.abs(np.concatenate([[float(a["norm"]) - float(b["norm"])], (
-        float(a["norm"]) * a["along"].astype(float) - float(b["norm"]) * b["along"].astype(float)) / SCALE]))
-    tolerance = IMAGE_TOLERANCE if kind in _OF_PIXELS else TOLERANCE
-    if kind in _SAMPLED:
-        apart = apart[:1]
-    return bool((apart <= tolerance * size).all())
+    """The kinds of which two fingerprints (k,) differ."""
+    a, b = mine["norm"].astype(float), theirs["norm"].astype(float)
+    along = np.abs(a[:, None] * mine["along"] - b[:, None] * theirs["along"]).max(axis=1) / SCALE
+    out = []
+    for k, kind in enumerate(kinds):
+        tolerance = IMAGE_TOLERANCE if kind in _OF_PIXELS else TOLERANCE
+        apart = max(abs(a[k] - b[k]), 0.0 if kind in _SAMPLED else along[k])
+        if not apart <= tolerance * max(b[k], floors[kind]):
+            out.append(kind)
+    return out

@@ -12,19 +12,16 @@ other data with the same fingerprints, nor against somebody who writes a result 
 
 from __future__ import annotations
 
-import base64
-import binascii
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
-from vsfsim.bench.folds import shown_names, test_names
-from vsfsim.bench.protocol import divide, record, share_unresolved
+from vsfsim.bench.protocol import divide, record, share_unresolved, shown_names, test_names
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import from_json, plain
@@ -34,8 +31,6 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import ObjectView, Touch, View
 
-FORMAT = "vsfsim-task-record"
-VERSION = 1
 LARGEST_FILE = 16 << 20
 """A record with more bytes is not read."""
 
@@ -50,8 +45,7 @@ READING = "reading"
 _ITEM = np.dtype([("norm", "<f4"), ("along", "<i2", (_PROJECTIONS,))])
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(msgspec.Struct, frozen=True):
     """The fingerprints of one object view."""
 
     name: str
@@ -66,48 +60,55 @@ class Entry:
     """Its query touches; empty outside the test split."""
     kinds: tuple[str, ...]
     """Of the vectors of the view, then of those of a touch."""
-    of_view: np.ndarray
-    """Fingerprints of the view (v,), structured."""
-    of_touches: np.ndarray
-    """Fingerprints of the touches (n, k), structured."""
+    touches: Annotated[int, msgspec.Meta(ge=0)]
+    """Number n of touches."""
+    view: bytes
+    """Fingerprints of the view, v items."""
+    fingerprints: bytes
+    """Fingerprints of the touches, n k items."""
+
+    def __post_init__(self) -> None:
+        for items in (_items(self.view), _items(self.fingerprints)):
+            if not np.isfinite(items["norm"]).all() or (items["norm"] < 0.0).any():
+                raise ValueError("a norm is not a number >= 0")
+        if len(_items(self.fingerprints)) != self.touches * (len(self.kinds) - len(_items(self.view))):
+            raise ValueError(f"{self.name}: the number of fingerprints does not fit")
+
+    @property
+    def of_view(self) -> np.ndarray:
+        """Fingerprints of the view (v,), structured."""
+        return _items(self.view)
+
+    @property
+    def of_touches(self) -> np.ndarray:
+        """Fingerprints of the touches (n, k), structured."""
+        return _items(self.fingerprints).reshape(self.touches, len(self.kinds) - len(self.of_view))
 
 
-@dataclass(frozen=True)
-class Again:
+class Again(msgspec.Struct, frozen=True):
     """How far the same planned touches, made again on another machine, come to another end, where it is the rounding
     that decides which of several equilibria an object reaches: a branch that snaps off a link of the arm, or slips."""
 
-    touches: float
+    touches: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
     """Share of the touches in which anything differs that the physics decides [-]."""
-    size: float
+    size: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
     """Largest relative difference, over object views, of the root mean square of the readings [-]."""
-    made_by: Mapping[str, Any]
+    made_by: dict[str, Any]
     """Version and commit that made the other dataset."""
 
-    @classmethod
-    def read(cls, table: Any) -> Again:
-        """From JSON values.
 
-        Raises:
-            KeyError, TypeError, ValueError: they are not what `vsfsim tasks --again` writes.
-        """
-        touches, size = float(table["touches"]), float(table["size"])
-        if not (0.0 <= touches <= 1.0 and 0.0 <= size < 1.0) or not isinstance(table["made_by"], dict):
-            raise ValueError("the repetition on another machine")
-        return cls(touches, size, table["made_by"])
-
-
-@dataclass(frozen=True)
-class Record:
+class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     """The fingerprints of a dataset as one task reads it."""
 
+    format: Literal["vsfsim-task-record"]
+    version: Literal[1]
     task: str
     """Name of the task."""
     task_sha256: str
     """Of its text."""
     dataset_sha256: str
     """Of the dataset's content."""
-    made_by: Mapping[str, Any]
+    made_by: dict[str, Any]
     """Version and commit that made the dataset."""
     entries: tuple[Entry, ...]
     """In the dataset's order, of the splits that the task uses."""
@@ -118,13 +119,7 @@ class Record:
 
     def table(self) -> dict[str, Any]:
         """As JSON values; `read` takes them back."""
-        rows = [{"name": e.name, "split": e.split, "object_index": e.object_index, "view_index": e.view_index,
-                 "query": list(e.query), "kinds": list(e.kinds), "touches": len(e.of_touches),
-                 "view": _text(e.of_view), "fingerprints": _text(e.of_touches)} for e in self.entries]
-        return {"format": FORMAT, "version": VERSION, "task": self.task, "task_sha256": self.task_sha256,
-                "dataset_sha256": self.dataset_sha256, "made_by": dict(self.made_by),
-                **({"unresolved": self.unresolved} if self.unresolved else {}),
-                **({"again": asdict(self.again)} if self.again else {}), "entries": rows}
+        return msgspec.to_builtins(self)
 
     @classmethod
     def read(cls, table: Any, where: str) -> Record:
@@ -134,17 +129,8 @@ class Record:
             TaskError: they are not a record.
         """
         try:
-            if table["format"] != FORMAT or table["version"] != VERSION:
-                raise ValueError(f"format {plain(table['format'])}, version {plain(table['version'])}")
-            entries = tuple(_entry(row) for row in table["entries"])
-            texts = [table[key] for key in ("task", "task_sha256", "dataset_sha256")]
-            if not all(isinstance(text, str) for text in texts) or not isinstance(table["made_by"], dict):
-                raise ValueError("a text is missing")
-            again = Again.read(table["again"]) if "again" in table else None
-            frames = tuple(map(float, table["unresolved"])) if "unresolved" in table else None
-            return cls(table["task"], table["task_sha256"], table["dataset_sha256"], table["made_by"], entries, (
-                int(frames[0]), int(frames[1]), frames[2]) if frames else None, again)
-        except (KeyError, TypeError, ValueError, IndexError, binascii.Error, OverflowError) as error:
+            return msgspec.convert(table, cls)
+        except (ValueError, RecursionError) as error:
             raise TaskError(f"{where} is no record of a task's dataset: {plain(error)}. Make it again with `vsfsim "
                             f"tasks --record FOLDER`.") from error
 
@@ -157,7 +143,7 @@ def make_record(task: Task, dataset: Dataset) -> Record:
     """
     asked = frozenset(test_names(dataset, task.protocol))
     queries = (view.touches[k] for view in map(dataset.load, asked) for k in divide(view, task.protocol).query)
-    return Record(task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
+    return Record("vsfsim-task-record", 1, task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
                   tuple(_of_view(dataset.load(name), task, name in asked)
                         for name in shown_names(dataset, task.protocol)), share_unresolved(queries))
 
@@ -180,24 +166,14 @@ def shipped_record(task: Task) -> Record | None:
     return found if (found.task, found.task_sha256) == (task.name, task.sha256) else None
 
 
-def write_record(task: Task, dataset: Dataset, path: Path) -> Record:
-    """Make the record of a task's dataset and write it.
-
-    Raises:
-        TaskError: the dataset does not fit, or the file cannot be written.
-    """
-    made = make_record(task, dataset)
-    save_record(made, path)
-    return made
-
-
-def save_record(record: Record, path: Path) -> None:
-    """Write a record.
+def save_record(record: Record, path: Path, *, again: Again | None = None) -> None:
+    """Write a record, with what another machine makes of the same touches if that is given.
 
     Raises:
         TaskError: the file cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    record = msgspec.structs.replace(record, again=again or record.again)
     write_atomic(path, (json.dumps(record.table()) + "\n").encode(), error=TaskError)
 
 
@@ -233,10 +209,9 @@ def _of_view(view: ObjectView, task: Task, asked: bool) -> Entry:
     shown = dict(_vectors_of_view(view))
     rows = [dict(_vectors_of_touch(touch, clean)) for touch, clean in zip(view.touches, recording.clean, strict=True)]
     kinds = tuple(rows[0]) if rows else ()
-    return Entry(view.name, view.split, view.object_index, view.view_index, query, (*shown, *kinds),
-                 np.array([_print(v) for v in shown.values()], _ITEM),
-                 np.array([[_print(row[kind]) for kind in kinds] for row in rows], _ITEM).reshape(len(rows),
-                                                                                                  len(kinds)))
+    return Entry(view.name, view.split, view.object_index, view.view_index, query, (*shown, *kinds), len(rows),
+                 b"".join(_print(v) for v in shown.values()),
+                 b"".join(_print(row[kind]) for row in rows for kind in kinds))
 
 
 def _vectors_of_view(view: ObjectView) -> Iterator[tuple[str, np.ndarray]]:
@@ -285,14 +260,11 @@ def _numbers(item: Any) -> Iterator[float]:
         yield float(item)
 
 
-def _print(vector: np.ndarray) -> np.ndarray:
+def _print(vector: np.ndarray) -> bytes:
     v = np.asarray(vector, float).reshape(-1)
     norm = float(np.linalg.norm(v))
-    along = [float(_signs(len(v), k) @ v) for k in range(_PROJECTIONS)] if norm > 0.0 else [0.0] * _PROJECTIONS
-    out = np.zeros((), _ITEM)
-    out["norm"] = norm
-    out["along"] = np.clip(np.rint(SCALE * np.array(along) / norm), -32767, 32767) if norm > 0.0 else 0
-    return out
+    along = np.array([float(_signs(len(v), k) @ v) for k in range(_PROJECTIONS)]) / (norm or 1.0)
+    return np.array((norm, np.clip(np.rint(SCALE * along), -32767, 32767)), _ITEM).tobytes()
 
 
 def _signs(size: int, number: int) -> np.ndarray:
@@ -301,25 +273,5 @@ def _signs(size: int, number: int) -> np.ndarray:
     return 2.0 * np.unpackbits(bits)[:size] - 1.0
 
 
-def _text(items: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(items).tobytes()).decode()
-
-
-def _entry(row: Mapping[str, Any]) -> Entry:
-    kinds, count = tuple(row["kinds"]), int(row["touches"])
-    if not all(isinstance(word, str) for word in (*kinds, row["name"], row["split"])):
-        raise ValueError("a name is not text")
-    of_view, flat = (_items(row[key]) for key in ("view", "fingerprints"))
-    columns = len(kinds) - len(of_view)
-    if columns < 0 or count < 0 or len(flat) != count * columns:
-        raise ValueError(f"{row['name']}: the number of fingerprints does not fit")
-    query: Sequence[Any] = row["query"]
-    return Entry(row["name"], row["split"], int(row["object_index"]), int(row["view_index"]),
-                 tuple(int(i) for i in query), kinds, of_view, flat.reshape(count, columns))
-
-
-def _items(text: str) -> np.ndarray:
-    items = np.frombuffer(base64.b64decode(text, validate=True), _ITEM)
-    if not np.isfinite(items["norm"]).all() or (items["norm"] < 0.0).any():
-        raise ValueError("a norm is not a number >= 0")
-    return items
+def _items(content: bytes) -> np.ndarray:
+    return np.frombuffer(content, _ITEM)

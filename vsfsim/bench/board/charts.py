@@ -1,144 +1,97 @@
-"""Charts of the leaderboard's pages as SVG: lines with intervals, points with names, maps of stiffness."""
+"""Pages and their charts, by the templates of the folder `pages`: plain HTML and SVG without anything from another
+machine, and one short script that sorts and filters tables. A page's policy names the script by its digest, so that no
+other runs, and without it the page is whole. What strangers wrote is text in every place."""
 
 from __future__ import annotations
 
 import base64
-import itertools
+import functools
+import hashlib
 import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
-from vsfsim.bench.board.markup import escape
+from vsfsim.core.plain_text import plain
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
 """Of lines (Okabe and Ito 2008, which people with colour blindness tell apart)."""
 
-_MAP = ((0.0, (68, 1, 84)), (0.25, (59, 82, 139)), (0.5, (33, 145, 140)), (0.75, (94, 201, 98)), (1.0, (253, 231, 37)))
+_VIRIDIS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 """Viridis (van der Walt and Smith 2015) at five places."""
 _LEVELS = 31  # colours of a map, less one
 _GRID = 2  # pixels: places of a map are rounded to it, and those of one colour that meet are one dot
+_PAGES = Path(__file__).parent / "pages"
+
+
+@functools.cache
+def _environment() -> Environment:
+    out = Environment(loader=FileSystemLoader(_PAGES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+                      lstrip_blocks=True, finalize=lambda value: plain(value) if type(value) is str else value)
+    script = (_PAGES / "table.js").read_text(encoding="utf-8")
+    out.globals |= {"style": Markup((_PAGES / "style.css").read_text(encoding="utf-8")), "script": Markup(script),
+                    "digest": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}
+    return out
+
+
+def render(template: str, **given: Any) -> Markup:
+    """A template of the folder `pages`, filled; texts are escaped and made `plain`."""
+    return Markup(_environment().get_template(template).render(**given))
 
 
 @dataclass(frozen=True)
-class Series:
-    """A line."""
+class Line:
+    """A line of a chart, or a point."""
 
     name: str
     """In the legend."""
-    values: Sequence[tuple[float, float] | None]
-    """(mean, half width of the interval) at each place; None where there is none."""
+    x: Sequence[float]
+    """Places (n,)."""
+    values: Sequence[tuple[float, float]]
+    """(mean, half the width of its interval) at each place (n,); NaN where there is none."""
 
 
-def lines(labels: Sequence[str], series: Sequence[Series], *, axis: str, below: str, level: float | None = None) -> str:
-    """Lines over equally spaced places, with their intervals.
-
-    Args:
-        labels: of the places. series: the lines. axis: name of the values. below: name of the places. level: a value
-        that is marked by a dashed line.
-    """
-    known = [v for s in series for v in s.values if v is not None and math.isfinite(v[0])]
-    if not known:
-        return ""
-    top = max(max(m + (e if math.isfinite(e) else 0.0) for m, e in known), level or 0.0)
-    ticks = round_numbers(0.0, min(top, 3.0 * max(m for m, _ in known)))
-    width, height, left, right, up, down = 760, 360, 62, 210, 12, 46
-    high = ticks[-1]
-
-    def place(k: int, value: float) -> tuple[float, float]:
-        across = left + (width - left - right) * (k + 0.5) / len(labels)
-        return across, up + (height - up - down) * (1.0 - min(max(value, 0.0), high) / high)
-
-    out = _frame(width, height, left, right, up, down, ticks, high, axis)
-    for k, label in enumerate(labels):
-        out.append(_text(place(k, 0.0)[0], height - down + 18, label, "middle"))
-    out.append(_text((left + width - right) / 2, height - 6, below, "middle", soft=True))
-    if level is not None:
-        y = place(0, level)[1]
-        out.append(f'<line class="axis" x1="{left}" x2="{width - right}" y1="{y:.1f}" y2="{y:.1f}" '
-                   'stroke-dasharray="5 4"/>')
-    for n, one in enumerate(series):
-        colour, shift = COLOURS[n % len(COLOURS)], 4.0 * (n - 0.5 * (len(series) - 1))
-        points = [(place(k, v[0])[0] + shift, place(k, v[0])[1], k, v) for k, v in enumerate(one.values)
-                  if v is not None and math.isfinite(v[0])]
-        dash = "" if n < len(COLOURS) else ' stroke-dasharray="6 3"'
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y, _, _ in points)
-        out.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.8"{dash}/>')
-        for x, y, k, (mean, error) in points:
-            if math.isfinite(error):
-                y1, y2 = place(k, mean - error)[1], place(k, mean + error)[1]
-                out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{y1:.1f}" y2="{y2:.1f}" stroke="{colour}"/>')
-            out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.2" fill="{colour}"><title>{escape(one.name)}: '
-                       f'{mean:.3f}</title></circle>')
-        y = up + 14 + 19 * n
-        out.append(f'<line x1="{width - right + 12}" x2="{width - right + 34}" y1="{y - 4}" y2="{y - 4}" '
-                   f'stroke="{colour}" stroke-width="2.4"{dash}/>')
-        out.append(_text(width - right + 40, y, one.name))
-    need = max(height, up + 24 + 19 * len(series))
-    return _svg(width, need, out, f"{axis} over {below}")
-
-
-def points(values: Mapping[str, tuple[float, float, float]], *, across: str, axis: str) -> str:
-    """Named points over a logarithmic abscissa.
+def chart(lines: Sequence[Line], span: tuple[float, float], *, across: str, axis: str, marks: Mapping[float, str],
+          level: float | None = None) -> Markup:
+    """Lines or points with their intervals; "" where no value is known.
 
     Args:
-        values: by name, (abscissa > 0, ordinate, half width of its interval). across, axis: names of both.
+        lines: what is drawn. span: ends of the abscissa. across, axis: names of abscissa and values. marks: texts by
+        place on the abscissa. level: a value that is marked by a dashed line.
     """
-    known = {name: v for name, v in values.items() if v[0] > 0.0 and math.isfinite(v[1])}
-    if not known:
-        return ""
-    width, height, left, right, up, down = 760, 360, 62, 150, 12, 46
-    low, far = (math.floor(math.log10(min(v[0] for v in known.values()))),
-                math.ceil(math.log10(max(v[0] for v in known.values())) + 1e-9))
-    far = max(far, low + 1)
-    ticks = round_numbers(0.0, max(v[1] + (v[2] if math.isfinite(v[2]) else 0.0) for v in known.values()))
-    high = ticks[-1]
-    out = _frame(width, height, left, right, up, down, ticks, high, axis)
-    for power in range(low, far + 1):
-        x = left + (width - left - right) * (power - low) / (far - low)
-        out.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{up}" y2="{height - down}"/>')
-        out.append(_text(x, height - down + 18, f"{10.0**power:g}", "middle"))
-    out.append(_text((left + width - right) / 2, height - 6, across, "middle", soft=True))
-    ordered = sorted(known.items(), key=lambda item: item[1][1])
-    at = {name: (left + (width - left - right) * (math.log10(v[0]) - low) / (far - low),
-                 up + (height - up - down) * (1.0 - min(max(v[1], 0.0), high) / high)) for name, v in ordered}
-    taken = [(x - 5.0, y - 5.0, x + 5.0, y + 5.0) for x, y in at.values()]
-    written: list[str] = []  # over all lines
-    for n, (name, (_, _, error)) in enumerate(ordered):
-        colour, (x, y) = COLOURS[n % len(COLOURS)], at[name]
-        if math.isfinite(error):
-            half = (height - up - down) * error / high
-            out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{y - half:.1f}" y2="{y + half:.1f}" stroke="{colour}"/>')
-        out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/>')
-        box = _free((x + 6.0, y - 7.0, x + 10.0 + 6.2 * len(name), y + 7.0), taken, up, height - down)
-        taken.append(box)
-        middle = (box[1] + box[3]) / 2.0
-        if middle != y:  # a name that gave way is joined to its point
-            out.append(f'<line x1="{x:.1f}" x2="{x + 7:.1f}" y1="{y:.1f}" y2="{middle:.1f}" stroke="{colour}"/>')
-        written.append(_text(x + 8, middle + 4.0, name, over=True))
-    return _svg(width, height, [*out, *written], f"{axis} over {across}")
+    means = np.array([mean for one in lines for mean, _ in one.values if math.isfinite(mean)])
+    if not len(means):
+        return Markup("")
+    top = max(level or 0.0, *(np.nansum(pair) for one in lines for pair in one.values))
+    ticks = round_numbers(0.0, min(top, 3.0 * float(means.max())))
+    width, height, left, right, upper, lower = 760, 360, 56, 550, 12, 318
+
+    def across_at(x: float) -> float:
+        return round(left + (right - left) * (x - span[0]) / (span[1] - span[0]), 1)
+
+    def up_at(y: float) -> float:
+        return round(lower - (lower - upper) * min(max(y, 0.0), ticks[-1]) / ticks[-1], 1)
+
+    drawn = []
+    for n, one in enumerate(lines):
+        points = [(across_at(x), up_at(mean), *((up_at(mean - half), up_at(mean + half)) if math.isfinite(half) else
+                                                (up_at(mean),) * 2), f"{mean:.3f}")
+                  for x, (mean, half) in zip(one.x, one.values, strict=True) if math.isfinite(mean)]
+        drawn.append({"name": one.name, "colour": COLOURS[n % len(COLOURS)], "key": upper + 14 + 19 * n,
+                      "points": points, "path": " ".join(f"{x},{y}" for x, y, *_ in points)})
+    return render("chart.svg", lines=drawn, ticks=[(up_at(tick), f"{tick:g}") for tick in ticks], across=across,
+                  marks=[(across_at(x), text) for x, text in marks.items()], axis=axis, left=left, right=right,
+                  level=None if level is None else up_at(level), top=upper, bottom=lower, width=width, height=height)
 
 
-Box = tuple[float, float, float, float]
-"""Left, upper, right and lower edge."""
-
-
-def _free(box: Box, taken: Sequence[Box], up: float, down: float) -> Box:
-    """The box moved up or down as little as needed to meet none of others between two edges; as it is if there is no
-    such place."""
-    for step in range(1, int(down - up)):
-        by = step // 2 * (-1.0 if step % 2 else 1.0)
-        moved = (box[0], box[1] + by, box[2], box[3] + by)
-        if moved[1] >= up and moved[3] <= down and not any(
-                moved[0] < b[2] and b[0] < moved[2] and moved[1] < b[3] and b[1] < moved[3] for b in taken):
-            return moved
-    return box
-
-
-def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: float, name: str) -> str:
+def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: float, name: str) -> Markup:
     """Stiffness at points of a surface, seen along the axis in which they extend least.
 
     Args:
@@ -153,52 +106,35 @@ def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: f
     y = margin + scale * (places[:, second].max() - places[:, second])
     radius = min(14.0, max(2.0, 0.4 * size / math.sqrt(max(len(places), 1))))
     share = np.log(np.maximum(values, low) / low) / math.log(high / low)
-    level = np.rint(_LEVELS * np.minimum(share, 1.0)).astype(int)
-    out = []
+    level, dots = np.rint(_LEVELS * np.minimum(share, 1.0)).astype(int), []
     for one in np.unique(level):  # a path a colour, each place from the one before: a point is 6 letters and not 60
         at = np.unique(np.rint(np.column_stack([x, y])[level == one] / _GRID).astype(int), axis=0)
-        steps = np.diff(at, axis=0, prepend=0)
-        dots = "".join(f"m{a}{'' if b < 0 else ' '}{b}z" for a, b in steps.tolist())
-        out.append(f'<path stroke="{colour_of(one / _LEVELS)}" d="{dots}"/>')
-    out = [f'<g class="dots" transform="scale({_GRID})" stroke-width="{2.0 * radius / _GRID:.1f}">', *out, "</g>"]
-    tall = float(2 * margin + scale * spread[second]) + 26.0
-    axes = "xyz"
-    out.append(_text(margin, tall - 8.0, f"{name} ({axes[first]} right, {axes[second]} up)"))
-    return _svg(int(size), math.ceil(tall), out, name)
-
-
-def scale_bar(low: float, high: float, unit: str) -> str:
-    """The colours of `stiffness_map`."""
-    step = 280 / (len(_MAP) - 1) / 4
-    out = [f'<rect x="{10 + step * k:g}" y="6" width="{step + 0.5:g}" height="14" '
-           f'fill="{colour_of(k / (4 * len(_MAP) - 5))}"/>' for k in range(4 * (len(_MAP) - 1))]
-    out += [_text(10, 36, f"{low:.3g}"), _text(290, 36, f"{high:.3g} {unit}", "end"),
-            _text(150, 36, "logarithmic", "middle", soft=True)]
-    return _svg(300, 42, out, "colours")
+        dots.append((colour_of(one / _LEVELS), "".join(f"m{a}{'' if b < 0 else ' '}{b}z" for a, b in np.diff(
+            at, axis=0, prepend=0).tolist())))
+    return render("map.svg", dots=dots, grid=_GRID, dot=f"{2.0 * radius / _GRID:.1f}", name=name, width=int(size),
+                  height=math.ceil(2 * margin + scale * spread[second] + 26.0), axes=["xyz"[first], "xyz"[second]])
 
 
 def colour_of(share: float) -> str:
     """Colour at a share from 0 to 1 of the map; shares beyond it have the colour of its end."""
-    at = min(max(share, 0.0), 1.0)
-    for (a, one), (b, other) in itertools.pairwise(_MAP):
-        if at <= b:
-            part = (at - a) / (b - a)
-            return "#" + "".join(f"{round(u + part * (v - u)):02x}" for u, v in zip(one, other, strict=True))
-    return "#fde725"
+    at = np.linspace(0.0, 1.0, len(_VIRIDIS))
+    return "#" + "".join(f"{round(float(np.interp(share, at, band))):02x}" for band in _VIRIDIS.T)
 
 
-def png(rgb: np.ndarray, name: str) -> str:
-    """An image (H, W, 3) uint8 as an HTML element that holds it."""
-    height, width = rgb.shape[:2]
-    rows = b"".join(b"\0" + np.ascontiguousarray(row).tobytes() for row in rgb)
+def png_uri(image: np.ndarray) -> str:
+    """An image as the address of a PNG that it holds itself.
 
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    file = (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-            + chunk(b"IDAT", zlib.compress(rows, 9)) + chunk(b"IEND", b""))
-    return (f'<img alt="{escape(name)}" width="{min(width, 360)}" '
-            f'src="data:image/png;base64,{base64.b64encode(file).decode()}">')
+    Args:
+        image: sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8.
+    """
+    height, width, bands = image.shape
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
+    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 2: 4}[bands], 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
+    content = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks)
+    return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def round_numbers(low: float, high: float) -> list[float]:
@@ -208,27 +144,3 @@ def round_numbers(low: float, high: float) -> list[float]:
     step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= raw * 0.999)
     first = math.floor(low / step + 1e-9)
     return [step * k for k in range(first, max(math.ceil(high / step - 1e-9), first + 1) + 1)]
-
-
-def _frame(width: int, height: int, left: int, right: int, up: int, down: int, ticks: Sequence[float], high: float,
-           axis: str) -> list[str]:
-    out = []
-    for tick in ticks:
-        y = up + (height - up - down) * (1.0 - tick / high)
-        out.append(f'<line class="grid" x1="{left}" x2="{width - right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        out.append(_text(left - 8, y + 4, f"{tick:g}", "end"))
-    middle = (up + height - down) / 2
-    out.append(f'<text class="soft" transform="translate(14 {middle:.0f}) rotate(-90)" '
-               f'text-anchor="middle">{escape(axis)}</text>')
-    out.append(f'<line class="axis" x1="{left}" x2="{width - right}" y1="{height - down}" y2="{height - down}"/>')
-    return out
-
-
-def _text(x: float, y: float, text: str, anchor: str = "start", *, soft: bool = False, over: bool = False) -> str:
-    kind = ' class="soft"' if soft else ' class="over"' if over else ""  # over lines, which end at its edge
-    return f'<text{kind} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
-
-
-def _svg(width: int, height: int, parts: Sequence[str], name: str) -> str:
-    return (f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img" '
-            f'aria-label="{escape(name)}">' + "".join(parts) + "</svg>")

@@ -1,11 +1,12 @@
-"""Comparisons of methods over objects: the ratio of each object, and paired differences with their standard errors."""
+"""Comparisons of methods over objects: the values of each object in a `vsfsim.bench.result.Result`, and paired
+differences with their standard errors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -19,29 +20,6 @@ FEWEST_OBJECTS = 3
 """With fewer objects in common nothing is told apart."""
 
 ByObject = Mapping[str, float]
-
-
-class Scored(Protocol):
-    """What a comparison reads of a `vsfsim.bench.result.Result`."""
-
-    @property
-    def queries(self) -> Mapping[str, list]:
-        """Columns with one row a query touch, shot and run."""
-
-    def rows(self) -> list[dict[str, Any]]:
-        """The same as rows, each beside what predicting zero errs."""
-
-
-class Answered(Scored, Protocol):
-    """The same with what else was answered."""
-
-    @property
-    def answers(self) -> Mapping[str, Mapping[str, list]]:
-        """Columns by the name of the answer."""
-
-    @property
-    def values(self) -> Mapping[str, Mapping[str, ByObject]]:
-        """By metric and shot, where the rows of single touches are not kept."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +40,7 @@ class Paired:
         return self.objects >= FEWEST_OBJECTS and abs(self.mean) > TOLD_APART * self.error
 
 
-def ratios(result: Scored, shot: str) -> dict[str, float]:
+def ratios(result: Any, shot: str) -> dict[str, float]:
     """Mean over runs of each object's ratio to zero (`metric_functions.object_ratios`), by the object's name.
 
     {} where the result does not hold the shot, or not the true readings' sizes.
@@ -79,7 +57,7 @@ def ratios(result: Scored, shot: str) -> dict[str, float]:
             if all(name in one for one in known)}
 
 
-def absolute(result: Scored, shot: str, *, scale: float = 1.0) -> dict[str, float]:
+def absolute(result: Any, shot: str, *, scale: float = 1.0) -> dict[str, float]:
     """Mean over runs and query touches of the error of each object [unit of a reading], by the object's name.
 
     Args:
@@ -92,7 +70,7 @@ def absolute(result: Scored, shot: str, *, scale: float = 1.0) -> dict[str, floa
     return {name: scale * math.fsum(values) / len(values) for name, values in sums.items()}
 
 
-def by_object(result: Answered, metric: str, shot: str) -> dict[str, float]:
+def by_object(result: Any, metric: str, shot: str) -> dict[str, float]:
     """A metric of each object, mean over runs, by the object's name; {} where the result does not hold it.
 
     Args:

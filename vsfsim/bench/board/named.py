@@ -1,5 +1,6 @@
-"""Whose a result is: a method's or a ceiling's that ships, or somebody's who claims its name; what it rests on; its
-label in a table, and the command that makes it again.
+"""Whose a result is: a method's or a ceiling's that ships, or somebody's who claims its name; what it rests on; the
+command that makes it again; and whether two results are one: equal rows, rows of one dataset on machines that round
+otherwise, and rows that cannot both be of one method.
 
 What a row rests on is a fact of the repository: `leaderboard/evidence.json` lists the sha256s of its rows with what
 made them. What a result says of itself is never read. A row that ships and is not on the list is an earlier one, of a
@@ -11,17 +12,20 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import math
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import msgspec
 
+from vsfsim.bench.board.compare import ByObject, paired
 from vsfsim.bench.board.shipped import shipped_form
 from vsfsim.bench.commands.presets import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
-from vsfsim.bench.result import Result
+from vsfsim.bench.metrics import Answer, metrics_of
+from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.plain_text import plain
@@ -124,32 +128,6 @@ def claimed(result: Result, task: Task) -> bool:
     return any(result.parameters.get(key) != value for key, value in here.items() if key != "device")
 
 
-class Labelled(Protocol):
-    """What a label needs of a row."""
-
-    @property
-    def result(self) -> Result:
-        """Its result."""
-
-    @property
-    def mark(self) -> str:
-        """Why it is not ranked, or ""."""
-
-
-def labels_of(rows: Sequence[Labelled]) -> list[str]:
-    """The method's name and preset; where it has several rows, with the parameters in which they differ."""
-    out = []
-    for row in rows:
-        result = row.result
-        twins = [other.result.parameters for other in rows
-                 if (other.result.method, other.result.preset) == (result.method, result.preset)]
-        differ = [f"{key}={value}" for key, value in result.parameters.items()
-                  if value != "" and any(twin.get(key) != value for twin in twins)]
-        words = [*filter(None, ["claimed" if row.mark == CLAIMED else "", result.preset]), *differ]
-        out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
-    return out
-
-
 def command_of(result: Result, *, whole: bool = False) -> str:
     """The command that makes a result again, quoted for a shell.
 
@@ -182,3 +160,56 @@ def absent(task: str) -> dict[str, str]:
         raise TaskError(f"{path}: '{task}' is {said!r}; give a table of names of methods and reasons, as "
                         f"[{task}] and below it fem-map = \"why\".")
     return said
+
+
+SAME_READINGS = 1e-3
+"""Datasets whose readings differ by less, by `result.readings_apart`, count as the same dataset made on a machine with
+other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
+has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
+_ROUNDING = 1e-8  # of the nine digits of a score that ships
+_SAME_SCORE = 1e-4
+"""Relative difference below which two scores on such datasets count as one result."""
+_OTHER_SCORE = 0.02
+"""The same, above which one method on one task cannot have given both."""
+
+
+def far_apart(result: Result, known: Mapping[str, list]) -> str:
+    """Why a result on other bits is not ranked where the task has no record, or ""."""
+    apart = readings_apart(result.readings, known)
+    if apart is not None and apart < SAME_READINGS:
+        return ""
+    difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
+    return f"other dataset ({result.dataset_sha256[:12]}{difference})"
+
+
+def is_same(result: Result, before: Result) -> bool:
+    """Whether two results are the same one. One of them may be from a machine with other rounding; the scores
+    decide."""
+    names, tolerance = list(result.scores), _ROUNDING
+    if result.dataset_sha256 != before.dataset_sha256:
+        apart = readings_apart(result.readings, before.readings)
+        if apart is None or not apart < SAME_READINGS or result.scores.keys() != before.scores.keys():
+            return False
+        names = [metric.name for metric in metrics_of(Answer.READINGS) if metric.name in result.scores]
+        tolerance = _SAME_SCORE
+    if not _of_one_method(result, before) or any(
+            result.scores[name].keys() != before.scores.get(name, {}).keys() for name in names):
+        return False
+    pairs = [(result.scores[name][shot], before.scores[name][shot]) for name in names for shot in result.scores[name]]
+    return all(math.isclose(a, b, rel_tol=tolerance) for one, other in pairs  # a row that ships has means alone
+               for a, b in zip((one.mean, *one.per_seed), (other.mean, *other.per_seed), strict=False))
+
+
+def _of_one_method(one: Result, other: Result) -> bool:
+    return all(getattr(one, key) == getattr(other, key) for key in ("method", "preset", "task_sha256", "parameters"))
+
+
+def contradicts(one: Result, other: Result, task: Task, objects: tuple[ByObject, ByObject]) -> bool:
+    """Whether two results of one method with the same settings on one task have scores that it cannot give both.
+
+    Args:
+        one, other: the results. task: of both. objects: the values of both by object, {} where the task has none.
+    """
+    mine, theirs = (r.scores[task.primary][task.ranking_shot].mean for r in (one, other))
+    return _of_one_method(one, other) and not math.isclose(mine, theirs, rel_tol=_OTHER_SCORE) and (
+        not task.protocol.folds or paired(*objects).told_apart)

@@ -12,31 +12,28 @@ What needs data or further rows ships as `leaderboard/audits/TASK.json`; the ran
 from __future__ import annotations
 
 import itertools
-import json
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
 from vsfsim.bench.board.compare import ByObject, by_object, interval, paired
-from vsfsim.bench.board.named import labels_of
-from vsfsim.bench.commands.side_by_side import own
 from vsfsim.bench.evaluate import finish
 from vsfsim.bench.identity import contents_of
-from vsfsim.bench.leaderboard import collect, over_objects
+from vsfsim.bench.leaderboard import collect, labels_of
 from vsfsim.bench.metric_functions import spearman
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import from_json, plain
+from vsfsim.core.plain_text import plain
 from vsfsim.core.text_table import text_table
 from vsfsim.data.disk import write_atomic
 
-FORMAT = "vsfsim-audit"
 METHOD = "vsfsim.baselines.shortcuts:Shortcut"
 KINDS = ("constant", "action", "view", "touch")
 ENOUGH = 0.9
@@ -92,19 +89,26 @@ class Audit:
         Raises:
             TaskError: the file cannot be written.
         """
-        table = {"format": FORMAT, "task_sha256": task_sha256, "fresh": self.fresh, "source": self.source,
-                 "errors": {sees: {name: float(f"{value:.7g}") for name, value in of.items()}
-                            for sees, of in self.errors.items()}}
+        errors = {sees: {name: float(f"{value:.7g}") for name, value in of.items()} for sees, of in self.errors.items()}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise TaskError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --ship.") from error
-        write_atomic(path, (json.dumps(table, indent=1) + "\n").encode(), error=TaskError)
+        told = msgspec.json.encode(_Shipped("vsfsim-audit", task_sha256, self.fresh, self.source, errors))
+        write_atomic(path, msgspec.json.format(told, indent=1) + b"\n", error=TaskError)
+
+
+class _Shipped(msgspec.Struct):
+    format: Literal["vsfsim-audit"]
+    task_sha256: str
+    fresh: tuple[tuple[str, int, float], ...] = ()
+    source: tuple[tuple[str, int, float], ...] = ()
+    errors: dict[str, dict[str, float]] = {}
 
 
 def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, fresh: Sequence[Path] = (),
           source: Sequence[Path] = (), folder: Path | None = None, measure: bool = True,
-          progress: Callable[[int, int, str], None] | None = None) -> Audit:
+          progress: Callable[[int, int, str], None] = lambda *_: None) -> Audit:
     """Audit a task.
 
     Args:
@@ -117,7 +121,7 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     Raises:
         TaskError: the task is not scored object by object, or a file is not its result.
     """
-    if not over_objects(task) or task.metric.higher_is_better:
+    if not task.protocol.folds or task.metric.higher_is_better:
         raise TaskError(f"task {task.name} is not audited: it needs cross-validation, in which every object has an "
                         f"error of its own ([protocol] folds).")
     board = collect(task, results)
@@ -128,7 +132,7 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     least = 2.0 * statistics.median(pair.error for pair in pairs) if pairs else float("nan")
     known = _shipped(task)
     errors = (_shortcuts(task, dataset, folder or Path("results") / task.name / "audit", progress) if measure else
-              {}) or known.get("errors", {})
+              {}) or known.errors
     shortcuts = []
     for sees, of in errors.items():
         behind = paired(of, values[0]) if values else None
@@ -138,30 +142,24 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     means = {_key(row.result): row.scores[task.primary][task.ranking_shot].mean for row in ranked}
     return Audit(task.name, names[0] if names else "", tuple(shortcuts), len(ranked),
                  sum(pair.told_apart for pair in pairs), least,
-                 tuple(_agreement(means, path, task) for path in fresh) or _triples(known.get("fresh", ())),
-                 tuple(_agreement(means, path, task) for path in source) or _triples(known.get("source", ())), errors)
+                 tuple(_agreement(means, path, task) for path in fresh) or known.fresh,
+                 tuple(_agreement(means, path, task) for path in source) or known.source, errors)
 
 
-def _shipped(task: Task) -> dict[str, Any]:
-    """What ships of a task's audit; {} where nothing does, or of another text of the task.
+def _shipped(task: Task) -> _Shipped:
+    """What ships of a task's audit; empty where nothing does, or of another text of the task.
 
     Raises:
         TaskError: the file is damaged.
     """
-    path = shelf.folder("leaderboard") / "audits" / f"{task.name}.json"
+    path, nothing = shelf.folder("leaderboard") / "audits" / f"{task.name}.json", _Shipped("vsfsim-audit", task.sha256)
     if not path.is_file():
-        return {}
+        return nothing
     try:
-        table = from_json(path.read_text())
-        if table["format"] != FORMAT:
-            raise ValueError(f"its format is {table['format']!r}")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        found = msgspec.json.decode(path.read_bytes(), type=_Shipped)
+    except (OSError, msgspec.MsgspecError) as error:
         raise TaskError(f"{path} is not what `vsfsim audit --ship` wrote: {plain(error)}. Write it again.") from error
-    return table if table.get("task_sha256") == task.sha256 else {}
-
-
-def _triples(rows: Sequence[Sequence[Any]]) -> tuple[tuple[str, int, float], ...]:
-    return tuple((str(name), int(count), float(value)) for name, count, value in rows)
+    return found if found.task_sha256 == task.sha256 else nothing
 
 
 def text(found: Audit, board_metric: str) -> str:
@@ -195,7 +193,7 @@ def text(found: Audit, board_metric: str) -> str:
     return "\n".join(lines)
 
 
-def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callable[[int, int, str], None] | None
+def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callable[[int, int, str], None]
                ) -> dict[str, ByObject]:
     """The metric of each object by shortcut; {} where the data are not here."""
     if dataset is None and not (task.dataset.path() / "dataset.json").is_file():
@@ -208,8 +206,7 @@ def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callabl
         result = Result.load(path) if path.is_file() else None
         if result is None or (result.task_sha256, result.dataset_sha256, result.contents.get(source)) != (
                 task.sha256, data.sha256, contents_of(METHOD, result.parameters)[source]):
-            with own(path):
-                result = finish(METHOD, task, data, path, parameters=given, progress=progress)
+            result = finish(METHOD, task, data, path, parameters=given, progress=progress)
         out[sees] = by_object(result, task.primary, task.ranking_shot)
     return out
 

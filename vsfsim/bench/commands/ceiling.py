@@ -9,13 +9,13 @@ group `vsfsim.fitted_ceilings` is given the readings of each trial as ``support`
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import inspect
-import io
 import multiprocessing
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from importlib.metadata import EntryPoint
@@ -27,21 +27,19 @@ import numpy as np
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.curves import Curves, beside
-from vsfsim.bench.folds import test_names
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.method import Action, Reading
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.protocol import Trial, divide, record, support
+from vsfsim.bench.protocol import Trial, divide, record, support, test_names
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers
+from vsfsim.bench.trials.answers import Answers, load, save
 from vsfsim.bench.trials.score import result_of
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import write_atomic
 from vsfsim.data.recipe import Recipe
 
 
@@ -54,7 +52,7 @@ def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
 
 
 def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
-                     processes: int = 1, progress: Callable[[int, int, str], None] | None = None,
+                     processes: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None,
                      out: Path | None = None, keep: str = "") -> Result:
     """The result of a ceiling: the same answers at every number of touches, unless it takes a support.
 
@@ -91,15 +89,17 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     contents = contents_of(name, given)
     part = None if out is None else out.with_suffix(".part")
     identity = repr((task.sha256, dataset.sha256, given, contents))
-    work = partial(_kept, part, identity, entry, dataset.recipe, given)
-    said: dict[tuple[str, tuple[int, ...]], tuple[list[np.ndarray], int]] = {}
-    for which, answer in zip(asked, _each(work, list(asked), list(asked.values()), processes), strict=True):
-        said[which] = answer
-        if progress is not None:
+    said: dict[tuple[str, tuple[int, ...]], tuple[int, list[np.ndarray]]] = {}
+    with contextlib.ExitStack() as held:
+        each: Callable[..., Iterator[Any]] = map
+        if processes > 1:
+            each = held.enter_context(ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"))).map
+        work = partial(_answered, part, identity, entry, dataset.recipe, given)
+        for which, answer in zip(asked, each(work, list(asked), list(asked.values())), strict=True):
+            said[which] = answer
             progress(len(said), len(asked), which[0])
-    lost = sum(number for _, number in said.values())
-    answers = [Answers(trial, tuple(said[trial.subject, trial.support][0]), None, None, None, None, None, 0.0, 0.0)
-               for trial in trials]
+    lost = sum(number for number, _ in said.values())
+    answers = [Answers(trial, tuple(said[trial.subject, trial.support][1])) for trial in trials]
     notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
     result = result_of(answers, task, dataset, task.protocol.runs(seeded=False), method=name, entry=entry.value,
@@ -114,36 +114,16 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     return result
 
 
-def _each(work: Callable[..., Any], which: Sequence[tuple[str, tuple[int, ...]]],
-          asked: Sequence[tuple[list[Action], list[Reading]]], processes: int) -> Iterator[Any]:
-    if processes == 1:
-        yield from map(work, which, asked)
-        return
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(work, which, asked)
-
-
-def _kept(folder: Path | None, identity: str, ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any],
-          which: tuple[str, tuple[int, ...]], asked: tuple[list[Action], list[Reading]]
-          ) -> tuple[list[np.ndarray], int]:
-    """As `_ask`, or what an earlier run with the same identity kept in the folder."""
-    if folder is None:
-        return _ask(ceiling, recipe, parameters, which, asked)
-    path = folder / f"{which[0]}-{hashlib.sha256(f'{identity} {which}'.encode()).hexdigest()[:24]}.npz"
-    if not path.is_file():
-        made, lost = _ask(ceiling, recipe, parameters, which, asked)
-        folder.mkdir(parents=True, exist_ok=True)
-        content = io.BytesIO()
-        np.savez(content, np.array(lost), *made)
-        write_atomic(path, content.getvalue(), error=MethodError)
-    with np.load(path, allow_pickle=False) as file:
-        lost, *readings = (file[f"arr_{k}"] for k in range(len(file.files)))
-    return readings, int(lost)
-
-
-def _ask(ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any], which: tuple[str, tuple[int, ...]],
-         asked: tuple[list[Action], list[Reading]]) -> tuple[list[np.ndarray], int]:
-    """Readings (T, d) of each action, and the number of frames that had no answer of their own."""
+def _answered(folder: Path | None, identity: str, ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any],
+              which: tuple[str, tuple[int, ...]], asked: tuple[list[Action], list[Reading]]
+              ) -> tuple[int, list[np.ndarray]]:
+    """The number of frames that had no answer of their own, and readings (T, d) of each action; those that an earlier
+    run with the same identity kept in the folder."""
+    digest = hashlib.sha256(f"{identity} {which}".encode()).hexdigest()
+    path = None if folder is None else folder / f"{which[0]}-{digest[:24]}.answers"
+    kept = load(path, tuple[int, list[np.ndarray]]) if path is not None else None
+    if kept is not None:
+        return kept
     (name, known), (actions, readings) = which, asked
     more = {"support": readings} if known else {}
     out, lost = [], 0
@@ -159,4 +139,7 @@ def _ask(ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any], whi
         frames = np.arange(len(good))
         out.append(np.stack([np.interp(frames, frames[good], column[good]) if good.any() else np.zeros(len(good))
                              for column in reading.T], axis=1))
-    return out, lost
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(path, (lost, out))
+    return lost, out

@@ -12,9 +12,8 @@ from typing import Any
 from vsfsim.bench.commands.ceiling import evaluate_ceiling
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
-from vsfsim.bench.commands.side_by_side import make, own
 from vsfsim.bench.curves import beside
-from vsfsim.bench.evaluate import Row, finish
+from vsfsim.bench.evaluate import Row, finish, make
 from vsfsim.bench.identity import SCORER, contents_of
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
@@ -30,7 +29,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "",
              out: str | Path | None = None, preset: str = "", processes: int = 1, keep: str = "",
-             progress: Callable[[int, int, str], None] | None = None) -> Result:
+             progress: Callable[[int, int, str], None] = lambda *_: None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
     Args:
@@ -50,7 +49,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
             are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
         processes: trainings that run at the same time, each in a process of its own.
-        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim inspect`
+        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view`
         draws; "" writes none.
         progress: called with (trials done, of how many, what is going on).
 
@@ -77,14 +76,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         path = Path(folder) / "result.json" if out is None else Path(out)
         if keep:
             options["curves"] = beside(path)
-        if processes > 1:
-            for _, message in make([Row.at(path, name, wanted, data, **options)], processes,
-                                   progress=progress or (lambda *_: None)):
-                if message:
-                    raise MethodError(message)
-            return Result.load(path)
-        with own(path):
-            return finish(name, wanted, data, path, progress=progress, **options)
+        return finish(name, wanted, data, path, processes=processes, progress=progress, **options)
 
 
 def name_of(method: type) -> str:
@@ -116,9 +108,9 @@ class Made:
 
 
 def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path | None = None, seeds: int | None = None,
-                 before: Callable[[Choice], Any] = lambda _: None, processes: int = 1,
-                 progress: Callable[[int, int, str], None] = lambda *_: None, keep: str = "", fan: Fan = HERE,
-                 **options: Any) -> Iterator[Made]:
+                 processes: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None, keep: str = "",
+                 fan: Fan = HERE, workers: int = 1, timeout: float | None = None, memory: float | None = None,
+                 sandbox: str = "") -> Iterator[Made]:
     """Make the results that are missing in a folder.
 
     A result is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
@@ -127,48 +119,44 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
 
     Args:
         task: the task. rows: what to evaluate. folder: of the result files; of one row the file itself. dataset,
-        seeds: as of `evaluate`. before: called before a row is made. processes: trainings of all rows that run at the
+        seeds, workers, timeout, memory, sandbox: as of `evaluate`. processes: trainings of all rows that run at the
         same time. progress: of them, called with (done, of how many, what). keep: as of `evaluate`; a row whose
-        predictions are missing is made again. fan: where the trainings run. options: further ones of `evaluate`.
+        predictions are missing is made again. fan: where the trainings run.
 
     Yields:
-        Every row in its order; with several processes or machines those that are there already, then the others as they
-        are ready; a shard yields only these and failures.
+        Those that are there already and ceilings, then the others as they are ready; a shard yields only these and
+        failures.
 
     Raises:
         VsfsimError: the dataset is missing or does not fit the task.
     """
-    data = open_dataset(task, dataset)
-    to_do: dict[Path, Choice] = {}
+    data, isolation = open_dataset(task, dataset), Isolation(sandbox, timeout, memory, workers)
+    to_do: dict[Path, tuple[Choice, Row]] = {}
     for choice in rows:
         path = folder if folder.suffix == ".json" and len(rows) == 1 else folder / f"{choice.stem}.json"
         known = _kept(path, task, data.sha256, choice, seeds)
         if known is not None and (not keep or beside(path).is_file()):
             yield Made(choice, path, known, "kept")
-            continue
-        ceiling = choice.method in ceilings()
-        if ceiling and fan.shard is not None:
-            continue  # it has no trainings; the call that scores makes it
-        if (processes > 1 or fan != HERE) and not ceiling:
-            to_do[path] = choice
-            continue
-        before(choice)
-        try:
-            result = evaluate(choice.method, task, data, parameters=choice.parameters, seeds=seeds, out=path,
-                              preset=choice.preset, keep=keep, processes=processes, **options)
-        except Interrupted:
-            raise
-        except VsfsimError as error:
-            yield Made(choice, path, None, str(error))
-        else:
-            yield Made(choice, path, result, "made")
-    if to_do:
-        isolation = Isolation(options.get("sandbox", ""), options.get("timeout"), options.get("memory"),
-                              options.get("workers", 1))
-        wanted = [Row.at(path, c.method, task, data, parameters=c.parameters, seeds=seeds, preset=c.preset,
-                         isolation=isolation, curves=beside(path) if keep else None) for path, c in to_do.items()]
-        for row, message in make(wanted, processes, fan=fan, progress=progress):
-            yield Made(to_do[row.path], row.path, None if message else Result.load(row.path), message or "made")
+        elif choice.method not in ceilings():
+            to_do[path] = choice, Row.at(path, choice.method, task, data, parameters=choice.parameters, seeds=seeds,
+                                         preset=choice.preset, isolation=isolation,
+                                         curves=beside(path) if keep else None)
+        elif fan.shard is None:  # a ceiling has no trainings; the call that scores makes it
+            try:
+                result = evaluate_ceiling(choice.method, task, data, parameters=choice.parameters, out=path, keep=keep,
+                                          processes=processes, progress=progress)
+            except Interrupted:
+                raise
+            except VsfsimError as error:
+                yield Made(choice, path, None, str(error))
+            else:
+                yield Made(choice, path, result, "made")
+    wanted = [row for _, row in to_do.values()]
+    # one after the other, unless trainings of several run at the same time
+    for some in ([wanted] if processes > 1 or fan != HERE else [[row] for row in wanted]):
+        for row, made in make(some, processes, fan=fan, progress=progress):
+            given = (None, str(made)) if isinstance(made, VsfsimError) else (made, "made")
+            yield Made(to_do[row.path][0], row.path, *given)
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:

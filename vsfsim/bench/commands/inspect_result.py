@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.board.markup import figure, page, paragraph, table
-from vsfsim.bench.board.touch_chart import legend, touch_chart
 from vsfsim.bench.curves import Curves
 from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metric_functions import object_of
@@ -25,10 +23,9 @@ from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import probe_table
 from vsfsim.core.text_table import text_table
-from vsfsim.data.disk import write_atomic
 
-MOST_LINES, MOST_CHARTS = 12, 60
-"""Touches in the text, and charts in the page."""
+MOST_LINES = 12
+"""Touches in the text."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +43,11 @@ class _Touch:
     """Factor of the truth that comes nearest to the prediction at that shot [-]; NaN without the predictions."""
 
 
-def inspect_result(path: Path, out: Path | None, *, shot: str = "") -> tuple[str, dict[str, Any]]:
-    """Write the page of a result file.
+def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
+    """Errors of a result file by object and by touch, the worst first; `vsfsim view RESULT` draws them.
 
     Args:
-        path: of the result. out: the page; None for RESULT.html beside the result. shot: label at which errors are
-        sorted; "" for the one that ranks.
+        path: of the result. shot: label at which errors are sorted; "" for the one that ranks.
 
     Returns:
         The text to print, and the same for JSON.
@@ -71,24 +67,19 @@ def inspect_result(path: Path, out: Path | None, *, shot: str = "") -> tuple[str
     order = sorted(objects[shot], key=lambda name: objects[shot][name],
                    reverse=not METRICS[metric].higher_is_better)
     rows = [[name, *(f"{of[name]:.3f}" if name in of else "" for of in objects.values())] for name in order]
-    target = out or path.with_suffix(".html")
-    write_atomic(target, _page(result, metric, shot, head, rows, touches, curves).encode(), error=TaskError)
-    unit = result.unit
     sort = (f"touches with the largest errors at {shot}-shot, means over {len(result.seeds)} runs; share: of the mean "
             f"error of predicting zero on the object" + ("; gain: prediction over truth" if curves else ""))
     kinds = by_kind(result, load_task(result.task)) if result.task in shelf.tasks() else {}
     lines = [score_table(result, metric), "", f"{metric} by object, the worst first", text_table(head, rows), "", sort,
-             text_table(*_touch_table(touches[:MOST_LINES], result.shots, unit))]
+             text_table(*_touch_table(touches[:MOST_LINES], result.shots, result.unit))]
     if kinds:
         cells = [[name, *(f"{of[label]:.3f}" for label in result.shots)] for name, of in kinds.items()]
         lines += ["", "error over that of predicting zero, pooled over objects, by what presses",
                   text_table(["press", *head[1:]], cells)]
-    if curves is None:
-        lines += ["", "The predictions were not kept: `vsfsim evaluate --keep predictions` makes the curves of the "
-                      "touches."]
-    lines += ["", f"page: {target}"]
+    lines += ["", f"vsfsim view {path}   # draws predictions over readings" if curves is not None else
+              "The predictions were not kept: `vsfsim evaluate --keep predictions` makes the curves of the touches."]
     return "\n".join(lines), {
-        "task": result.task, "method": result.method, "metric": metric, "shot": shot, "page": str(target),
+        "task": result.task, "method": result.method, "metric": metric, "shot": shot,
         "objects": objects, "presses": kinds,
         "touches": [{"view": t.view, "touch": t.touch, "rmse": dict(t.error), "share": t.share, "gain": t.gain}
                     for t in touches]}
@@ -159,41 +150,3 @@ def _touch_table(touches: Sequence[_Touch], shots: Sequence[str], unit: str) -> 
     head = ["object view", "touch", *(f"{label}-shot [{unit}]" for label in shots), "share", "gain"]
     return head, [[t.view, str(t.touch), *(number(t.error[label]) for label in shots), number(t.share), number(t.gain)]
                   for t in touches]
-
-
-def _page(result: Result, metric: str, shot: str, head: list[str], rows: list[list[str]], touches: Sequence[_Touch],
-          curves: Curves | None) -> str:
-    preset = f", preset {result.preset}" if result.preset else ""
-    scores = [[name, *(f"{s.mean:.3f} ± {s.std:.3f}" if (s := by_shot.get(label)) else "" for label in result.shots)]
-              for name, by_shot in result.scores.items()]
-    body = [paragraph(f"{result.entry}{preset}; task {result.task}; readings in {result.unit}; vsfsim "
-                      f"{result.made_by.get('vsfsim')}."),
-            table(["metric", *head[1:]], scores, caption=f"mean ± std over {len(result.seeds)} runs"),
-            "<h2>Objects</h2>", table(head, rows, caption=f"{metric}, mean over runs; the worst at {shot}-shot first")]
-    body.append("<h2>Touches</h2>")
-    if curves is None:
-        body.append(paragraph("The predictions were not kept; vsfsim evaluate --keep predictions keeps them."))
-    else:
-        body.append(paragraph(f"The worst {min(len(touches), MOST_CHARTS)} of {len(touches)} query touches at "
-                              f"{shot}-shot. Lines are means over runs, the band goes from the smallest to the largest "
-                              f"run at {shot}-shot. Share: error over the mean error of predicting zero on the object. "
-                              f"Gain: prediction over truth, by least squares.", note=True))
-        body += [legend(curves.shots), '<div class="pair">',
-                 *(_chart(one, curves, shot, result.unit) for one in touches[:MOST_CHARTS]), "</div>"]
-    body.append(table(*_touch_table(touches, result.shots, result.unit), caption="Root mean square errors of touches, "
-                                                                                 "the worst first"))
-    return page(f"{result.method} on {result.task}", body)
-
-
-def _chart(one: _Touch, curves: Curves, shot: str, unit: str) -> str:
-    k = next(n for n, (view, touch) in enumerate(zip(curves.objects, curves.touches.tolist(), strict=True))
-             if (view, touch) == (one.view, one.touch))
-    frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
-    truth, predicted = curves.truth[frames], curves.predicted[:, :, frames]
-    worst = int(np.nansum((predicted[curves.shots.index(shot)] - truth) ** 2, axis=(0, 1)).argmax())
-    numbers = "" if truth.shape[1] == 1 else f", number {worst + 1} of {truth.shape[1]}"
-    gain = f", gain {one.gain:.2f}" if math.isfinite(one.gain) else ""
-    chart = touch_chart(curves.time[frames], truth[:, worst],
-                        {label: predicted[s, :, :, worst] for s, label in enumerate(curves.shots)}, band=shot,
-                        unit=unit)
-    return figure(chart, f"{one.view}, touch {one.touch}{numbers}: share {one.share:.2f}{gain}")

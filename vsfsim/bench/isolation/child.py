@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import json
 import os
 import pickle
 import sys
@@ -24,7 +23,15 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.isolation.wire import receive_request, send_reply
-from vsfsim.bench.method import Method, build_method, checked_choice, checked_prediction, find_method, parameters_of
+from vsfsim.bench.method import (
+    Method,
+    build_method,
+    checked_choice,
+    checked_prediction,
+    find_method,
+    parameters_of,
+    plain_parameters,
+)
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.shelf import methods
@@ -35,7 +42,7 @@ OPTIONAL = ("predict_std", "stiffness", "locate", "choose")
 
 def main(line: Connection) -> None:
     """Answer requests until the scorer closes the line."""
-    server = _Server(line)
+    server = _Server()
     sys.addaudithook(server.watch)
     with contextlib.suppress(EOFError, OSError):
         while True:
@@ -55,14 +62,13 @@ def main(line: Connection) -> None:
 class _Server:
     """The method and what is asked of it."""
 
-    def __init__(self, line: Connection):
-        self.line = line
+    def __init__(self) -> None:
         self.parameters = dict[str, Any]()
         self.factory: type | None = None
         self.method: Any = None
         self.view: Any = None
         self.support: list[Any] = []
-        self.opened, self.imported = set[str](), set(sys.modules)
+        self.opened = set[str]()
 
     def watch(self, event: str, operands: tuple[Any, ...]) -> None:
         """The audit hook: keep the name of every file that is opened to be read."""
@@ -75,11 +81,7 @@ class _Server:
         name = payload["name"]
         self.factory = find_method(name, search=payload["folder"])
         self.parameters = parameters_of(self.factory, payload["parameters"])
-        try:
-            json.dumps(self.parameters, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise MethodError(f"a parameter of {name} cannot be written into a result file: {error}. Use numbers, "
-                              f"text, lists.") from error
+        plain_parameters(self.parameters)
         entry = f"{self.factory.__module__}:{getattr(self.factory, '__qualname__', self.factory)}"
         return {"entry": entry, "parameters": self.parameters,
                 "seeded": "seed" in inspect.signature(self.factory).parameters,
@@ -88,8 +90,7 @@ class _Server:
     def do_check(self, name: str) -> Any:
         from vsfsim.bench.check import check  # half of what a process would import that is not asked to check
 
-        findings = check(name, parameters=self.parameters, brief=True,
-                         before=lambda call: send_reply(self.line, {"calls": call}))
+        findings = check(name, parameters=self.parameters, brief=True)
         return {"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]}, ()
 
     def do_build(self, seed: int | None) -> Any:
@@ -156,9 +157,6 @@ class _Server:
 
     def do_locate(self, payload: Any) -> Any:
         return {}, [_numbers(self.method.locate(*payload), "locate must return a transform (4, 4), and not one")]
-
-    def do_end(self, _: Any) -> Any:
-        return {"modules": sorted(set(sys.modules) - self.imported)}, ()
 
 
 def private_caches(folder: Path, kernels: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import glob
 import importlib
 import json
 import os
@@ -43,27 +44,21 @@ def main(words: list[str]) -> None:
     line = Connection(os.dup(given["control"]))
     if given["check"] is not None:
         _rehearse(**given["check"])
-    request = given
-    while True:
-        for name in request.get("warm", ()):
-            with contextlib.suppress(Exception, SystemExit):  # the method's own process says what is missing
-                importlib.import_module(name)
-        if "warm" in request:
-            child.first_gradient()
-            gc.freeze()
-        try:
+    for name in given["warm"]:
+        with contextlib.suppress(Exception, SystemExit):  # the method's own process says what is missing
+            importlib.import_module(name)
+    child.first_gradient()
+    gc.freeze()
+    with contextlib.suppress(EOFError, OSError):
+        while True:
             request = json.loads(line.recv_bytes())
-            if "warm" in request:
-                continue
             _, handles, _, _ = socket.recv_fds(control, 1, 3)
-        except (EOFError, OSError):
-            return
-        if os.fork() == 0:
-            control.close()
-            line.close()
-            _watch(request, *handles)
-        for handle in handles:
-            os.close(handle)
+            if os.fork() == 0:
+                control.close()
+                line.close()
+                _watch(request, *handles)
+            for handle in handles:
+                os.close(handle)
 
 
 def _rehearse(name: str, parameters: dict[str, Any]) -> None:
@@ -178,29 +173,19 @@ def _append(log: int, text: bytes, most: int) -> int:
 
 
 def end_descendants() -> None:
-    """Kill all that runs below this process, which adopts whatever loses its parent. In a container there is nothing
-    left."""
+    """Kill all that runs below this process, which adopts whatever loses its parent, so that all are its own children
+    in the end. In a container there is nothing left."""
     until = time.monotonic() + 20.0
-    while time.monotonic() < until:
-        try:
+    with contextlib.suppress(ChildProcessError):
+        while time.monotonic() < until:
+            for stat in glob.glob("/proc/[0-9]*/stat"):
+                with contextlib.suppress(OSError):
+                    if int(Path(stat).read_text().rpartition(")")[2].split()[1]) == os.getpid():
+                        for number in (signal.SIGSTOP, signal.SIGKILL):  # what is stopped starts no other
+                            os.kill(int(stat.split("/")[2]), number)
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
-        except ChildProcessError:
-            return
-        below, waiting, children = list[int](), [os.getpid()], dict[int, list[int]]()
-        for name in filter(str.isdigit, os.listdir("/proc") if os.path.isdir("/proc/self") else ()):
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                parent = Path(f"/proc/{name}/stat").read_text().rpartition(")")[2].split()[1]
-                children.setdefault(int(parent), []).append(int(name))
-        while waiting:
-            found = children.get(waiting.pop(), [])
-            below += found
-            waiting += found
-        for number in (signal.SIGSTOP, signal.SIGKILL):  # what is stopped starts no other
-            for pid in below:
-                with contextlib.suppress(OSError):
-                    os.kill(pid, number)
-        time.sleep(0.002)
+            time.sleep(0.002)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,8 +26,7 @@ import numpy as np
 
 from vsfsim.bench.identity import named_by
 from vsfsim.bench.isolation import limits
-from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment
-from vsfsim.bench.isolation.places import kernels, places
+from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
 from vsfsim.bench.isolation.wire import Description, Garbled, Learned, Reply, receive_reply
 from vsfsim.bench.method import Specimen
 from vsfsim.core.errors import MethodError
@@ -40,6 +39,8 @@ _START = ("import sys, json; sys.path[:] = json.loads(sys.argv[1])['search']; "
           "from vsfsim.bench.isolation.host import main; main(sys.argv[1:])")
 _IMPORT = 120.0
 """Seconds that the import of a method's packages may take besides --timeout."""
+_CALLS = 10
+"""Calls of the method that its check makes at most, each of which may take --timeout."""
 _STATE = 1 << 34
 """Most bytes of what a method learned."""
 _WARM = {"vsfsim", "numpy", "scipy", "h5py", *EXTRA_OF}
@@ -76,7 +77,7 @@ class MethodHost:
         self._places = {"size": LARGEST_FOLDER, **places(name, self.parameters, search=self._search, hidden=hidden,
                                                          given=environment(os.environ))}
         self._lock, self._hosts = threading.Lock(), dict[bool, tuple[subprocess.Popen[bytes], socket.socket]]()
-        self.processes, self._warmed = set[_Process](), set[str]()
+        self.processes = set[_Process]()
         self.peak_memory_mib = 0.0
         """Largest resident size that a process has had [MiB]."""
 
@@ -116,7 +117,9 @@ class MethodHost:
                                    version)
             except (KeyError, TypeError, ValueError) as error:
                 raise MethodError(f"the process of {self.name} described itself with something unreadable.") from error
-            failed = [] if not check else process.ask("check", self.name, "the check of its contract").head["failed"]
+            limit = self.isolation.timeout
+            failed = [] if not check else process.ask(
+                "check", self.name, "the check of its contract", limit=limit and _CALLS * limit).head["failed"]
         if failed:
             raise MethodError(f"{self.name} does not keep the contract of a method: "
                               + "; ".join(f"{plain(clause)}: {plain(detail)}" for clause, detail in failed)
@@ -158,7 +161,6 @@ class MethodHost:
             process.ask("restore", (learned.seed, learned.state), "the copy of what it learned")
             process.ask("object", (view, list(support)), where)
             yield MethodCopy(process, where)
-            self.warm(map(str, process.ask("end", None, where).head.get("modules", ())), hide)
 
     # ------------------------------------------------------------------ processes
 
@@ -195,7 +197,9 @@ class MethodHost:
         """The line of the process that others are forked from, with or without the machine's GPUs."""
         if hide not in self._hosts:
             ours, theirs = socket.socketpair()
-            warm = self._trusted(named_by(self.name), hide)
+            # none of the method's modules, and none that starts a GPU's driver, which is of no use after a fork
+            tops = {"numpy", "scipy"} if self._on_gpu and not hide else _WARM
+            warm = [name for name in named_by(self.name) if name.partition(".")[0] in tops and "__" not in name]
             # Of one that ships, the contract's check loads its kernels, and compiles them for the user's own folder.
             check = {"name": self.name, "parameters": self.parameters} if (
                 self.ships and self.hides and not named_files(self.parameters, "")) else None
@@ -209,20 +213,6 @@ class MethodHost:
             theirs.close()
             self._hosts[hide] = host, ours
         return self._hosts[hide][1]
-
-    def _trusted(self, modules: Iterable[str], hide: bool) -> list[str]:
-        """The modules that may be imported before a process is forked: none of the method's, and none that starts a
-        GPU's driver, which is of no use after a fork."""
-        tops = {"numpy", "scipy"} if self._on_gpu and not hide else _WARM
-        return [name for name in modules if name.partition(".")[0] in tops and "__" not in name]
-
-    def warm(self, modules: Iterable[str], hide: bool) -> None:
-        """Import what a process had to import by itself, so that the next one finds it there."""
-        found = [name for name in self._trusted(modules, hide) if name not in self._warmed]
-        if found:
-            self._warmed.update(found)
-            with self._lock:
-                Connection(os.dup(self._hosts[hide][1].fileno())).send_bytes(json.dumps({"warm": found}).encode())
 
     def tail(self, lines: int = 30) -> str:
         """The last lines of what the method printed."""
@@ -259,19 +249,20 @@ class _Process:
         Raises:
             MethodError: the method raised, refused, took too long, or its process ended; ``what`` says in which part.
         """
-        limit, part = self._host.isolation.timeout if limit == -1.0 else limit, what
+        limit = self._host.isolation.timeout if limit == -1.0 else limit
+        timer = threading.Timer(limit or threading.TIMEOUT_MAX, self._stop, (limit, what))
+        timer.daemon = True
         try:
-            with self._at_most(limit, part):
-                self._line.send_bytes(pickle.dumps((operation, payload), protocol=5))
-                reply = receive_reply(self._line, most=most)
-            while "calls" in reply.head and operation == "check":  # each call of the check has the whole limit
-                part = f"{plain(reply.head['calls'], longest=60)} in {what}"
-                with self._at_most(limit, part):
-                    reply = receive_reply(self._line, most=most)
+            if limit is not None:
+                timer.start()
+            self._line.send_bytes(pickle.dumps((operation, payload), protocol=5))
+            reply = receive_reply(self._line, most=most)
         except (EOFError, OSError):
-            raise MethodError(self._ended(part)) from None
+            raise MethodError(self._ended(what)) from None
         except Garbled as error:
             raise MethodError(f"the method's process gave no answer in {what}: {error}.") from error
+        finally:
+            timer.cancel()
         kind = reply.head.get("error")
         if kind is None:
             return reply
@@ -285,22 +276,9 @@ class _Process:
         failure.add_note(self._host.tail())
         raise failure
 
-    @contextmanager
-    def _at_most(self, limit: float | None, what: str) -> Iterator[None]:
-        """End the process if what is done takes longer than ``limit`` [s]."""
-        if limit is None:
-            yield
-            return
-        timer = threading.Timer(limit, self._stop, (limit, what))
-        timer.daemon = True
-        timer.start()
-        try:
-            yield
-        finally:
-            timer.cancel()
-
     def _stop(self, limit: float, what: str) -> None:
-        self._timed_out = f"{what} took longer than the {limit:g} s of --timeout. Give more time, or make it faster."
+        self._timed_out = (f"{what} took longer than {limit:g} s; --timeout is {self._host.isolation.timeout:g} s a "
+                           f"call. Give more time, or make it faster.")
         self._finish()
 
     def _notes(self, kind: str | None) -> str:

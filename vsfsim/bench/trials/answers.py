@@ -6,13 +6,13 @@ from its file once for all trainings of an evaluation.
 
 from __future__ import annotations
 
-import io
-import json
+import zlib
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from vsfsim.bench.inclusions import Columns, Inclusions
@@ -25,7 +25,6 @@ from vsfsim.bench.protocol import Draw, Recording, Trial, divide, record, specim
 from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import MethodError
-from vsfsim.core.plain_text import from_json
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import ObjectView, View
@@ -96,7 +95,7 @@ def asked_of(subject: Subject, label: str, run: int, protocol: Protocol) -> Tria
     """The trial of a test object at shot ``label`` in a run."""
     draw, pool = protocol.draw_of(run), subject.draw.pool
     given = support(subject, subject.draw, label, draw, protocol)
-    choice = protocol.chosen and 0 < len(given) < len(pool)
+    choice = protocol.support == "chosen" and 0 < len(given) < len(pool)
     return Trial(subject.name, label, run, given,
                  support(subject, subject.draw, str(len(pool)), draw, protocol) if choice else ())
 
@@ -179,19 +178,19 @@ class Answers:
     """Which."""
     readings: tuple[np.ndarray, ...]
     """Predicted (T, d), one a query touch."""
-    readings_std: tuple[np.ndarray, ...] | None
+    readings_std: tuple[np.ndarray, ...] | None = None
     """Their standard deviations (T, d)."""
-    mean: np.ndarray | None
+    mean: np.ndarray | None = None
     """Stiffness at `Subject.points` (k,)."""
-    std: np.ndarray | None
+    std: np.ndarray | None = None
     """Its standard deviation (k,)."""
-    column_mean: np.ndarray | None
+    column_mean: np.ndarray | None = None
     """Stiffness at `Subject.columns` (q,)."""
-    pose: np.ndarray | None
+    pose: np.ndarray | None = None
     """Object-to-world transform (4, 4) of the hidden object."""
-    adapt_s: float
+    adapt_s: float = 0.0
     """Seconds of `adapt`."""
-    predict_s: float
+    predict_s: float = 0.0
     """Seconds of all other functions."""
 
     def of(self, trial: Trial) -> Answers:
@@ -301,45 +300,22 @@ def _pose(asked: MethodCopy, hidden: tuple[np.ndarray, np.ndarray], where: str) 
     return pose
 
 
-_OPTIONAL = ("mean", "std", "column_mean", "pose")
+def save(path: Path, value: Any) -> None:
+    """Keep what came of a training, or another record with arrays; the file appears whole or not at all."""
+    write_atomic(path, zlib.compress(msgspec.msgpack.encode(value, enc_hook=_bytes_of)), error=MethodError)
 
 
-def save(path: Path, done: Done) -> None:
-    """Keep what came of a training; the file appears whole or not at all."""
-    arrays: dict[str, np.ndarray] = {}
-    heads: list[list] = [[done.meta_fit_s, done.peak_memory_mib, done.opened]]
-    for index, one in enumerate(done.answers):
-        trial = one.trial
-        heads.append([trial.subject, trial.shot, trial.seed, list(trial.support), one.adapt_s, one.predict_s,
-                      len(one.readings)])
-        for k, reading in enumerate(one.readings):
-            arrays[f"{index}/readings/{k}"] = reading
-        for k, std in enumerate(one.readings_std or ()):
-            arrays[f"{index}/readings_std/{k}"] = std
-        for name in _OPTIONAL:
-            value = getattr(one, name)
-            if value is not None:
-                arrays[f"{index}/{name}"] = value
-    arrays["heads"] = np.frombuffer(json.dumps(heads).encode(), np.uint8)
-    out = io.BytesIO()
-    np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
-    write_atomic(path, out.getvalue(), error=MethodError)
-
-
-def load(path: Path) -> Done | None:
-    """What `save` kept; None if the file is not whole."""
+def load(path: Path, kind: Any = Done) -> Any:
+    """What `save` kept, of the type ``kind``; None if the file is not whole."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            out = []
-            (seconds, peak, opened), *heads = from_json(file["heads"].tobytes())
-            for index, head in enumerate(heads):
-                subject, shot, seed, support, adapt_s, predict_s, count = head
-                readings = tuple(file[f"{index}/readings/{k}"] for k in range(count))
-                stds = tuple(file[f"{index}/readings_std/{k}"] for k in range(count)
-                             if f"{index}/readings_std/{k}" in file)
-                rest = {name: file[f"{index}/{name}"] if f"{index}/{name}" in file else None for name in _OPTIONAL}
-                out.append(Answers(Trial(subject, shot, seed, tuple(support)), readings, stds or None,
-                                   adapt_s=adapt_s, predict_s=predict_s, **rest))
-            return Done(tuple(out), float(seconds), float(peak), tuple(opened))
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError):
+        return msgspec.msgpack.decode(zlib.decompress(path.read_bytes()), type=kind, dec_hook=_array_of)
+    except (OSError, zlib.error, ValueError, TypeError):
         return None
+
+
+def _bytes_of(array: np.ndarray) -> tuple[tuple[int, ...], bytes]:
+    return array.shape, np.asarray(array, "<f8").tobytes()
+
+
+def _array_of(_: type, given: tuple[list[int], bytes]) -> np.ndarray:
+    return np.frombuffer(given[1], "<f8").reshape(given[0])

@@ -23,14 +23,10 @@ from vsfsim.bench.task import ALL, Task
 from vsfsim.bench.trials.answers import Answers, Done, Reader, asked_of, load, run_trial, save
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import MethodError, TaskError
-from vsfsim.core.plain_text import from_json
 from vsfsim.core.system.content import differences
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import write_atomic
 
 Progress = Callable[[int, int, str], None]
-NOTE = "evaluation.json"
-"""File in a folder of kept answers that says what decided them."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +76,6 @@ class Evaluation:
     """How the method is run."""
     training: Training = PLAIN
     """What the method learns from, and which objects are scored."""
-    notes: list[str] = field(default_factory=list)
-    """For the user, one sentence each."""
     description: Description | None = None
     """What the method said of itself, once `look` was called."""
     contents: Mapping[str, str] = field(default_factory=dict)
@@ -90,11 +84,11 @@ class Evaluation:
     def __enter__(self) -> Evaluation:
         return self
 
-    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
-        if error is not None and not any(self.parts.glob("*/*")):  # nothing to go on with: nothing is left behind
+        if not any(self.parts.glob("*/*")):  # nothing to go on with: nothing is left behind
             self._log.unlink(missing_ok=True)
-            for folder in self._new:
+            for folder in self.__dict__.get("_new", ()):
                 if folder.is_dir() and not any(folder.iterdir()):
                     folder.rmdir()
 
@@ -103,7 +97,8 @@ class Evaluation:
         """What runs the method's processes, of all jobs that are made here; they print into one log."""
         hidden = [self.dataset.path.resolve(), self.task.dataset.path().parent.resolve(), Path("results").resolve(),
                   self.parts.resolve()]
-        self._new = [folder for folder in (self.parts, *self.parts.parents) if not folder.exists()]
+        # those that are there before the first process of several, as one that fails may end while others begin
+        self.__dict__.setdefault("_new", [path for path in (self.parts, *self.parts.parents) if not path.exists()])
         self.parts.mkdir(parents=True, exist_ok=True)
         return MethodHost(self.method, self.parameters, self.isolation, self._log, hidden=hidden)
 
@@ -123,9 +118,8 @@ class Evaluation:
         Raises:
             MethodError: it is unknown, or breaks its contract.
         """
-        self.description = self.host.look(check=check and not any(self.parts.glob("*/*.npz")))
+        self.description = self.host.look(check=check and not any(self.parts.glob("*/*.answers")))
         self.contents = contents_of(self.method, self.said.parameters)
-        self._tell_what_differs()
 
     @property
     def said(self) -> Description:
@@ -179,13 +173,13 @@ class Evaluation:
 
     # ------------------------------------------------------------------ one job
 
-    def make(self, job: Job, reader: Reader, progress: Progress = lambda *_: None,
+    def make(self, job: Job, reader: Reader, tell: Callable[[int, str], None] = lambda *_: None,
              environment: Mapping[str, str] | None = None) -> None:
         """Train, run the trials, and keep the answers.
 
         Args:
-            job: the job. reader: what reads the object views, or has read them. progress: called with (trials done, of
-            how many, what is going on). environment: further variables of the method's processes.
+            job: the job. reader: what reads the object views, or has read them. tell: called with (trials done since
+            the last call, what is going on). environment: further variables of the method's processes.
 
         Raises:
             MethodError: the method raises, answers with something that cannot be scored, or was changed meanwhile.
@@ -196,7 +190,7 @@ class Evaluation:
                                             reader.specimen)
         asked, answers = job.asked(self.task.protocol.labels), dict[int, Answers]()
         self._check_contents()
-        progress(0, len(asked), "meta-fit")
+        tell(0, f"{self.parts.stem} {job.name}: meta-fit")
         learned = self.host.learn(specimens, seed=job.seed, environment=environment)
         opened = contents_of(self.method, self.said.parameters, opened=learned.opened)
 
@@ -209,8 +203,8 @@ class Evaluation:
         with ThreadPoolExecutor(self.isolation.workers) as pool:
             try:
                 waiting = [pool.submit(one, number) for number in range(len(asked))]
-                for count, ready in enumerate(as_completed(waiting), start=1):
-                    progress(count, len(asked), answers[ready.result()].trial.where)
+                for ready in as_completed(waiting):
+                    tell(1, f"{self.parts.stem}: {answers[ready.result()].trial.where}")
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 self.stop()  # so that the threads end as well
@@ -256,21 +250,17 @@ class Evaluation:
         return out, done
 
     @property
-    def _decided(self) -> dict[str, Any]:
-        """What decides the answers of its jobs."""
-        return {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.method,
-                "entry": self.said.entry, "parameters": dict(self.said.parameters),
-                "package": [self.said.package, self.said.version], "sandbox": self.isolation.sandbox,
-                "contents": dict(self.contents), "training": self.training.table(),
-                "shots": list(self.task.protocol.labels), "runs": len(self.runs)}
-
-    @property
     def _folder(self) -> Path:
-        key = hashlib.sha256(json.dumps(self._decided, sort_keys=True).encode()).hexdigest()
-        return self.parts / key[:16]
+        """Of the answers that the same operands, sources and files gave."""
+        decided = {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.method,
+                   "entry": self.said.entry, "parameters": dict(self.said.parameters),
+                   "package": [self.said.package, self.said.version], "sandbox": self.isolation.sandbox,
+                   "contents": dict(self.contents), "training": self.training.table(),
+                   "shots": list(self.task.protocol.labels), "runs": len(self.runs)}
+        return self.parts / hashlib.sha256(json.dumps(decided, sort_keys=True).encode()).hexdigest()[:16]
 
     def _file(self, job: Job) -> Path:
-        return self._folder / f"{job.name}.npz"
+        return self._folder / f"{job.name}.answers"
 
     def _keep(self, job: Job, done: Done) -> None:
         try:
@@ -278,21 +268,4 @@ class Evaluation:
         except OSError as error:
             raise MethodError(f"folder {self._folder} cannot be made: {error.strerror}. Choose another "
                               f"--out.") from error
-        write_atomic(self._folder / NOTE, json.dumps(self._decided).encode(), error=MethodError)
         save(self._file(job), done)
-
-    def _tell_what_differs(self) -> None:
-        """Say why trainings that are kept are not used."""
-        for note in sorted(self.parts.glob(f"*/{NOTE}")):
-            count = len(list(note.parent.glob("*.npz")))
-            if note.parent == self._folder or not count:
-                continue
-            try:
-                before = from_json(note.read_bytes())
-                why = [f"the {key} is another one" for key, value in self._decided.items()
-                       if key != "contents" and before.get(key) != value]
-                why += differences(before.get("contents", {}), self.contents)
-            except (OSError, ValueError, TypeError, AttributeError):
-                why = [f"{note.name} cannot be read"]
-            self.notes.append(f"{count} finished training{'s' * (count > 1)} of an earlier run "
-                              f"{'are' if count > 1 else 'is'} not used, because {'; '.join(why)}")

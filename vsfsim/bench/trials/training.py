@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.folds import Fold, folds_of
 from vsfsim.bench.method import Specimen
+from vsfsim.bench.protocol import Fold, folds_of
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.data.dataset import Dataset
