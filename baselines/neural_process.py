@@ -10,12 +10,12 @@ of networks are averaged.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vsfsim.baselines.surface_touches import SurfaceView, functions, projected, single_number
+from vsfsim.baselines.visible_cloud import LearnedArrays
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
@@ -25,7 +25,7 @@ _SPACING = 0.005  # pixels within this of a place describe it [m]
 _CLIP = 4.0  # standardised descriptions stay within this many deviations: a test object may lie far outside
 
 
-class NeuralProcess:
+class NeuralProcess(LearnedArrays):
     """A conditional neural process over touches.
 
     Args:
@@ -43,6 +43,8 @@ class NeuralProcess:
         device: "cpu" or "cuda:0", where the networks are trained.
     """
 
+    _name = "cnp"
+
     def __init__(self, *, features: str = "local", weights: str = "", hidden: int = 64, steps: int = 800,
                  rate: float = 1e-3, decay: float = 0.1, networks: int = 2, reach: float = 0.03, spread: float = 1.0,
                  seed: int = 0, device: str = "cpu"):
@@ -55,7 +57,6 @@ class NeuralProcess:
         self.features, self.weights, self.hidden, self.steps, self.rate = features, weights, hidden, steps, rate
         self.decay, self.networks, self.reach, self.spread = decay, networks, reach, spread
         self.seed, self.device = seed, device
-        self._state: dict[str, np.ndarray] | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Train the networks.
@@ -91,17 +92,15 @@ class NeuralProcess:
             torch.set_num_threads(threads)
         if not all(np.isfinite(value).all() for value in state.values()):
             raise MethodError("cnp diverged in training: its weights are not finite. Lower the rate.")
-        self._state = state
+        self._learned = state
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Keep the touches of the support."""
-        if self._state is None:
-            raise MethodError("cnp was not trained yet; call meta_fit or load first.")
         check_support(support)
         self._view = SurfaceView(view)
         x, y = self._touches(self._view, support)
-        self._x, self._y = _standard(self._state, x), y
-        self._y[:, :2] /= self._state["scale"]
+        self._x, self._y = _standard(self._learned, x), y
+        self._y[:, :2] /= self._learned["scale"]
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet."""
@@ -110,34 +109,21 @@ class NeuralProcess:
         single_number("cnp", touches)
         if not touches:
             return []
-        assert self._state is not None
         contacts = [self._view.contact(action) for action in touches]
-        asked = _standard(self._state, self._describe(self._view, np.stack([c.place for c in contacts]),
+        asked = _standard(self._learned, self._describe(self._view, np.stack([c.place for c in contacts]),
                                                       np.stack([a.axis for a in touches])))
         given = torch.ones(1, 1, len(self._x), dtype=torch.float64)
         support = torch.as_tensor(self._x)[None], torch.as_tensor(self._y)[None], given
         with torch.no_grad():
             found = sum(_answer(self._weights_of(k), *support, torch.as_tensor(asked)[None])[0]
                         for k in range(self.networks)).numpy() / self.networks
-        return [functions(c.depth) @ w[:, None] * self._state["scale"] for c, w in zip(contacts, found)]
-
-    def save(self, folder: Path) -> None:
-        """Write the networks."""
-        if self._state is None:
-            raise MethodError("cnp has nothing to save yet; call meta_fit first.")
-        np.savez(folder / "cnp.npz", **self._state)
-
-    def load(self, folder: Path) -> None:
-        """Read networks that `save` wrote."""
-        with np.load(folder / "cnp.npz") as file:
-            self._state = dict(file)
+        return [functions(c.depth) @ w[:, None] * self._learned["scale"] for c, w in zip(contacts, found)]
 
     def _weights_of(self, k: int) -> dict[str, Any]:
         import torch
 
-        assert self._state is not None
         start = f"{k}."
-        return {name.removeprefix(start): torch.as_tensor(value) for name, value in self._state.items()
+        return {name.removeprefix(start): torch.as_tensor(value) for name, value in self._learned.items()
                 if name.startswith(start)}
 
     def _touches(self, view: SurfaceView, readings: Sequence[Reading]) -> tuple[np.ndarray, np.ndarray]:
@@ -150,8 +136,7 @@ class NeuralProcess:
     def _describe(self, view: SurfaceView, place: np.ndarray, axis: np.ndarray) -> np.ndarray:
         """Place over the size of the object, place [m], axis, and what vision tells there (n, p)."""
         if len(place) == 0:
-            assert self._state is not None
-            return np.zeros((0, len(self._state["mean"])))
+            return np.zeros((0, len(self._learned["mean"])))
         seen = particle_features(self.features, view.view, place, spacing=_SPACING, weights=self.weights)
         return np.concatenate([(place - view.foot) / max(view.size, 1e-9), place, axis, seen], axis=1)
 

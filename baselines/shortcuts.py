@@ -11,11 +11,10 @@ A task asks for the stiffness of an object from what is seen and felt. It has a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from vsfsim.baselines.visible_cloud import visible_cloud
+from vsfsim.baselines.visible_cloud import LearnedArrays, visible_cloud
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
@@ -24,7 +23,7 @@ KINDS = ("constant", "action", "view", "touch")
 _PLACES = 24  # of the path at which a curve is learned
 
 
-class Shortcut:
+class Shortcut(LearnedArrays):
     """A ridge regression of the curve of a touch.
 
     Args:
@@ -32,12 +31,13 @@ class Shortcut:
         ridge: weight of the squared coefficients, over the number of training touches [-].
     """
 
+    _name = "shortcut"
+
     def __init__(self, *, sees: str = "constant", ridge: float = 0.1):
         if sees not in KINDS or not ridge > 0.0:
             raise MethodError(f"shortcut: sees is {sees!r} and ridge {ridge!r}; sees is one of {', '.join(KINDS)}, and "
                               f"ridge is positive.")
         self.sees, self.ridge = sees, ridge
-        self._learned: dict[str, np.ndarray] | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Regress the curves of all training touches.
@@ -58,12 +58,9 @@ class Shortcut:
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Keep the view; "touch" fits its factor, as if one touch had said that it is 1."""
-        if self._learned is None:
-            raise MethodError("shortcut has learned nothing yet; call meta_fit or load first.")
         check_support(support)
-        self._view, self._factor = view, 1.0
+        self._view, self._factor, mean = view, 1.0, self._learned["mean"]
         if self.sees == "touch":
-            mean = self._learned["mean"]
             size = float((mean**2).sum())
             above = size + sum(float((_curve(r) * mean).sum()) for r in support if r.valid.any())
             below = size * (1 + sum(bool(r.valid.any()) for r in support))
@@ -71,7 +68,6 @@ class Shortcut:
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of touches not made yet."""
-        assert self._learned is not None
         out = []
         for action in touches:
             z = (self._features(self._view, action) - self._learned["middle"]) / self._learned["scale"]
@@ -82,17 +78,6 @@ class Shortcut:
             at, places = _share(len(action.time)), _share(_PLACES)
             out.append(np.stack([np.interp(at, places, column) for column in curve.T], axis=1))
         return out
-
-    def save(self, folder: Path) -> None:
-        """Write the regression."""
-        if self._learned is None:
-            raise MethodError("shortcut has nothing to save yet; call meta_fit first.")
-        np.savez(folder / "shortcut.npz", **self._learned)
-
-    def load(self, folder: Path) -> None:
-        """Read a regression that `save` wrote."""
-        with np.load(folder / "shortcut.npz") as file:
-            self._learned = dict(file)
 
     def _features(self, view: View, action: Action) -> np.ndarray:
         if self.sees == "action":

@@ -15,12 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vsfsim.baselines.surface_touches import DEPTH, Projected, SurfaceView, functions, projected, single_number
+from vsfsim.baselines.visible_cloud import LearnedArrays
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
@@ -44,11 +44,10 @@ class _Object:
     """y (n, 2) [N]."""
 
 
-class SurfaceGp:
+class SurfaceGp(LearnedArrays):
     """A Gaussian process over the surface; settings come from the training objects."""
 
-    def __init__(self) -> None:
-        self._learned: dict[str, np.ndarray] | None = None
+    _name = "surface-gp"
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Maximise the marginal likelihood of the training objects.
@@ -99,8 +98,6 @@ class SurfaceGp:
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Condition the process on the support."""
-        if self._learned is None:
-            raise MethodError("surface-gp has learned no process yet; call meta_fit or load first.")
         check_support(support)
         self._view = SurfaceView(view)
         rows = [projected(self._view, reading) for reading in support]
@@ -128,20 +125,8 @@ class SurfaceGp:
         return Estimate(np.maximum(mean.sum(axis=1), 0.0) / DEPTH,
                         np.sqrt(np.maximum(covariance.sum(axis=(1, 2)), 0.0)) / DEPTH)
 
-    def save(self, folder: Path) -> None:
-        """Write the process."""
-        if self._learned is None:
-            raise MethodError("surface-gp has nothing to save yet; call meta_fit first.")
-        np.savez(folder / "surface-gp.npz", **self._learned)
-
-    def load(self, folder: Path) -> None:
-        """Read a process that `save` wrote."""
-        with np.load(folder / "surface-gp.npz") as file:
-            self._learned = dict(file)
-
     @property
     def _noise(self) -> float:
-        assert self._learned is not None
         return float(self._learned["level"] * np.exp(self._learned["noise"]))
 
     def _answers(self, touches: Sequence[Action]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -167,14 +152,12 @@ class SurfaceGp:
         return np.linalg.solve(self._inner.T, np.linalg.solve(self._inner, right))
 
     def _means(self, mean: np.ndarray) -> np.ndarray:
-        assert self._learned is not None
         return mean @ self._learned["slope"] * np.sqrt(self._learned["level"])
 
     def _covariances(self, a: np.ndarray, b: np.ndarray, *, same: bool = False) -> np.ndarray:
         """Of the coefficients at (n, 6) and (m, 6): (n, m, 2, 2)."""
         import torch
 
-        assert self._learned is not None
         asked = {name: torch.as_tensor(value) for name, value in self._learned.items()}
         return _covariance(asked, float(self._learned["level"]), torch.as_tensor(a), torch.as_tensor(b), same).numpy()
 

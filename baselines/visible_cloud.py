@@ -1,9 +1,10 @@
-"""The visible cloud of a view, or why there is none: the one place where the methods check a view; and a key of what a
-method has seen, under which it keeps what it computed from it."""
+"""What methods share: the visible cloud of a view, or why there is none, the one place where they check a view; a key
+of what a method has seen, under which it keeps what it computed from it; and the file of what it has learned."""
 
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 
@@ -34,3 +35,30 @@ def digest(*arrays: np.ndarray) -> bytes:
     for array in arrays:
         out.update(np.ascontiguousarray(array).tobytes())
     return out.digest()
+
+
+class LearnedArrays:
+    """A method whose `meta_fit` sets `_learned`, arrays by name."""
+
+    _name = ""
+    """Of the method, and of its file."""
+    _arrays: dict[str, np.ndarray] | None = None
+
+    @property
+    def _learned(self) -> dict[str, np.ndarray]:
+        if self._arrays is None:
+            raise MethodError(f"{self._name} has learned nothing yet; call meta_fit or load first.")
+        return self._arrays
+
+    @_learned.setter
+    def _learned(self, arrays: dict[str, np.ndarray]) -> None:
+        self._arrays = arrays
+
+    def save(self, folder: Path) -> None:
+        """Write what was learned."""
+        np.savez(folder / f"{self._name}.npz", **self._learned)
+
+    def load(self, folder: Path) -> None:
+        """Read what `save` wrote."""
+        with np.load(folder / f"{self._name}.npz") as file:
+            self._learned = dict(file)

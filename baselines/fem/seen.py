@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.baselines.fem.seen_solid import seen_solid
 from vsfsim.baselines.surface_touches import single_number
+from vsfsim.baselines.visible_cloud import LearnedArrays
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError
 from vsfsim.core.solid import Solid
@@ -46,7 +46,7 @@ class _Object:
                            where="fem-map-seen")
 
 
-class FemMapSeen:
+class FemMapSeen(LearnedArrays):
     """The simulator on a solid from the view.
 
     Args:
@@ -58,6 +58,8 @@ class FemMapSeen:
         objects, presses: that are learned from, at most.
     """
 
+    _name = "fem-map-seen"
+
     def __init__(self, *, size: float = 0.014, reach: float = 0.04, share: float = 0.15, floor: float = 0.2,
                  steps: int = 4, objects: int = 6, presses: int = 8):
         for name, value in {"size": size, "reach": reach, "share": share, "floor": floor}.items():
@@ -65,7 +67,6 @@ class FemMapSeen:
                 raise MethodError(f"fem-map-seen: {name} is {value!r}; it must be positive.")
         self.size, self.reach, self.steps, self.objects, self.presses = size, reach, steps, objects, presses
         self._noise = Noise(floor, share)
-        self._learned: dict[str, np.ndarray] | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Fit training objects one by one for the means and deviations of the moduli.
@@ -90,8 +91,6 @@ class FemMapSeen:
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Fit the moduli of the solid in the view to the support."""
-        if self._learned is None:
-            raise MethodError("fem-map-seen has learned no moduli yet; call meta_fit or load first.")
         check_support(support)
         self._adapt(view, support)
 
@@ -114,19 +113,7 @@ class FemMapSeen:
         mean = np.exp(rows @ self._theta)
         return Estimate(mean, mean * np.sqrt(np.einsum("ka,ab,kb->k", rows, self._covariance, rows).clip(min=0.0)))
 
-    def save(self, folder: Path) -> None:
-        """Write what was learned of the moduli."""
-        if self._learned is None:
-            raise MethodError("fem-map-seen has nothing to save yet; call meta_fit first.")
-        np.savez(folder / "fem-map-seen.npz", **self._learned)
-
-    def load(self, folder: Path) -> None:
-        """Read what `save` wrote."""
-        with np.load(folder / "fem-map-seen.npz") as file:
-            self._learned = dict(file)
-
     def _adapt(self, view: View, support: Sequence[Reading]) -> None:
-        assert self._learned is not None
         single_number("fem-map-seen", (one.action for one in support))
         forget_all()
         solid = seen_solid(view, self.size)

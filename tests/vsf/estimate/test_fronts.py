@@ -10,7 +10,6 @@ from vsfsim.vsf.estimate import touch_blocks
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.estimate.fronts import Fronts
 from vsfsim.vsf.estimate.map import map_estimate
-from vsfsim.vsf.estimate.pivoting import SparseGram
 
 torch.set_num_threads(1)
 
@@ -48,13 +47,6 @@ def test_fronts_are_the_dense_factor(name):
     assert found.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12, abs=1e-12)
     np.testing.assert_allclose(found.solve(right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(found.inverse_diagonal(), np.diag(np.linalg.inv(dense)), rtol=1e-9, atol=1e-14)
-
-
-def test_touches_in_a_row_take_little_of_the_work_of_a_dense_factor():
-    rows = touches()[0]
-    order = Fronts.of(sparse.csr_matrix(rows.T @ rows))
-    assert order.work < 0.15 * 300**3 / 6
-    assert max(len(front.own) + len(front.border) for front in order.fronts) < 150
 
 
 @pytest.mark.parametrize("shared", [0, 2])
@@ -112,10 +104,6 @@ def test_springs_are_fitted_by_the_sparse_factor_where_a_dense_one_would_be_too_
     found = map_estimate(w, z, **given)
     np.testing.assert_allclose(found.mean, dense.mean, rtol=1e-8, atol=1e-9 * dense.mean.max())
     assert found.active == dense.active and found.kkt_residual < 1e-10
-
-
-def test_a_factor_that_is_full_is_not_called_sparse():
-    assert SparseGram.of(sparse.csr_matrix(np.random.default_rng(8).uniform(size=(400, 200)))) is None
 
 
 def test_where_rounding_spoils_the_sparse_factor_springs_are_fitted_without_one(monkeypatch):
