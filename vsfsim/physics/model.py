@@ -60,11 +60,6 @@ class Model:
         return any(block.nodes.shape[1] > 1 for block in self.blocks)
 
     @property
-    def keeps_volume(self) -> bool:
-        """Whether the body is nearly incompressible: straight steps then change its energy by a change of volume."""
-        return self.soft_factor is not None
-
-    @property
     def preconditioner(self) -> RestFactor:
         """The factor for predictions and preconditioning at large deformation."""
         return self.factor if self.soft_factor is None else self.soft_factor

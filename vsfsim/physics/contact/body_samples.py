@@ -26,28 +26,21 @@ def _kept(of_shape: Callable[[ProbeShape], T]) -> Callable[[ProbeShape], T]:
     return lambda shape: kept(shape, sdf.grid(shape) if isinstance(shape, MeshFile) else None)
 
 
+@_kept
 def inner_radius(shape: ProbeShape) -> float:
     """Radius [m] of the largest ball inside a body, of a mesh from random points; infinite for a plane."""
-    return inner_ball(shape)[0]
-
-
-@_kept
-def inner_ball(shape: ProbeShape) -> tuple[float, np.ndarray]:
-    """That radius, and the centre (3,) [m] of the ball."""
-    middle = np.zeros(3)
     match shape:
         case Sphere(radius) | Capsule(radius, _):
-            return radius, middle
+            return radius
         case Cylinder(radius, height):
-            return min(radius, 0.5 * height), middle
+            return min(radius, 0.5 * height)
         case Box(size):
-            return 0.5 * min(size), middle
+            return 0.5 * min(size)
         case Plane():
-            return float("inf"), middle
+            return float("inf")
+    reach = sdf.reach(shape)
     cube = np.random.default_rng(0).uniform(-1.0, 1.0, (_INNER, 3))
-    places = sdf.reach(shape) * np.vstack([middle, cube])
-    inside = -sdf.distance(shape, places)
-    return float(inside.max()), places[inside.argmax()]
+    return float(-sdf.distance(shape, reach * np.vstack([np.zeros((1, 3)), cube])).min())
 
 
 def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:

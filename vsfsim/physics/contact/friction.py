@@ -10,10 +10,10 @@ Rigid bodies (`rigid_kernels`), two deformable surfaces (`pair.kernels`) and rod
 functions; each keeps its anchors in its own way.
 
 Where friction lifts a point off and the next iteration brings it back, the full change of its limit would be made and
-undone for ever. So the change is damped point by point by the secant of the last two changes (Aitken's relaxation;
-Irons and Tuck 1969). The part that is held back counts as a residual of Coulomb's law: a frame with any of it left is
-not in equilibrium. A point that comes into contact where the object bulges up is anchored where it is; an anchor that
-followed its point in every iteration would creep on for ever, so it is set `ANCHORINGS` times in a step at most.
+undone for ever. So from the thirteenth renewal of a step on half of every change is made. The half that is held back
+counts as a residual of Coulomb's law: a frame with any of it left is not in equilibrium. A point that comes into
+contact where the object bulges up is anchored where it is; an anchor that followed its point in every iteration would
+creep on for ever, so it is set `ANCHORINGS` times in a step at most.
 """
 
 import torch
@@ -23,10 +23,9 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 
 ANCHORINGS = 3
 """How often an anchor that a step makes may be set in this step."""
-_LEAST_DAMPING = wp.constant(wp.float64(1.0 / 16.0))
-# Renewals of a step in which each limit has a damping of its own; from then on all have this one: with 0.3 sixty
-# renewals were too few, 0.5 and 0.7 arrive alike (`test_frames_of_columns_arrive`).
-_AITKEN, _STEADY = wp.constant(12), wp.constant(wp.float64(0.5))
+# renewals of a step whose change is made in full, and the part of it that is made from then on: with 0.3 sixty renewals
+# were too few, 0.5 and 0.7 arrive alike (`test_frames_of_columns_arrive`)
+_FULL, _STEADY = wp.constant(12), wp.constant(wp.float64(0.5))
 _ZERO, _HALF, _ONE = (wp.constant(wp.float64(value)) for value in (0.0, 0.5, 1.0))
 
 
@@ -84,40 +83,25 @@ def hessian_roots(u: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: w
 
 
 @wp.func
-def relaxed(asked: wp.float64, present: wp.float64, damping: wp.float64, last_change: wp.float64, renewals: int):
-    """Aitken's relaxation of one limit [N].
-
-    From the limit that Coulomb's law asks for, the present one, its damping [-], its last full change [N] and the
-    number of this renewal in the step: the next limit, its damping, this full change, and the part of it that is held
-    back, the residual of the law [N].
-
-    Aitken's damping follows each limit by itself. Where limits depend on one another, as under a ball whose points
-    slide about each other, it may lead them around for ever, while equally damped changes of all come to rest.
-    """
-    change = asked - present
-    part = damping
-    if (last_change - change) * last_change > _ZERO:
-        part = wp.clamp(damping * last_change / (last_change - change), _LEAST_DAMPING, _ONE)
-    if renewals > _AITKEN:
+def relaxed(asked: wp.float64, present: wp.float64, renewals: int):
+    """From the limit that Coulomb's law asks for, the present one [N] and the number of this renewal in the step: the
+    next limit, and the part of the change that is held back, the residual of the law [N]."""
+    part = _ONE
+    if renewals > _FULL:
         part = _STEADY
-    return present + part * change, part, change, (_ONE - part) * wp.abs(change)
+    return present + part * (asked - present), (_ONE - part) * wp.abs(asked - present)
 
 
 class Relaxation:
-    """State of Aitken's relaxation within a step: one value for every contact point of B touches. The tensors are only
-    ever written in place.
+    """The renewals of friction limits within a step. The tensors are only ever written in place.
 
     Args:
-        size: shape (B, ...) of the tensors. device: torch device.
+        size: shape (B, ...) of the contact points. device: torch device.
     """
 
     def __init__(self, size: tuple[int, ...], device: str):
-        self.change = torch.zeros(size, dtype=torch.float64, device=device)
-        """Last full change of the limits (B, ...) [N]."""
-        self.residual = torch.zeros_like(self.change)
-        """Part of the last change that was held back (B, ...) [N]."""
-        self.damping = torch.ones_like(self.change)
-        """Damping of the changes (B, ...) [-]."""
+        self.residual = torch.zeros(size, dtype=torch.float64, device=device)
+        """Part of the last change of each limit that was held back (B, ...) [N]."""
         self.anchorings = torch.zeros(size, dtype=torch.int32, device=device)
         """How often the anchor of each point was set in this step (B, ...) [-]."""
         self.renewals = torch.zeros(size[0], dtype=torch.int32, device=device)
@@ -125,8 +109,7 @@ class Relaxation:
 
     def begin_step(self) -> None:
         """Forget the step before."""
-        self.damping.fill_(1.0)
-        for value in (self.anchorings, self.change, self.residual, self.renewals):
+        for value in (self.anchorings, self.residual, self.renewals):
             value.zero_()
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:

@@ -52,7 +52,6 @@ class RigidContact(PointStiffness, OnPatches):
     # measure under which a step is accepted for its residual alone, because rounding hides the potential, and the
     # factor by which the residual has to fall in it [-]
     potential_trusted_above, decrease = 0.05, 0.5
-    patience = 10**9  # iterations in which the measure may fail to fall by a tenth: their limit ends a touch
     _begun: np.ndarray | None = None
 
     patches: list[Patch]

@@ -90,8 +90,6 @@ def kernels() -> Any:
         across: wp.array3d(dtype=vec3)
         renewals: wp.array(dtype=wp.int32)
         anchorings: wp.array3d(dtype=wp.int32)
-        damping: wp.array3d(dtype=real)
-        change: wp.array3d(dtype=real)
         residual: wp.array3d(dtype=real)
         # what `evaluate` finds
         gap: wp.array3d(dtype=real)
@@ -290,10 +288,7 @@ def kernels() -> Any:
                     c.owner[b, f, q] = -2 - j
             residual = real(0.0)
             if c.coulomb[b] == real(0.0):
-                limit, damping, change, residual = friction.relaxed(limit, c.limit[b, f, q], c.damping[b, f, q],
-                                                                    c.change[b, f, q], c.renewals[b])
-                c.damping[b, f, q] = damping
-                c.change[b, f, q] = change
+                limit, residual = friction.relaxed(limit, c.limit[b, f, q], c.renewals[b])
             c.limit[b, f, q] = limit
             c.residual[b, f, q] = residual
 

@@ -22,7 +22,6 @@ from vsfsim.physics.contact.pair.sides import scale
 from vsfsim.physics.contact.pair.surfaces import farthest
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
-from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Frames, SolverOptions
@@ -30,7 +29,6 @@ from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.touches import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
-_ENOUGH = 200  # nodes of the sensor that are looked at
 
 
 @dataclass(frozen=True)
@@ -81,11 +79,6 @@ class PairModel:
                    (*model.blocks, *moved),
                    np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
                    PairFactors(model.preconditioner, sensor.factor, 3 * count))
-
-    @property
-    def keeps_volume(self) -> bool:
-        """As `Model.keeps_volume`."""
-        return self.object.keeps_volume
 
     @property
     def preconditioner(self) -> PairFactors:
@@ -180,42 +173,9 @@ class CoupledSolver(Solver):
         contact.begin_step(pose, u)
         contact.move(pose, every)
         contact.evaluate(every, contact.gather(u))
-        inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy()
-        return inside | self._within_sensor(pose) | self._within_object(pose)
-
-    def _within_sensor(self, pose: np.ndarray) -> np.ndarray:
-        """Whether any surface node of the object at rest is between the sensor's surface and its base (B,) bool: the
-        contact finds only nodes near the surface."""
-        at = self.object.mesh.points[self.object.mesh.surface_nodes()]
-        own = self.sensor.mesh.points
-        sheet = own[self.sensor.mesh.faces[:, :3]]
-        out = np.zeros(len(pose), bool)
-        for b in range(len(pose)):
-            local = (at - pose[b, 0, :3, 3]) @ pose[b, 0, :3, :3]
-            local = local[(local > own.min(axis=0)).all(axis=1) & (local < own.max(axis=0)).all(axis=1)]
-            out[b] = len(local) and np.isfinite(_along(local, sheet, np.array([0.0, 0.0, 1.0])))
-        return out
-
-    def _within_object(self, pose: np.ndarray) -> np.ndarray:
-        """Whether any node of the free sensor is inside the object at rest (B,) bool: a flat skin encloses nothing."""
-        points, faces = self.object.mesh.points, self.object.mesh.faces[:, :3]
-        used = points[np.unique(faces)]
-        out = np.zeros(len(pose), bool)
-        for b in range(len(pose)):
-            own = self.sensor.mesh.points @ pose[b, 0, :3, :3].T + pose[b, 0, :3, 3]
-            own = own[((own > used.min(axis=0)) & (own < used.max(axis=0))).all(axis=1)][:_ENOUGH]
-            out[b] = len(own) and bool((winding_number(points, faces, own) > 0.5).any())
-        return out
-
-    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor) -> None:
-        super()._start(columns, before, pose, begin)
-        if bool(self.contact.touches(columns).any()):
-            self.contact.predict_candidates(columns, self._balance.u)
-            if self.contact.has_friction:
-                # this state gives better friction limits than the step before, and points that touch for the first time
-                # have none yet
-                self._balance.evaluate(columns)
-                self.contact.update_friction(columns)
+        # the contact finds only nodes near the surface
+        within = contact.touches(every) | (contact.wrong_side(every) > 0) | (contact.overlap(every, u) > 0.0)
+        return within.cpu().numpy()
 
     def _record(self, converged: np.ndarray) -> None:
         u = self._balance.u

@@ -7,29 +7,8 @@ import warp as wp
 
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.solve.elasticity import Elasticity
-from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.krylov import conjugate_gradients, gmres
 from vsfsim.physics.solve.tangent_factor import TangentFactors
-
-_LAST, _LOOSE = 0.5, 0.3  # of nearly incompressible bodies: share of the step's tolerance to solve to, and the most
-
-
-def linear_tolerance(options: SolverOptions, near: torch.Tensor, left: torch.Tensor | None) -> torch.Tensor:
-    """Relative residual (k,) [-] to which linear systems are solved.
-
-    Far from the solution a looser one serves. In a nearly incompressible body, which begins a step with ten times the
-    acting forces unbalanced, Newton's method converges as fast as its systems are solved there, too: all are solved to
-    one tolerance, and the last no further than the step asks for.
-
-    Args:
-        options: tolerances.
-        near: which touches are near their solution (k,) bool.
-        left: of touches of a nearly incompressible body, the part of the unbalanced forces that may remain at the end
-            of the step (k,) [-]; None for other bodies.
-    """
-    if left is None:
-        return options.cg_tolerance * torch.where(near, 1.0, options.cg_far)
-    return (_LAST * left).clamp(max=_LOOSE).clamp(min=options.cg_tolerance)
 
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
@@ -67,7 +46,6 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             own = columns if which is None else columns[which]
             picked = range(len(own)) if which is None else which.tolist()
             self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
-            self.mask = contact.mask[own]
             self.at = contact.dof[own].clamp(min=0).T
             self.factors = [(j, own_factor[k]) for j, k in enumerate(picked) if own_factor[k] is not None]
             self.resting = contact.mask.new_tensor([[1.0 * (own_factor[k] is None)] for k in picked])
@@ -75,9 +53,6 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                 self.stiffness = stiffness if which is None else stiffness[which]
             if block is not None:
                 self.block = block if which is None else block.pick(which)
-
-        def patch(self, x: torch.Tensor) -> torch.Tensor:
-            return x.gather(0, self.at).T * self.mask
 
     parts: dict[int, Part] = {}
 
@@ -92,14 +67,14 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         out = torch.empty_like(x)
         elasticity.multiply(own.index, wp.from_torch(x), wp.from_torch(out))
         if touched:
-            out.scatter_add_(0, own.at, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0].T)
+            out.scatter_add_(0, own.at, (own.stiffness @ contact.gather(x, own.columns)[:, :, None])[:, :, 0].T)
         return out
 
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
         y = torch.empty_like(r) if len(own.factors) == r.shape[1] else response.solve(r)
         if block is not None:
-            y = y - response.patch(own.columns, own.resting * own.block.apply(own.patch(y)))
+            y = y - response.patch(own.columns, own.resting * own.block.apply(contact.gather(y, own.columns)))
         for j, factor in own.factors:
             y[:, j:j + 1] = torch.as_tensor(factor.solve(r[:, j:j + 1].numpy()))
         return y

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+import torch
 from scipy.spatial.transform import Rotation
 
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.body_samples import has_edges, inner_ball, inner_radius
+from vsfsim.physics.contact.body_samples import has_edges, inner_radius
+from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 
 # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body. With friction
@@ -60,7 +61,7 @@ def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, 
     contact = make(poses=poses if np.array_equal(first, poses[0]) else np.stack([*reached, *poses]))
     longest = stride(bodies, min(mean_thickness(model), thinnest(model, [patch.faces for patch in contact.patches])),
                      friction=contact.has_friction)
-    return contact, first, longest, inside(bodies, model, start)
+    return contact, first, longest, inside(bodies, model, start, contact.device)
 
 
 def clear(start: np.ndarray, end: np.ndarray, bodies: RigidBodies, model: Model) -> np.ndarray:
@@ -164,7 +165,7 @@ def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarra
     return np.minimum(np.where(((now * last).sum(axis=1) > 0.0) & (size > 0.0), even, 0.0), 2.0)
 
 
-def inside(bodies: RigidBodies, model: Model, pose: np.ndarray) -> np.ndarray:
+def inside(bodies: RigidBodies, model: Model, pose: np.ndarray, device: str = "cpu") -> np.ndarray:
     """Which touches begin with a body inside the object at rest (B,) bool: what brought it there is not known.
 
     An overlap of a fifth of the body's inner radius and of the wall is none: the surface gives way on the side that
@@ -174,17 +175,14 @@ def inside(bodies: RigidBodies, model: Model, pose: np.ndarray) -> np.ndarray:
         bodies: the rigid bodies (K).
         model: the object.
         pose: where the paths begin (B, K, 4, 4).
+        device: Warp device.
     """
-    out, mesh = np.zeros(len(pose), bool), model.mesh
-    surface, solid = mesh.points[mesh.surface_nodes()], mesh.faces.shape[1] == 6
-    for k in range(len(bodies)):
-        inner, centre = inner_ball(bodies.shapes[k])
-        deep = _DEEP * inner if np.isfinite(inner) else model.element_size
-        if solid:  # of a thin wall both faces may lie in a large body that is barely in it
-            deep = min(deep, mean_thickness(model))
-        turn, at = pose[:, k, :3, :3], pose[:, k, :3, 3]
-        for b in range(len(pose)):
-            out[b] |= float(bodies.distance(k, (surface - at[b]) @ turn[b]).min()) < -deep
-        if solid and np.isfinite(inner):  # a body wholly inside has no surface in it
-            out |= winding_number(mesh.points, mesh.faces[:, :3], at + turn @ centre) > 0.5
-    return out
+    inner, solid = min(map(inner_radius, bodies.shapes)), model.mesh.faces.shape[1] == 6
+    deep = _DEEP * inner if np.isfinite(inner) else model.element_size
+    if solid:  # of a thin wall both faces may lie in a large body that is barely in it
+        deep = min(deep, mean_thickness(model))
+    check = Intrusion(model.mesh, bodies, model.element_size, device=device, coupled=model.coupled)
+    found = check.check(torch.arange(len(pose), device=device), pose, torch.zeros(
+        (model.mesh.points.size, len(pose)), dtype=torch.float64, device=device))
+    depth = torch.maximum(found.penetration, found.inside) if solid else found.penetration
+    return (depth > deep).cpu().numpy()

@@ -21,10 +21,9 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.laws.neo_hooke import CRUSHED
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
-from vsfsim.physics.solve.elasticity import Elasticity
+from vsfsim.physics.solve.direction import newton_direction
+from vsfsim.physics.solve.elasticity import Elasticity, LinearElasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
-from vsfsim.physics.solve.linear_elasticity import LinearElasticity
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 # part of the way to the first inner body of a rigid body that a step may take, and the least part of a step
@@ -65,8 +64,6 @@ class Equilibrium:
         self._loaded = _size(self.load).clamp(min=floor)
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
-        # sum of the lengths of the acting forces at the last state [N]
-        self._acts = torch.ones(batch, dtype=torch.float64, device=self.device)
         self.factors = TangentFactors(model, elasticity, contact)
         self.reset_counts()
 
@@ -125,11 +122,10 @@ class Equilibrium:
         bodies = self.contact.energy(columns) + self.contact.carried(columns)
         potential = energy + bodies - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
-        self._acts[columns] = acting = self._acting(contact)
         return {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
                 "energy": energy, "wrong_side": self.contact.wrong_side(columns),
                 "det": wp.to_torch(self.elasticity.least_det)[columns],
-                "measure": _size(residual) / acting}
+                "measure": _size(residual) / self._acting(contact)}
 
     def _acting(self, contact: torch.Tensor) -> torch.Tensor:
         return torch.maximum(_size(contact), self._loaded)
@@ -146,14 +142,9 @@ class Equilibrium:
         within = torch.full_like(state["measure"], self.contact.friction_updated_below)
         renew = torch.ones_like(stuck)  # whose tangent must be recomputed
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
-        # least measure since friction was renewed, and iterations in which it did not fall by a tenth
-        least = torch.full_like(within, float("inf"))
-        idle = torch.zeros_like(least, dtype=torch.int64)
-        apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = deadline
-        self._aim = tolerance
         for _ in range(self.options.newton * (1 + has_friction)):
             if self.contact.follow():
                 state.update(self._again(columns))
@@ -161,7 +152,7 @@ class Equilibrium:
             if has_friction and bool(ready.any()):
                 at = ready.nonzero()[:, 0]
                 if self.contact.follows:
-                    self.contact.coulomb[columns[at[~apart[at]]]] = 1.0
+                    self.contact.coulomb[columns[at]] = 1.0
                 for key, value in self.renew_friction(columns[at]).items():
                     state[key][..., at] = value
                 present = state["measure"][at]
@@ -171,7 +162,6 @@ class Equilibrium:
                 within[at] = torch.minimum(0.1 * present, within[at])
                 stuck[at] &= ~(present > tolerance) | (present > 0.5)
                 renew[at] = True
-                least[at] = float("inf")
             open_ = ((held | (state["measure"] > tolerance)) & ~stuck).nonzero()[:, 0]
             if not len(open_):
                 break
@@ -198,21 +188,9 @@ class Equilibrium:
             direction, steps, curved = self._descend(active, state["residual"][:, open_], ~far)
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
-            follows = self.contact.coulomb[active] > 0.0
             moved = self._step(active, open_, direction, state, tolerance)
-            lost = (follows & ~moved).nonzero()[:, 0]
-            if len(lost):
-                apart[open_[lost]] = moved[lost] = True
-                self.contact.coulomb[active[lost]] = 0.0
-                for key, value in self.evaluate(active[lost]).items():
-                    state[key][..., open_[lost]] = value
             renew[open_] = (state["measure"][open_] > 0.5 * before) | curved
             stuck[open_] = ~moved & safe[open_]  # not even a projected step helps: there is no equilibrium
-            present = state["measure"][open_]
-            idle[open_] = torch.where(present < 0.9 * least[open_], 0, idle[open_] + 1)
-            least[open_] = torch.minimum(least[open_], present)
-            lost = open_[idle[open_] >= self.contact.patience]
-            stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
         self.contact.coulomb[columns] = 0.0
@@ -240,10 +218,10 @@ class Equilibrium:
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
                    near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
-        left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
-        return newton_direction(self.elasticity, self.contact, columns, residual, near=near,
-                                iterations=opt.cg, deadline=self._deadline,
-                                tolerance=linear_tolerance(opt, near, left), factors=self.factors)
+        # far from the solution, where Newton's linear model is no more accurate, a looser solution serves
+        tolerance = opt.cg_tolerance * torch.where(near, 1.0, opt.cg_far)
+        return newton_direction(self.elasticity, self.contact, columns, residual, near=near, iterations=opt.cg,
+                                deadline=self._deadline, tolerance=tolerance, factors=self.factors)
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
               tolerance: float) -> torch.Tensor:

@@ -29,9 +29,8 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import torch_threads
 from vsfsim.physics.solve import audit, increments, weight
 from vsfsim.physics.solve.audit import Rows
-from vsfsim.physics.solve.elasticity import Elasticity
+from vsfsim.physics.solve.elasticity import Elasticity, LinearElasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.linear_elasticity import LinearElasticity
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.work_check import WorkCheck
 

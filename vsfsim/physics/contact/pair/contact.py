@@ -40,10 +40,9 @@ class PairContact(OnPatches):
 
     # with blended normals the forces are not quite those of a potential
     symmetric, potential_trusted_above, decrease = False, 1.0, 0.9
-    # rubber mostly sticks, and the limits of the prediction are nearly right
+    # rubber mostly sticks
     friction_updated_below = 0.3
-    # over flat facets a step may cycle, and half of such steps end elsewhere
-    patience, solid, flat = 8, False, False
+    solid, flat = False, False
 
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
         self.model, self.sensor, self.device = model, sensor, device
@@ -74,15 +73,6 @@ class PairContact(OnPatches):
         if self.surfaces.move(pose, columns):
             self._blended[columns] = False
 
-    def _find_candidates(self, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
-        self.surfaces.find_candidates(self.surfaces.margin, columns, blend=blend)
-        self._known = None
-
-    def predict_candidates(self, columns: torch.Tensor, u: torch.Tensor) -> None:
-        """Find what may meet what again, with the normals at the predicted displacements u (3 N, B) [m]."""
-        self.surfaces.displace(columns, self.gather(u)[columns])
-        self._find_candidates(columns, blend=columns)
-
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
         """See `RigidContact`: finds what may meet what again from where the surfaces are now. True if that finds new
         contact, or normals that have turned."""
@@ -90,14 +80,17 @@ class PairContact(OnPatches):
         self.surfaces.displace(columns, self.gather(u)[columns])
         turned = columns[(self._turned() & ~self._blended)[columns]]
         self._blended[turned] = True  # once in a step: more would chase the last digit
-        self._find_candidates(columns, blend=turned)
+        self.surfaces.find_candidates(self.surfaces.margin, columns, blend=turned)
         self.evaluate(columns, self.gather(u)[columns])
         if len(turned) > 0 or any(bool(((old - side.tensors["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
                                   for side, old in zip(self._sides, before, strict=True)):
             return True
-        self._overlap[columns] = self._passage.check(columns, self.surfaces.turn[columns],
-                                                     self.surfaces.origin[columns], u)
+        self._overlap[columns] = self.overlap(columns, u)
         return False
+
+    def overlap(self, columns: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        """How deep the surfaces of ``columns`` (k,) lie in one another at displacements u (3 N, B) [m]: (k,) [m]."""
+        return self._passage.check(columns, self.surfaces.turn[columns], self.surfaces.origin[columns], u)
 
     def _turned(self) -> torch.Tensor:
         """Whose normals have turned where they touch since they were blended (B,) bool."""

@@ -67,8 +67,6 @@ def kernels() -> Any:
         across: wp.array2d(dtype=vec3)
         renewals: wp.array(dtype=wp.int32)
         anchorings: wp.array2d(dtype=wp.int32)
-        damping: wp.array2d(dtype=real)
-        change: wp.array2d(dtype=real)
         residual: wp.array2d(dtype=real)
         # what `evaluate` finds
         gap: wp.array2d(dtype=real)
@@ -256,11 +254,8 @@ def kernels() -> Any:
                 s.anchor_face[b, q] = face
                 s.anchor_shape[b, q] = shape
                 s.anchored[b, q] = new
-        limit, damping, change, residual = friction.relaxed(limit, s.limit[b, q], s.damping[b, q],
-                                                            s.change[b, q], s.renewals[b])
+        limit, residual = friction.relaxed(limit, s.limit[b, q], s.renewals[b])
         s.limit[b, q] = limit
-        s.damping[b, q] = damping
-        s.change[b, q] = change
         s.residual[b, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)
