@@ -59,7 +59,7 @@ def leaderboard(task: str) -> str:
 
 
 def study(name: str, size: str = "mini") -> str:
-    """The table of `vsfsim study NAME` from the results that ship; a variant without one has no row."""
+    """The table of `vsfsim papers study NAME` from the results that ship; a variant without one has no row."""
     from papers.report import cells, on_other_data, title
     from papers.study import load_study
 
@@ -68,13 +68,13 @@ def study(name: str, size: str = "mini") -> str:
     head, rows = cells(one, found)
     note = "".join([f" {one.note}" if one.note else "", *(f" {line[0].upper()}{line[1:]}."
                                                           for line in on_other_data(found, BOARDS))])
-    return (f"<!-- vsfsim study {name} --size {size} -->\n{one.title} ({one.source}): {title(one, size, found)}; "
-            f"\\* told apart by two standard errors.{note}\n\n"
+    return (f"<!-- vsfsim papers study {name} --size {size} -->\n{one.title} ({one.source}): "
+            f"{title(one, size, found)}; \\* told apart by two standard errors.{note}\n\n"
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
 
 
 def claims() -> str:
-    """The table of `vsfsim claims` from the results that ship, and what experiments say."""
+    """The table of `vsfsim papers claims` from the results that ship, and what experiments say."""
     from papers.claims import HEAD, RULE, cells, conclusions, counts, superseded
     from papers.decide import HOLDS
     from papers.verdicts import all_verdicts
@@ -89,7 +89,7 @@ def claims() -> str:
     lines = [f"- {line}." for line in conclusions(found)]
     notes = [f"- {line}" for line in superseded(found)] + [f"- {k}: {v.claim.note}." for k, v in numbered
                                                            if v.claim.note]
-    return (f"<!-- vsfsim claims -->\n{counts(found)} {RULE}\n\n" + "\n".join(tables)
+    return (f"<!-- vsfsim papers claims -->\n{counts(found)} {RULE}\n\n" + "\n".join(tables)
             + "\n## What experiments say of claims that do not hold or cannot be told\n\n" + "\n".join(lines)
             + "\n\n## What is different here\n\n" + "\n".join(notes) + "\n")
 

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from vsfsim.cli.console import report, step
-from vsfsim.cli.options import JsonFile, check_choice
+from vsfsim.cli.console import Progress, report, step
+from vsfsim.cli.options import Device, JsonFile, Workers, check_choice, seconds_of
+from vsfsim.core.errors import TaskError, VsfsimError
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -115,3 +116,100 @@ def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; ma
     check_choice("--tier", tier, ("fem-coarse", "fem"))
     found = measure(peer or (), case or (), tier=tier, folder=out, here=here, progress=step)
     _report(found, json)
+
+
+@app.command()
+def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a run that was interrupted, or ended by "
+                                                     "its budget, continues there.")] = Path("stability"),
+              budget: Annotated[str | None, typer.Option(metavar="TIME",
+                                                         help="Begin no new cell after this time, e.g. 90s, 10m, 2h; "
+                                                              "default: make all cells.")] = None,
+              limit: Annotated[float, typer.Option(min=0.1, help="Limit of a frame's processor time [s].")] = 10.0,
+              seed: Annotated[int, typer.Option(min=0, help="Of the random cells and of the order.")] = 0,
+              kind: Annotated[list[str] | None, typer.Option(help="Only this kind, solid, bubble or rod; may be "
+                                                                  "given again.")] = None,
+              cell: Annotated[list[str] | None, typer.Option(metavar="KEY",
+                                                             help="Only the cell with this key; may be given "
+                                                                  "again.")] = None,
+              workers: Workers = None,
+              device: Device = "cpu",
+              json: JsonFile = None) -> None:
+    """Press at the extremes of every quantity of a scene, and check every frame that is called converged.
+
+    More than 500 presses: contrast to 1e8, moduli from 100 Pa to 100 GPa, nu from 0 to 0.4999, depth to 90 %, friction
+    to 10, sizes from 1 mm to 10 m, all probes, thin and thick, every tier; bubbles, rods.
+    Each is converged, not resolved by its mesh, marked with a reason, refused, over its limit, crashed, or wrong in
+    silence by an independent check. Exit code 3 if a cell is one of the last three.
+    """
+    import vsfsim
+    from measurements.stability import campaign, design
+    from measurements.stability import report as results
+    from measurements.stability.judge import Outcome
+    from vsfsim.data.provenance import commit
+
+    cells = design.design(seed)
+    for name in kind or []:
+        check_choice("--kind", name, design.KINDS)
+    cells = [c for c in cells if not kind or c.kind in kind]
+    for key in cell or []:
+        check_choice("--cell", key, [c.key for c in cells])
+    if cell:
+        cells = [c for c in cells if c.key in cell]
+    seconds = None if budget is None else seconds_of("--budget", budget)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
+        with Progress("stability") as progress:
+            verdicts = campaign.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
+                                    budget=seconds, progress=progress, circumstances=circumstances)
+    except OSError as error:
+        raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
+                          f"folder.") from None
+    verdicts = results.scaled(verdicts)
+    settings = {"seed": seed, "limit": limit, "kind": kind, "cells_of_the_design": len(cells),
+                "device": device}
+    found = results.measurement(verdicts, settings)
+    report(found.text(), found.record(), json or out / "stability.json", indent=1)
+    if any(v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE) for v in verdicts):
+        raise typer.Exit(3)
+
+
+@app.command()
+def record(dataset: Annotated[Path, typer.Argument(metavar="PATH", help="Folder of a dataset that a task reads; with "
+                                                                        "--again also its record.")],
+           task: Annotated[str | None, typer.Option(help="Name of the task; default: every one that reads a dataset of "
+                                                         "this folder's name.")] = None,
+           again: Annotated[bool, typer.Option("--again", help="The dataset was made on another machine: write into "
+                                                               "the record of --task how many touches differ. Results "
+                                                               "on data that differ no more are ranked.")] = False
+           ) -> None:
+    """Write the record of a dataset beside the tasks that it belongs to."""
+    from vsfsim.bench.admission import fingerprint
+    from vsfsim.bench.admission.admit import again as differing
+    from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.core import shelf
+    from vsfsim.data.dataset import Dataset
+
+    if again:
+        if task is None:
+            raise TaskError("--again needs the name of a task: give --task.")
+        one = load_task(task)
+        if (known := fingerprint.shipped_record(one)) is None:
+            raise TaskError(f"task {task} has no record yet. Write one without --again.")
+        found = (fingerprint.make_record(one, open_dataset(one, dataset)) if dataset.is_dir()
+                 else fingerprint.load_record(dataset))
+        measured = differing(found, known)
+        fingerprint.save_record(known, path := fingerprint.record_path(one), again=measured)
+        print(f"{path}: {100.0 * measured.touches:.3g} % of the touches come to another end, the readings of a view "
+              f"are up to {100.0 * measured.size:.2g} % larger or smaller")
+        return
+    folder = Dataset.open(dataset).path.resolve().name
+    wanted = [load_task(task)] if task else [one for one in map(load_task, shelf.tasks())
+                                             if one.dataset.folder == folder]
+    if not wanted:
+        raise TaskError(f"no task reads a dataset called '{folder}'. Name the task with --task.")
+    for one in wanted:
+        path = fingerprint.record_path(one)
+        fingerprint.save_record(made := fingerprint.make_record(one, open_dataset(one, dataset)), path)
+        print(f"{path}: {len(made.entries)} views, {sum(len(e.of_touches) for e in made.entries)} touches, "
+              f"{path.stat().st_size / 1e3:.0f} kB")

@@ -1,4 +1,4 @@
-"""`vsfsim claims`: what the two papers claim, with their figures, against stored results.
+"""`vsfsim papers claims`: what the two papers claim, with their figures, against stored results.
 
 A claim says that one method errs less than another, or that two are equal. `papers.decide` answers it twice:
 whether the *direction* is the claimed one, and whether the *size* is at least half of the paper's. A result is found by

@@ -92,7 +92,7 @@ def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, 
     lines += on_other_data(found, {} if boards is None else boards)
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
-        lines += ["", f"missing: {', '.join(missing)}; `vsfsim study {study.name} --size {size}` makes them"]
+        lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name} --size {size}` makes them"]
     if study.note:
         lines += ["", study.note]
     return "\n".join(lines)

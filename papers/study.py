@@ -279,7 +279,7 @@ def load_study(name: str) -> Study:
     """
     found = studies()
     if name not in found and not name.endswith(".toml"):
-        raise TaskError(f"unknown study '{name}'. {did_you_mean(name, found)} `vsfsim study` lists them.")
+        raise TaskError(f"unknown study '{name}'. {did_you_mean(name, found)} `vsfsim papers study` lists them.")
     path = found.get(name, Path(name))
     return parse_study(read_text(path, "study", TaskError), path)
 

@@ -75,7 +75,7 @@ def _verdict(study: Study, size: str, asked: Asked, found: Mapping[str, Found]) 
     claim = Claim(asked.text, asked.source, asked.figures, study.tasks.get(size, study.name), Side(*asked.better),
                   Side(*asked.worse), asked.metric, asked.equal, asked.note, f"{study.name}/{asked.text}", asked.words)
     sides = (asked.better, asked.worse)
-    command = f"vsfsim study {study.name} --size {size}"
+    command = f"vsfsim papers study {study.name} --size {size}"
     if any(name not in found for name, _ in sides):
         return Verdict(claim, "no result", None, (command,))
     values = [values_of(found[name].result, study.task_of(found[name].variant, size).protocol, asked.metric, shot,

@@ -74,7 +74,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
 
     from vsfsim.cli.main import app
 
-    silent = {"new-method", "measure", "bench"}
+    silent = {"new-method", "measure", "papers"}
     for name, command in get_command(app).commands.items():
         options = {option for parameter in command.params for option in parameter.opts}
         assert "--json" in options or name in silent, name

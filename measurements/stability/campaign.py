@@ -14,7 +14,7 @@ from measurements.stability.judge import LATE, Outcome, Verdict, judge
 from measurements.stability.team import Ended, answers, kept
 from vsfsim.core.errors import VsfsimError
 
-COMMAND = "vsfsim stability"
+COMMAND = "vsfsim measure stability"
 FRAMES = 80  # more than any cell has
 SPARE = 180.0  # for meshes, factors and kernels of a cell [s]
 

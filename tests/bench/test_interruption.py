@@ -137,7 +137,7 @@ def test_the_record_command_writes_what_the_board_reads(vsfsim, folder, monkeypa
     from vsfsim.bench.admission import fingerprint
 
     monkeypatch.setattr(fingerprint, "record_path", lambda one: folder / "records" / f"{one.name}.json")
-    out = vsfsim("tasks", "--record", "toy", "--task", "toy-v1.toml", cwd=folder)
+    out = vsfsim("measure", "record", "toy", "--task", "toy-v1.toml", cwd=folder)
     assert out.returncode == 0 and "3 views, 36 touches" in out.stdout, out.stderr
     assert fingerprint.shipped_record(task).task == "toy-v1"
 

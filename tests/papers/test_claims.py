@@ -189,9 +189,9 @@ def as_run(numbers):
 
 
 def test_the_command_prints_every_claim(vsfsim, tmp_path):
-    found = vsfsim("claims", cwd=tmp_path)
+    found = vsfsim("papers", "claims", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     asked = claims_of() + [a for name in studies() for a in load_study(name).claims]
     assert f"{len(asked)} claims" in found.stdout
-    wrong = vsfsim("claims", "--preset", "best", cwd=tmp_path)
+    wrong = vsfsim("papers", "claims", "--preset", "best", cwd=tmp_path)
     assert wrong.returncode == 2 and "--preset is 'best'" in wrong.stderr

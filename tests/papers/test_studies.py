@@ -74,7 +74,7 @@ def test_a_table_shows_values_and_paired_differences(study):
     table = report.table(study, "mini", found(study, all=LEVEL, half=more))
     assert table["variants"][1]["difference"]["0"]["mean"] == pytest.approx(0.115)
     lacking = report.text(study, "mini", found(study, all=LEVEL))
-    assert "missing: half; `vsfsim study toy --size mini` makes them" in lacking
+    assert "missing: half; `vsfsim papers study toy --size mini` makes them" in lacking
 
 
 def test_a_table_says_which_rows_are_on_other_data_and_which_on_the_same_made_again(study, monkeypatch):
@@ -114,7 +114,7 @@ def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer,
     decided, experiments = verdicts.verdicts("mini", ["toy"])
     (verdict,) = judged(verdicts.with_experiments(decided, experiments))
     assert verdict.answers.direction == answer and verdict.experiments[0].answer == answer
-    assert "vsfsim study toy --size mini" in verdict.commands[0]
+    assert "vsfsim papers study toy --size mini" in verdict.commands[0]
     said = verdict.experiments[0].conclusion
     assert "so the method" not in said, "one training"
     assert {HOLDS: "at fault: data", FAILS: "not at fault: data", UNTOLD: "nothing is stored"}[answer] in said
@@ -226,13 +226,13 @@ def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):
 
 
 def test_the_command_lists_and_refuses(vsfsim, tmp_path):
-    listed = vsfsim("study", cwd=tmp_path)
+    listed = vsfsim("papers", "study", cwd=tmp_path)
     assert listed.returncode == 0 and all(name in listed.stdout for name in studies())
-    unknown = vsfsim("study", "shoes-bredth", cwd=tmp_path)
+    unknown = vsfsim("papers", "study", "shoes-bredth", cwd=tmp_path)
     assert unknown.returncode == 2 and "shoes-breadth" in unknown.stderr
     # Another number of touches than any that ships: a result that is stored later cannot answer it.
     own = studies()["shoes-views"].read_text().replace("touches = 10", "touches = 11")
     (tmp_path / "mine.toml").write_text(own)
-    missing = vsfsim("study", "mine.toml", cwd=tmp_path)
+    missing = vsfsim("papers", "study", "mine.toml", cwd=tmp_path)
     assert missing.returncode == 2
     assert "vsfsim generate shoes-v2-mini --objects 12 --views 8 --touches 11" in missing.stderr

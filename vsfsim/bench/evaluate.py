@@ -118,8 +118,8 @@ def finish(name: str, task: Task, dataset: Dataset, path: Path, *, check: bool =
             None for the task's own number; with cross-validation, of one training; ``isolation``, how the method is
             kept from what it may not see, None for the strongest sandbox that works here; ``preset``, name of the
             settings, for the leaderboard; they are in ``parameters`` already; ``training``, what the method learns
-            from, where a study departs from the task (`vsfsim study`): such a result is never ranked; ``curves``,
-            file for all predictions beside the truth (`vsfsim.bench.curves.Curves`).
+            from, where a study departs from the task (`vsfsim papers study`): such a result is never ranked;
+            ``curves``, file for all predictions beside the truth (`vsfsim.bench.curves.Curves`).
 
     Raises:
         As `evaluate`.

@@ -20,7 +20,7 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
-from vsfsim.core.errors import MethodError, TaskError, VsfsimError
+from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.system.engines import HERE
 
 if TYPE_CHECKING:
@@ -39,23 +39,8 @@ def methods(json: JsonFile = None) -> None:
 
 
 @app.command()
-def tasks(record: Annotated[Path | None, typer.Option("--record", metavar="FOLDER",
-                                                      help="For developers: write the record of the dataset in this "
-                                                           "folder for the task that --task names.")] = None,
-          again: Annotated[Path | None, typer.Option(metavar="PATH",
-                                                     help="For developers: the dataset of the task that --task names, "
-                                                          "made on another machine (its folder or its record). How "
-                                                          "many touches differ goes into the task's record; results "
-                                                          "on data that differ no more are ranked.")] = None,
-          task: Annotated[str | None, typer.Option(help="Name of a task, for --record and --again.")] = None,
-          json: JsonFile = None) -> None:
+def tasks(json: JsonFile = None) -> None:
     """List the tasks."""
-    if record is not None:
-        _record(record, task)
-    if again is not None:
-        _again(again, task)
-    if record is not None or again is not None:
-        return
     from vsfsim.bench.commands.catalogue import tasks as catalogue
 
     found = catalogue()
@@ -63,46 +48,6 @@ def tasks(record: Annotated[Path | None, typer.Option("--record", metavar="FOLDE
     lines = [f"{name:<{width}}{one.description}" + (f" Superseded by {one.superseded_by}." if one.superseded_by else "")
              for name, one in found.items()]
     report("\n".join(lines), found.table(), json)
-
-
-def _record(dataset: Path, name: str | None) -> None:
-    """Write the record of a dataset beside the tasks that it belongs to."""
-    from vsfsim.bench.admission.fingerprint import make_record, record_path, save_record
-    from vsfsim.bench.task import load_task, open_dataset
-    from vsfsim.core import shelf
-    from vsfsim.data.dataset import Dataset
-
-    folder = Dataset.open(dataset).path.resolve().name
-    wanted = [load_task(name)] if name else [one for one in map(load_task, shelf.tasks())
-                                             if one.dataset.folder == folder]
-    if not wanted:
-        raise TaskError(f"no task reads a dataset called '{folder}'. Name the task with --task.")
-    for one in wanted:
-        path = record_path(one)
-        made = make_record(one, open_dataset(one, dataset))
-        save_record(made, path)
-        print(f"{path}: {len(made.entries)} views, {sum(len(e.of_touches) for e in made.entries)} touches, "
-              f"{path.stat().st_size / 1e3:.0f} kB")
-
-
-def _again(path: Path, name: str | None) -> None:
-    """Measure how far a dataset that another machine made differs from a task's record, and write it there."""
-    from vsfsim.bench.admission import fingerprint
-    from vsfsim.bench.admission.admit import again
-    from vsfsim.bench.task import load_task, open_dataset
-
-    if name is None:
-        raise TaskError("--again needs the name of a task: give --task.")
-    task = load_task(name)
-    known = fingerprint.shipped_record(task)
-    if known is None:
-        raise TaskError(f"task {name} has no record yet. Write one with --record FOLDER.")
-    found = (fingerprint.make_record(task, open_dataset(task, path)) if path.is_dir()
-             else fingerprint.load_record(path))
-    measured = again(found, known)
-    fingerprint.save_record(known, fingerprint.record_path(task), again=measured)
-    print(f"{fingerprint.record_path(task)}: {100.0 * measured.touches:.3g} % of the touches come to another end, the "
-          f"readings of a view are up to {100.0 * measured.size:.2g} % larger or smaller")
 
 
 @app.command()

@@ -16,7 +16,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from vsfsim.cli import bench, board, data, generate, info, measure, simulate, stability, study, tradeoff
+from vsfsim.cli import bench, board, data, generate, info, lab, simulate, tradeoff
+from vsfsim.cli.console import note
 from vsfsim.cli.groups import WholeSentences
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
@@ -28,10 +29,10 @@ estimators.""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in
                          "converge, 4 object views that failed twice were left out, 130 interrupted, 143 ended by "
                          "SIGTERM.")
 
-for group in (simulate, generate, data, bench, board, study, info, stability, tradeoff):
+for group in (simulate, generate, data, bench, board, info, tradeoff):
     app.add_typer(group.app)  # without a name: its commands are the app's own
-app.add_typer(measure.app, name="measure")
-app.add_typer(measure.app, name=measure.OLD_NAME, hidden=True)
+app.add_typer(lab.measure, name="measure")
+app.add_typer(lab.papers, name="papers")
 
 
 _ASCII = {"±": "+-", "²": "2", "³": "3", "×": "x", "µ": "u", "°": "deg", "→": "->", "–": "-", "…": "..."}
@@ -54,6 +55,10 @@ def main() -> None:
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
     command: Any = typer.main.get_command(app)  # a group; get_group leaves out the options of completion
     word = sys.argv[1] if len(sys.argv) > 1 else "-"
+    if word in lab.OLD_NAMES:
+        note(f"`vsfsim {word}` is now `vsfsim {lab.OLD_NAMES[word]}`")
+        sys.argv[1:2] = lab.OLD_NAMES[word].split()
+        word = sys.argv[1]
     try:
         if not word.startswith("-") and word not in command.commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, command.commands)}")

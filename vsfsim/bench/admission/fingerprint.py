@@ -132,7 +132,7 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
             return msgspec.convert(table, cls)
         except (ValueError, RecursionError) as error:
             raise TaskError(f"{where} is no record of a task's dataset: {plain(error)}. Make it again with `vsfsim "
-                            f"tasks --record FOLDER`.") from error
+                            f"measure record FOLDER`.") from error
 
 
 def make_record(task: Task, dataset: Dataset) -> Record:

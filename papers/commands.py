@@ -1,4 +1,4 @@
-"""`vsfsim study` and `vsfsim claims`: the papers' tables and claims, by the folder `papers/` of a checkout."""
+"""The commands of `vsfsim papers`: the papers' tables and claims."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from vsfsim.cli.cluster import Address, GpusPerTask, On, Printed, ShardOf, Shard
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import JsonFile, check_choice
 from vsfsim.core.errors import TaskError
-from vsfsim.core.shelf import checkout
 
-app = typer.Typer()
+app = typer.Typer(rich_markup_mode=None)
 
 
 def _complete(incomplete: str) -> list[str]:
-    checkout()
     from papers.study import studies
 
     return [name for name in studies() if name.startswith(incomplete)]
@@ -44,7 +42,6 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
     """
-    checkout()
     from papers import report as tables
     from papers.results import make_missing, stored
     from papers.study import SIZES, load_study, studies
@@ -98,14 +95,12 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
            json: JsonFile = None) -> None:
     """Hold the papers' claims against stored results.
 
-    Reads the results that ship, those in results/TASK and those of `vsfsim study`. Each verdict names the commands
-    behind it; of a claim that does not hold, experiments say what is at fault.
+    Reads the results that ship, those in results/TASK and those of `vsfsim papers study`. Each verdict names the
+    commands behind it; of a claim that does not hold, experiments say what is at fault.
     """
-    from vsfsim.bench.commands.presets import PRESETS
-
-    checkout()
     from papers import claims as judged
     from papers.verdicts import all_verdicts
+    from vsfsim.bench.commands.presets import PRESETS
 
     check_choice("--preset", preset, PRESETS)
     check_choice("--size", size or "mini", ("mini", "standard"))

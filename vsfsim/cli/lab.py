@@ -1,0 +1,48 @@
+"""Groups of commands that only a checkout has, each in the folder of its name: `vsfsim measure` in `measurements/`,
+`vsfsim papers` in `papers/`."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import MutableMapping
+from typing import Any
+
+import typer
+
+from vsfsim.cli.groups import WholeSentences
+from vsfsim.core.shelf import checkout
+
+OLD_NAMES = {"bench": "measure", "stability": "measure stability", "study": "papers study", "claims": "papers claims"}
+"""Spellings up to version 0.1; they work, with a note, until the release after this one."""
+
+
+@functools.cache
+def _commands(module: str) -> dict[str, Any]:
+    """The commands of the checkout by their names, imported when one is asked for."""
+    checkout()
+    return dict(typer.main.get_group(importlib.import_module(module).app).commands)
+
+
+class _Measure(WholeSentences):
+    """A group whose commands are those of the checkout."""
+
+    module = "measurements.commands"
+
+    @property
+    def commands(self) -> MutableMapping[str, Any]:  # type: ignore[override]
+        return _commands(self.module)
+
+    @commands.setter
+    def commands(self, _: MutableMapping[str, Any]) -> None:
+        """What a group is made with: none."""
+
+
+class _Papers(_Measure):
+    module = "papers.commands"
+
+
+measure = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=_Measure,
+                      help="Measure time and error of the solver, and what datasets and plants allow.")
+papers = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=_Papers,
+                     help="Make the papers' tables, and hold their claims against results.")
