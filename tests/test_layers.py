@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "view": {"core", "data", "generate", "bench"},
     "bench": {"core", "data"},
     "active": {"core", "data", "bench"},
-    "papers": {"core", "data", "bench"},
+    "papers": {"core", "data", "bench", "cli"},
     "baselines": {"core", "data", "bench", "physics", "vsf"},
     "scenes": {"core"},
     "tasks": {"core"},
@@ -43,8 +43,8 @@ MAY_IMPORT = {
 }
 """Layers that a layer may import, besides itself; "top" is `vsfsim/__init__.py` and `vsfsim/__main__.py`."""
 
-LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines",
-                  "papers", "vsf", "measurements"},
+LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines", "vsf",
+                  "papers"},
           "tasks": {"bench"}, "top": {"data", "bench", "generate", "press", "tasks"}}
 """Layers that a layer may import inside a function, or for types alone. `vsfsim.tasks()` is a function of `bench`."""
 
@@ -69,7 +69,7 @@ HEAVY = {
     "references": {"numpy", "scipy", "torch", "timm", "skfem"},
     "bench": {"numpy", "h5py", "msgspec", "jinja2", "markupsafe"},
     "active": {"numpy", "gymnasium"},
-    "papers": {"numpy", "scipy"},
+    "papers": {"numpy", "scipy", "typer"},
     "baselines": {"numpy", "scipy", "torch"},
     "scenes": {"numpy"},
     "tasks": set(),
