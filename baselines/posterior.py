@@ -17,8 +17,8 @@ from vsfsim.data.records import View
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.meta.calibration import Missed, Width
 from vsfsim.vsf.meta.composition import GaussianPrior
-from vsfsim.vsf.meta.width import Missed, Width
 
 
 @dataclass

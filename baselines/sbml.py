@@ -25,9 +25,8 @@ from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
+from vsfsim.vsf.meta.calibration import Held, Level, Missed, Width, blended, pattern_scale
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
-from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
-from vsfsim.vsf.meta.width import Missed, Width
 
 if TYPE_CHECKING:  # torch is imported where it is used
     from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
@@ -44,9 +43,8 @@ class Sbml(PosteriorAnswers):
         prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
         networks: number of networks in the prior. One is the paper's. Several are each stopped on another part of the
-            training objects, and their level (`vsfsim.vsf.meta.level`) and the width of predicted readings
-            (`vsfsim.vsf.meta.width`) are found on objects that they did not learn from; ``validation`` is then one
-            part of that many.
+            training objects, and their level and the width of predicted readings (`vsfsim.vsf.meta.calibration`) are
+            found on objects that they did not learn from; ``validation`` is then one part of that many.
         common_std: with several networks of structure HE, standard deviation of a component common to all particles of
             an object while they learn, over the mean of the fitted springs [-].
         rate, epochs, patience, dropout, output, second: of the training, see `vsfsim.vsf.meta.prior`.

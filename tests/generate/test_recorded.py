@@ -25,8 +25,7 @@ from vsfsim.data.verify import verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.generate.recorded.openvsf import GAUGE, Options, _mount, import_openvsf
-from vsfsim.robot.arm import Arm
-from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.arm import Arm, body_torque
 from vsfsim.vsf.observe import normal_force_rows
 from vsfsim.vsf.sticking import stick
 

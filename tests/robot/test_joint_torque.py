@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from vsfsim.robot.arm import Arm, ArmError
-from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.arm import Arm, ArmError, body_torque
 
 
 @pytest.fixture(scope="module")

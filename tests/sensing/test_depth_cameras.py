@@ -12,7 +12,7 @@ from vsfsim.data.records import View
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
-from vsfsim.sensing.kinect import with_depth_errors
+from vsfsim.sensing.camera import with_depth_errors
 
 TEXT = """
 [object]

@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 
 from vsfsim.bench.reached_points import reached
-from vsfsim.robot.arm import Arm, chain_of
-from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.arm import Arm, body_torque, chain_of
 from vsfsim.vsf.arm_rows import arm_displacements_each, arm_torque_rows
 
 

@@ -5,8 +5,8 @@ import pytest
 from scipy import sparse
 
 from vsfsim.core.errors import VsfError
+from vsfsim.vsf.meta.calibration import Held, Level, blended, pattern_scale
 from vsfsim.vsf.meta.composition import GaussianPrior
-from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
 
 
 def held(rng, scale=1.0, *, weights=(0.7, 0.5, 0.2), m=40):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.meta.width import Missed, Width
+from vsfsim.vsf.meta.calibration import Missed, Width
 
 
 def signs(m):

@@ -19,8 +19,7 @@ from vsfsim.physics import tiers
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import SolverOptions
-from vsfsim.sensing.camera import look_at, render
-from vsfsim.sensing.kinect import seen_by
+from vsfsim.sensing.camera import look_at, render, seen_by
 from vsfsim.sensing.surface import Surface
 
 

@@ -5,9 +5,8 @@ import pytest
 from palpation import layer_with_inclusion, palpate
 from scipy import optimize, sparse
 
-from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.estimate.map import map_estimate, projected_cg
 from vsfsim.vsf.estimate.pivoting import _line_search, principal_pivoting
-from vsfsim.vsf.estimate.projected_cg import projected_cg
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
 

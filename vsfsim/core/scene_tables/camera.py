@@ -68,7 +68,7 @@ class CameraSpec:
     elevation: float = number(0.7, -1.55, 1.55, "rad")
     """Direction from the object to the camera, above the horizontal plane [rad]."""
     noise: str = word("none", "kinect")
-    """Of its depth, "none" or "kinect" (`vsfsim.sensing.kinect`)."""
+    """Of its depth, "none" or "kinect" (`vsfsim.sensing.camera`)."""
     model: str = word("", *DEPTH_CAMERAS)
     """Key of `DEPTH_CAMERAS`, whose picture and depth errors it has; "" for an ideal camera."""
 

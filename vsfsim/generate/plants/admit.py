@@ -25,8 +25,7 @@ from vsfsim.generate.plants.aim import ArmAim, NothingReached, aim_arm, load
 from vsfsim.physics.rods.model import RodModel, build
 from vsfsim.physics.rods.model import grow as grow_family
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
-from vsfsim.robot.arm import Arm
-from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.arm import Arm, body_torque
 
 PILOTS = 4
 """Pilot touches of an object, divided among its views."""

@@ -19,8 +19,7 @@ from vsfsim.generate.plants.aim import ArmAim, aim_arm, load
 from vsfsim.generate.plants.surface import plant_view
 from vsfsim.physics.rods.model import RodModel
 from vsfsim.robot.arm import Arm
-from vsfsim.sensing.camera import look_at
-from vsfsim.sensing.kinect import seen_by
+from vsfsim.sensing.camera import look_at, seen_by
 
 
 @dataclass(frozen=True)

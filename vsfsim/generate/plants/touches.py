@@ -16,8 +16,7 @@ from vsfsim.generate.plants.prepare import Subject, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import audit, verdict
 from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
-from vsfsim.robot.arm import Arm, Postures, chain_of
-from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.arm import Arm, Postures, body_torque, chain_of
 from vsfsim.robot.path import times
 
 # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
