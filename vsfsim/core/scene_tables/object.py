@@ -61,7 +61,7 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     """
     where = f"{path} [object]"
     own = ("shape", "fixed", "young_modulus", "material", "law", "appearance")
-    t = Table(node, where, tuple(node) if isinstance(node, Mapping) else ())
+    t = Table(node, where, (*(f.name for f in dataclasses.fields(ObjectSpec)), *own))
     shape = parse_object_shape(t.table.get("shape"), where)
     fixed = t.table.get("fixed", "bottom")
     fixed = t.word("fixed", "bottom", ("bottom", "none")) if isinstance(fixed, str) else t.vector("fixed", None, 6)
