@@ -165,7 +165,8 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
     view, *_ = made
     path = find_task("fewshot-plants-v4-mini-v1")
     task = parse_task(path.read_text().replace('"gen3-posed"', '"gen3"'), path)  # noise that is white
-    task = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, folds=0))  # no planned paths
+    protocol = dataclasses.replace(task.protocol, folds=0, draws=0, trainings=0, seeds=1)  # no planned paths
+    task = dataclasses.replace(task, protocol=protocol)
     recording = record(view, task)
     for touch, reading, clean in zip(view.touches, recording.readings, recording.clean, strict=True):
         assert reading.value.shape == (len(touch.time), 7) and reading.action.size == 7
