@@ -103,7 +103,7 @@ def test_a_scan_with_a_hole_in_millimetres(press, tmp_path):
 def test_a_probe_that_misses_is_reported_and_one_inside_is_refused(press):
     missed = press(tier="linear", start=0.06, stop=0.05)
     assert missed.returncode == 2 and "[press] never brings the probe, or what moves with it, into" in missed.stderr
-    assert "note: The probe starts 2.0 mm inside the body" in press(tier="linear", start=0.038, stop=0.037).stdout
+    assert "note: The probe starts 1.5 mm inside the body" in press(tier="linear", start=0.0385, stop=0.037).stdout
     out = press(tier="linear", probe="sphere = 0.005", start=0.015, stop=0.012)
     assert out.returncode == 2
     assert out.stderr.startswith("error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the whole probe inside the body")
