@@ -37,7 +37,5 @@ def force(stuff, *needs):
 def test_a_need_that_is_dropped_is_missed_and_one_that_is_added_is_not(stuff):
     whole, flat, bare, large = (force(stuff, *needs) for needs in (
         NEEDS, NEEDS[:1], ("contact",), (*NEEDS, "large-deformation")))
-    print(f"{whole:.1f} N, {flat:.1f} N without bulging, {bare:.1f} N without both, {large - whole:+.2f} N with large "
-          f"deformation")
     assert abs(flat - whole) > NOISE and abs(bare - whole) > NOISE and abs(large - whole) < NOISE
     assert force(stuff, *NEEDS, "appearance", "contact", "coupling") == whole, "what is unused changes nothing"
