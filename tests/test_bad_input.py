@@ -60,9 +60,9 @@ EVALUATE = ("evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.to
 def run(*words, cwd, **options):
     """`vsfsim WORDS` in folder ``cwd``, as a process of its own; most tests take the fixture ``vsfsim``, which gives
     the same sooner."""
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE / "bench")}
     # without bytecode, which a limit of the size of files would cut for everybody else
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE / "bench"), "PYTHONDONTWRITEBYTECODE": "1"}
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words],
+    return subprocess.run([sys.executable, "-PB", "-c", "from vsfsim.cli.main import main; main()", *words],
                           capture_output=True, text=True, cwd=cwd, env=env, stdin=subprocess.DEVNULL, **options)
 
 
