@@ -59,20 +59,6 @@ def trust(cells: Annotated[int, typer.Option(min=1, help="Presses, the first one
     _report(measure(cells, seed, limit=limit, workers=workers or os.cpu_count() or 1, progress=step), out)
 
 
-@app.command()
-def faults(kills: Annotated[int, typer.Option(min=1, help="At random moments, of a run and of a worker.")] = 3,
-           seed: Annotated[int, typer.Option(help="Of the moments.")] = 0, json: JsonFile = None) -> None:
-    """Faults that making a dataset survives: kills, SIGTERM, a full disk, a read-only place, two writers, the clock.
-
-    Exit code 2 if one is not survived.
-    """
-    from measurements.faults import measure, text
-
-    rows = measure(kills=kills, seed=seed, progress=step)
-    report(text(rows), rows, json)
-    raise typer.Exit(0 if all(row["survived"] for row in rows) else 2)
-
-
 @app.command(name="plant-ceilings")
 def plant_ceilings(scene: Annotated[str, typer.Option(help="Scene of plants, with [arm].")] = "plants-v4-mini",
                    objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,

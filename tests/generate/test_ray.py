@@ -1,6 +1,7 @@
 """Ray makes the dataset of one process, on two nodes of this machine."""
 
 import contextlib
+import glob
 import os
 import random
 import signal
@@ -11,7 +12,6 @@ from pathlib import Path
 import pytest
 from test_generate import SCENE, command
 
-from measurements.faults import descendants
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.system import engines
@@ -69,6 +69,18 @@ def test_any_number_of_workers_gives_the_bytes_of_one_process(scene, made, tmp_p
     with cluster(workers) as there:
         found = generate(scene, tmp_path / "d", objects=OBJECTS, fan=Fan(ray=there.address))
     assert found.sha256 == made.sha256 and contents(tmp_path / "d") == contents(made.path)
+
+
+def descendants(process):
+    """Processes that a process and its children have started, children first (Linux)."""
+    out, todo = [], [process]
+    while todo:
+        found = []
+        for path in glob.glob(f"/proc/{todo.pop(0)}/task/*/children"):  # empty if the process has ended
+            with contextlib.suppress(OSError):
+                found += [int(word) for word in Path(path).read_text().split()]
+        out, todo = out + found, todo + found
+    return out
 
 
 def at_work(of):
