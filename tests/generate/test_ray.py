@@ -72,15 +72,12 @@ def test_any_number_of_workers_gives_the_bytes_of_one_process(scene, made, tmp_p
 
 
 def descendants(process):
-    """Processes that a process and its children have started, children first (Linux)."""
-    out, todo = [], [process]
-    while todo:
-        found = []
-        for path in glob.glob(f"/proc/{todo.pop(0)}/task/*/children"):  # empty if the process has ended
-            with contextlib.suppress(OSError):
-                found += [int(word) for word in Path(path).read_text().split()]
-        out, todo = out + found, todo + found
-    return out
+    """Processes that a process and its children have started (Linux)."""
+    found = []
+    for path in glob.glob(f"/proc/{process}/task/*/children"):
+        with contextlib.suppress(OSError):  # it has ended
+            found += [int(word) for word in Path(path).read_text().split()]
+    return found + [pid for child in found for pid in descendants(child)]
 
 
 def at_work(of):

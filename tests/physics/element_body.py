@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 
 from vsfsim.core.scene_tables.foam import Foam
-from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import tet10
+from vsfsim.physics.laws.law import lame
 from vsfsim.physics.solve.elasticity import Elasticity
 
 SIZE = (0.02, 0.03, 0.025)

@@ -5,8 +5,8 @@ import pytest
 from element_body import SIZE, Body, E, tet
 from scipy.sparse.linalg import spsolve
 
-from vsfsim.physics.coefficients import confined_modulus, lame
 from vsfsim.physics.foundation import foundation
+from vsfsim.physics.laws.law import confined_modulus, lame
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import tetrahedra
 

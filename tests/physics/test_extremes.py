@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 from vsfsim.core.quality import worst_angle
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.coefficients import lame
 from vsfsim.physics.contact.rigid_contact import RigidContact
+from vsfsim.physics.laws.law import lame
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model

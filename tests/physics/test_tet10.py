@@ -6,7 +6,7 @@ from element_body import SIZE, Body, tet
 from scipy.integrate import simpson
 from scipy.optimize import brentq
 
-from vsfsim.physics.coefficients import lame
+from vsfsim.physics.laws.law import lame
 from vsfsim.physics.laws.neo_hooke import CRUSHED
 
 

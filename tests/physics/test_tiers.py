@@ -15,7 +15,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
-from vsfsim.physics.coefficients import confined_modulus
+from vsfsim.physics.laws.law import confined_modulus
 from vsfsim.physics.mesh.account import scan_foot
 from vsfsim.physics.mesh.quadratic import assemble, quadratic_mesh
 from vsfsim.physics.solve.frames import SolverOptions

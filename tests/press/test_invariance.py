@@ -91,18 +91,10 @@ def same(name, found, share=None):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_scale_and_modulus(name):
+def test_scale_and_modulus_turn_and_mirror(name):
     assert np.linalg.norm(force(name)) > 0.05
     assert same(name, force(name, scale=1.7, modulus=3.0) / (3.0 * 1.7**2))
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_turn(name):
     assert same(name, Rotation.from_rotvec([0.0, 0.0, -0.7]).apply(force(name, turn=0.7)))
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_mirror(name):
     assert same(name, force(name, mirror=-1.0) * [-1.0, 1.0, 1.0])
 
 

@@ -9,8 +9,8 @@ import pytest
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements.tet10_shape import shape_derivatives, shape_values
+from vsfsim.physics.laws.law import lame
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box, grid_hexes
 from vsfsim.physics.model import build_model

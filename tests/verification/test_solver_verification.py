@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from vsfsim.core.shape import Plane, Sphere
-from vsfsim.physics.coefficients import lame
+from vsfsim.physics.laws.law import lame
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)

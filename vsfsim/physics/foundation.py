@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.physics.coefficients import confined_modulus
 from vsfsim.physics.elements import anchor
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.laws.law import confined_modulus
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 MOST_POISSON_RATIO = 0.47  # above it a layer squeezes out sideways long before it is compressed

@@ -11,12 +11,11 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Law, Solid
-from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import tet10
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import GAUSS, shape_values
 from vsfsim.physics.laws import hyperfoam, neo_hooke
-from vsfsim.physics.laws.law import Settings, SolidLaw
+from vsfsim.physics.laws.law import Settings, SolidLaw, lame
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.near_rigid import limited
 from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh

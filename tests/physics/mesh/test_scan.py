@@ -15,7 +15,7 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import disk_cache
-from vsfsim.physics.mesh import scan, tetwild
+from vsfsim.physics.mesh import scan
 from vsfsim.physics.mesh.scan import fill_mesh_file
 from vsfsim.physics.mesh.validity import pinched_vertices
 
@@ -89,18 +89,13 @@ def test_hollow_body_keeps_its_cavity(tmp_path: Path) -> None:
     assert not any("inside out" in note for note in solid.notes)
 
 
-def test_millimetres(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("factor", "scale"), [(1000.0, None), (100.0, 0.01)])
+def test_units(factor: float, scale: float | None, tmp_path: Path) -> None:
     mesh = ball()
-    mesh.apply_scale(1000.0)
-    solid = filled(mesh, tmp_path)
+    mesh.apply_scale(factor)
+    solid = filled(mesh, tmp_path, scale=scale)
     check_filled(solid, VOLUME, within=0.02)
-    assert any("millimetres" in note for note in solid.notes)
-
-
-def test_given_scale(tmp_path: Path) -> None:
-    mesh = ball()
-    mesh.apply_scale(100.0)
-    check_filled(filled(mesh, tmp_path, scale=0.01), VOLUME, within=0.02)
+    assert any("millimetres" in note for note in solid.notes) == (scale is None)
 
 
 def test_duplicate_and_degenerate_faces(tmp_path: Path) -> None:
@@ -170,9 +165,9 @@ def test_the_first_writer_of_a_cache_file_wins(tmp_path: Path) -> None:
     ("import resource\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\nwhile True: pass", "60 s of processor time")])
 def test_a_filler_that_dies_or_does_not_end_is_an_error(
         filler: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tetwild, "_FILLER", filler)
+    monkeypatch.setattr(scan, "_FILLER", filler)
     with pytest.raises(MeshError, match=f"x.stl.*{words}"):
-        tetwild.run(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3))), 0.01, 0.01, Path("x.stl"))
+        scan.ftetwild(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3))), 0.01, 0.01, Path("x.stl"))
 
 
 @pytest.mark.slow
@@ -214,7 +209,7 @@ def test_a_filling_of_another_size_is_refused_with_its_account(tmp_path: Path, m
     def broken(*given: object) -> None:
         raise MeshError("out of luck")
 
-    monkeypatch.setattr(tetwild, "run", broken)
+    monkeypatch.setattr(scan, "ftetwild", broken)
     monkeypatch.setattr(scan, "fill_lattice", shrunk)
     monkeypatch.setattr(scan, "pull_to_features", lambda vertices, *more: vertices)
     with pytest.raises(MeshError, match=r"within 10 % of the scan.*volume .* \(-1\d.*%\).*finer resolution"):

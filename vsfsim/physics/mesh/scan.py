@@ -1,7 +1,7 @@
 """A user's own surface mesh, checked, repaired and filled with tetrahedra: the same body from the same surface.
 
 `repair` reads the surface, `lattice` fills it, `account` compares the two. Where a wall is thinner than the lattice
-resolves, finer ones are tried, and where none of them is near the surface, fTetWild (`tetwild`) fills it. A lock lets
+resolves, finer ones are tried, and where none of them is near the surface, fTetWild (`ftetwild`) fills it. A lock lets
 one worker fill a mesh while the others wait.
 """
 
@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from vsfsim.core.errors import MeshError
+from vsfsim.core.extras import require
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Appearance, Solid, tet_volumes
 from vsfsim.physics import disk_cache
-from vsfsim.physics.mesh import tetwild
 from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, inside, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, digest, read_surface
@@ -37,6 +40,23 @@ _DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL fi
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
 _RECIPE = 7
 """Part of the cache key, to be raised when the repairs or the filling change."""
+
+# fTetWild runs in a process and a folder of its own: it leaves "__tracked_surface.stl" in the working directory, and
+# may crash on a mesh that it cannot fill. Its package imports PyVista, which takes most of such a process, only to add
+# a function to its meshes; a module without functions is to it a PyVista that is too old for that.
+_FILLER = """
+import resource, sys, types
+import numpy as np
+given = np.load(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_CPU, (int(given["seconds"]),) * 2)
+sys.modules["pyvista"] = types.ModuleType("pyvista")
+import pytetwild
+vertices, tets = pytetwild.tetrahedralize(given["vertices"], given["faces"], edge_length_abs=float(given["resolution"]),
+                                          epsilon=float(given["envelope"]), num_threads=1, quiet=True)
+np.savez(sys.argv[2], vertices=vertices, tets=tets)
+"""
+CPU_LIMIT = 60
+"""Processor time after which the filler is stopped [s]; the load of the machine has no say."""
 
 
 def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = None) -> Solid:
@@ -146,13 +166,47 @@ def _best(surface: Surface, volume: float, resolution: float,
 def _tetwild(surface: Surface, volume: float, resolution: float,
              path: Path) -> tuple[np.ndarray, np.ndarray, Account, list[str]]:
     envelope = _ENVELOPE * resolution / float(np.linalg.norm(surface.extents))
-    vertices, tets = tetwild.run(surface, resolution, envelope, path)
+    vertices, tets = ftetwild(surface, resolution, envelope, path)
     volumes = tet_volumes(vertices, tets)
     tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
     vertices, tets, notes = _one_body(vertices, tets[np.abs(volumes) > 1e-9 * resolution**3], resolution, path)
     notes.append("Filled by fTetWild, because parts are thinner than a lattice of this resolution holds; its mesh "
                  "differs from run to run, and the first one is kept.")
     return vertices, tets, account(surface, volume, vertices, tets), notes
+
+
+def ftetwild(surface: Surface, resolution: float, envelope: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) [m] and tetrahedra (m, 4), of either orientation, inside a surface, by fTetWild (Hu et al. 2020)
+    through pytetwild, which takes a surface that crosses itself, and walls of any thickness.
+
+    Its mesh differs from run to run, even with one thread: it is asked for where a regular lattice does not do, and
+    what it made is kept.
+
+    Args:
+        surface: what is filled.
+        resolution: edge length [m].
+        envelope: how far the surface may move, over its diagonal [-].
+        path: of the mesh file, for messages.
+
+    Raises:
+        MissingPackage: pytetwild is not installed.
+        MeshError: the filler failed, or took more processor time than `CPU_LIMIT`.
+    """
+    require("sim", "pytetwild")
+    print(f"{path.name}: fTetWild fills it, in at most {CPU_LIMIT} s of processor time", file=sys.stderr)
+    with tempfile.TemporaryDirectory(prefix="vsfsim-fill-") as folder:
+        given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
+        np.savez(given, vertices=np.asarray(surface.vertices, np.float64), faces=np.asarray(surface.faces, np.int32),
+                 resolution=resolution, envelope=envelope, seconds=CPU_LIMIT)
+        filler = subprocess.run([sys.executable, "-c", _FILLER, str(given), str(made)], cwd=folder, text=True,
+                                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, errors="replace")
+        if filler.returncode != 0 or not made.exists():
+            said = filler.stdout.strip().splitlines() or [f"it was stopped with status {filler.returncode}, as it is "
+                                                          f"after {CPU_LIMIT} s of processor time"]
+            raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: {said[-1]}. "
+                            "Use a coarser resolution, or repair the mesh by hand (e.g. in MeshLab).")
+        with np.load(made, allow_pickle=False) as data:
+            return data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
 
 
 def _misses(found: Account) -> float:
