@@ -77,92 +77,67 @@ class Table:
         table: the parsed TOML.
         where: file and section, for the messages.
         allowed: its keys.
-        error: class of what is raised.
 
     Raises:
-        VsfsimError: not a table, or an unknown key; every reader below, on a value that is missing or not allowed.
+        SceneError: not a table, or an unknown key; every reader below, on a value that is missing or not allowed.
     """
 
-    def __init__(self, table: Any, where: str, allowed: tuple[str, ...], *, error: type[VsfsimError] = SceneError):
+    def __init__(self, table: Any, where: str, allowed: tuple[str, ...]):
         if not isinstance(table, Mapping):
-            raise error(f"{where} is {table!r}; it must be a table.")
+            raise SceneError(f"{where} is {table!r}; it must be a table.")
         for key in table:
             if key not in allowed:
-                raise error(unknown_key(where, key, allowed))
-        self.table, self.where, self.error = table, where, error
-
-    def need(self, key: str) -> Any:
-        """The value of a key that must be there."""
-        if key not in self.table:
-            raise self.error(f"{self.where}: '{key}' is missing.")
-        return self.table[key]
-
-    def section(self, key: str, allowed: tuple[str, ...]) -> Table:
-        """The table below ``key``, which must be there."""
-        return Table(self.need(key), f"{self.where} [{key}]", allowed, error=self.error)
-
-    def text(self, key: str, default: str | None = None) -> str:
-        """A text."""
-        value = self._value(key, default)
-        if not isinstance(value, str):
-            raise self.error(f"{self.where}: {key} is {value!r}; it must be text.")
-        return value
+                raise SceneError(unknown_key(where, key, allowed))
+        self.table, self.where = table, where
 
     def flag(self, key: str, default: bool | None = None) -> bool:
         """True or false."""
         value = self._value(key, default)
         if not isinstance(value, bool):
-            raise self.error(f"{self.where}: {key} is {value!r}; it must be true or false.")
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be true or false.")
         return value
 
     def number(self, key: str, default: float | None, low: float, high: float, unit: str = "") -> float:
         """A number from ``low`` to ``high``."""
         value = self._value(key, default)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-            raise self.error(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to "
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to "
                              f"{high:g}{' ' + unit if unit else ''}.")
         return float(value)
 
-    def count(self, key: str, default: int | None, low: int, high: int | None = None) -> int:
-        """A whole number from ``low`` to ``high``, or of at least ``low``."""
-        return whole(self.where, key, self._value(key, default), low, high, error=self.error)
+    def count(self, key: str, default: int | None, low: int, high: int) -> int:
+        """A whole number from ``low`` to ``high``."""
+        return whole(self.where, key, self._value(key, default), low, high)
 
     def vector(self, key: str, default: tuple[float, ...] | None, size: int = 3) -> Any:
         """``size`` finite numbers, a tuple of that length."""
         return numbers(self.where, key, self.table.get(key, default), size)
 
-    def counts(self, key: str) -> tuple[int, ...]:
-        """A list of whole numbers of at least 0, or none."""
-        value = self.table.get(key, [])
-        if not isinstance(value, list):
-            raise self.error(f"{self.where}: {key} is {value!r}; it must be a list of whole numbers.")
-        return tuple(whole(self.where, f"{key}[{k}]", v, 0, error=self.error) for k, v in enumerate(value))
-
     def word(self, key: str, default: str, allowed: tuple[str, ...]) -> str:
         """One of ``allowed``."""
         value = self.table.get(key, default)
         if value not in allowed:
-            raise self.error(f"{self.where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
+            raise SceneError(f"{self.where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
         return value
 
     def rows(self, key: str) -> list[Any]:
         """A list, or none; e.g. of the tables that ``[[key]]`` gives."""
         value = self.table.get(key, [])
         if not isinstance(value, list):
-            raise self.error(f"{self.where}: {key} is {value!r}; it must be a list of tables: write "
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a list of tables: write "
                              f"[[{key}]] for each.")
         return value
 
     def _value(self, key: str, default: Any) -> Any:
-        return self.need(key) if default is None else self.table.get(key, default)
+        if default is None and key not in self.table:
+            raise SceneError(f"{self.where}: '{key}' is missing.")
+        return self.table.get(key, default)
 
 
-def whole(where: str, key: str, value: Any, low: int, high: int | None = None, *,
-          error: type[VsfsimError] = SceneError) -> int:
-    """``value`` if it is a whole number from ``low`` to ``high``, or of at least ``low``."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
-        span = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise error(f"{where}: {key} is {value!r}; it must be a whole number {span}.")
+def whole(where: str, key: str, value: Any, low: int, high: int) -> int:
+    """``value`` if it is a whole number from ``low`` to ``high``."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise SceneError(f"{where}: {key} is {value!r}; it must be a whole number from {low} to {high}.")
     return value
 
 
