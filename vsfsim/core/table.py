@@ -4,7 +4,7 @@ What a key may hold can stand beside the field of the dataclass that it becomes:
 
     @dataclass(frozen=True)
     class Arm:
-        model: str = word("gen3", "menagerie")
+        tool: str = word("flange", "punyo")
         yaw: float = number(0.0, -6.3, 6.3, "rad")
 
     read(Arm, {"yaw": 1.0}, "scene.toml [arm]")
