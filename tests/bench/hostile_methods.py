@@ -13,8 +13,6 @@ import time
 import numpy as np
 from toy_methods import Constant
 
-from vsfsim.bench.method import Estimate
-
 
 class Hostile(Constant):
     def __init__(self, *, report="", value=1.5):
@@ -176,11 +174,6 @@ class AnswersText(Hostile):
         return [np.full((len(t.time), t.size), "1.5") for t in touches]
 
 
-class AnswersComplex(Hostile):
-    def predict(self, touches):
-        return [np.full((len(t.time), t.size), 1.5 + 0j) for t in touches]
-
-
 class AnswersHuge(Hostile):
     def predict(self, touches):
         return [np.full((len(t.time), t.size), 1e308) for t in touches]
@@ -189,11 +182,6 @@ class AnswersHuge(Hostile):
 class StiffnessIsAList(Hostile):
     def stiffness(self, points):
         return [1.0] * len(points)
-
-
-class StiffnessIsText(Hostile):
-    def stiffness(self, points):
-        return Estimate(["soft"] * len(points), ["sure"] * len(points))
 
 
 class NotPlain(Hostile):

@@ -150,10 +150,3 @@ def test_what_cannot_be_scored_is_refused(task, toy_dataset, name, message):
 def test_unknown_parameters_are_refused(task, toy_dataset):
     with pytest.raises(MethodError, match=r"Constant has no parameter 'valeu'. Did you mean 'value'\?"):
         evaluate("toy_methods:Constant", task, toy_dataset, parameters={"valeu": 1})
-
-
-def test_inputs_are_read_only(task, toy_views):
-    reading = record(toy_views[1], task).readings[0]
-    for array in (reading.value, reading.valid, reading.action.poses, reading.action.time, reading.action.axis):
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0

@@ -87,21 +87,14 @@ def test_prints_go_to_a_log_beside_the_result_which_is_no_file_of_the_users(task
     ("Dies", {}, Isolation(), r"the method's process ended in predict for .*\(exit code 0\)"),
     ("Crashes", {}, Isolation(), r"the method's process ended in predict for .*\(Segmentation fault\)"),
     ("AnswersText", {}, Isolation(), r"prediction for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
-    ("AnswersComplex", {}, Isolation(), "is no array of real numbers: its dtype is complex128"),
     ("AnswersHuge", {}, Isolation(), r"is 1e\+308 in frame 0; no reading is over 1e\+12"),
     ("StiffnessIsAList", {}, Isolation(), "must return an Estimate with a mean and a std; it returned list"),
-    ("StiffnessIsText", {}, Isolation(), "has a mean that is not an array of real numbers"),
     ("Forges", {}, Isolation(timeout=60.0), "the method's process gave no answer in predict for"),
 ])
 def test_a_method_that_breaks_is_a_mistake_in_the_input(task, toy_dataset, name, parameters, isolation, message):
     with pytest.raises(MethodError, match=message):
         evaluate(f"hostile_methods:{name}", task, toy_dataset, seeds=1, parameters=parameters, isolation=isolation,
                  check=False)
-
-
-def test_memory_within_the_limit_is_allocated(task, toy_dataset):
-    evaluate("hostile_methods:Allocates", task, toy_dataset, seeds=1, parameters={"gib": 0.2},
-             isolation=Isolation(memory=2.0), check=False)
 
 
 def test_the_contract_is_tested_first(task, toy_dataset):
@@ -132,8 +125,7 @@ def test_what_can_neither_be_pickled_nor_saved_is_refused(attack):
 
 
 @pytest.mark.parametrize(("given", "training", "trial"), [
-    ({}, "0", "0"), ({"device": "cpu"}, "", ""), ({"device": "cuda:0"}, "0", "0"),
-    ({"device": "cuda:0", "host": True}, "0", "")])
+    ({}, "0", "0"), ({"device": "cpu"}, "", ""), ({"device": "cuda:0", "host": True}, "0", "")])
 def test_a_method_sees_no_gpu_where_it_is_to_use_none(attack, monkeypatch, given, training, trial):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
     _, found = attack("Device", brief=True, **given)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vsfsim.bench.mock import SPACING, mock_view
 from vsfsim.bench.observations import OBSERVATIONS, observation
 from vsfsim.bench.protocol import record
 from vsfsim.core.errors import TaskError
@@ -36,9 +35,3 @@ def test_rows_times_the_true_stiffness_are_the_readings(task, toy_views):
     for reading, clean in zip(recording.readings, recording.clean, strict=True):
         rows = row.predictor()(view.truth.vsf_points, reading.action, friction=0.0, device="cpu")
         np.testing.assert_allclose((rows @ view.truth.vsf_stiffness).reshape(clean.shape), clean, atol=1e-9)
-
-
-def test_the_mock_object_has_the_modulus_of_its_springs():
-    """A spring on a grid stands for E times the spacing."""
-    truth = mock_view(0).truth
-    np.testing.assert_allclose(truth.young_modulus * SPACING, truth.vsf_stiffness, rtol=1e-12)

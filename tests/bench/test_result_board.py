@@ -10,8 +10,7 @@ from vsfsim.bench.board.named import CLAIMED
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import Answer, metrics_of, scores_of
 from vsfsim.bench.predictions import questions, score_predictions
-from vsfsim.bench.result import Result, readings_apart
-from vsfsim.bench.result_file import READING_COLUMNS
+from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError, TaskError
 
 
@@ -73,29 +72,6 @@ def test_the_same_dataset_from_a_machine_that_rounds_otherwise_is_ranked(results
     assert "new ~" in text and "~ on the same dataset, made on a machine that rounds otherwise" in text
 
 
-def test_how_far_readings_are_apart():
-    one = {"object": ["x", "x"], "touch": [0, 3], "n": [2, 2], "ss": [9.0, 16.0]}
-    assert readings_apart({**one, "ss": [9.0, 25.0]}, one) == pytest.approx(1.0 / 5.0)
-    assert readings_apart(one, one) == 0.0
-    swapped = {"object": ["x", "x"], "touch": [3, 0], "n": [2, 2], "ss": [16.0, 9.0]}
-    assert readings_apart(swapped, one) == 0.0, "by touch, not by row"
-    for a, b in (({**one, "touch": [0, 4]}, one), ({}, one), (one, {})):
-        assert readings_apart(a, b) is None
-
-
-def test_readings_are_the_true_ones_of_the_query_touches(results):
-    for result in results:
-        rows = zip(*(result.queries[c] for c in ("object", "touch", "shot", "seed", "n")))
-        asked = {(name, touch): n for name, touch, shot, seed, n in rows if (shot, seed) == ("0", 0)}
-        kept = result.readings
-        assert dict(zip(zip(kept["object"], kept["touch"]), kept["n"])) == asked and kept == results[0].readings
-    # of the method that says 1 everywhere, sum (1 - v)^2 lies between (|v| -+ sqrt n)^2
-    sse = dict(zip(zip(*(results[1].queries[c] for c in ("object", "touch"))), results[1].queries["sse"]))
-    for name, touch, n, ss in zip(*(kept[c] for c in READING_COLUMNS)):
-        low, high = (ss**0.5 - n**0.5) ** 2, (ss**0.5 + n**0.5) ** 2
-        assert low / (1 + 1e-12) <= sse[name, touch] <= high * (1 + 1e-12)
-
-
 def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
     for name, a in zip("ab", (1, 2)):
         dataclasses.replace(results[0], method="twin", parameters={"a": a, "b": 0.5}).save(tmp_path / f"{name}.json")
@@ -120,12 +96,6 @@ def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task,
         "source", "silent", "settings", "stranger", "package", "ceiling"}
     assert [row.path.stem for row in board.rows if row.rank] == ["same"]
     assert leaderboard.text(board).count("(claimed, tuned)") == 5
-
-
-def test_equal_results_are_one_row(results, task, tmp_path):
-    results[0].save(tmp_path / "here.json")
-    dataclasses.replace(results[0], timing={**results[0].timing, "adapt_s": 9.0}).save(tmp_path / "there.json")
-    assert len(leaderboard.collect(task, [tmp_path]).rows) == 1
 
 
 def test_results_of_another_task_are_refused(results, task, tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.board.site import _called, _index, write_site
+from vsfsim.bench.board.site import write_site
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import load_task, parse_task
@@ -91,25 +91,6 @@ def test_names_of_strangers_are_text(site):
         assert path.read_text().count("<script") == 1 and "\u202e" not in path.read_text()
     pages = " ".join(path.read_text() for path in site[1])
     assert "&lt;script&gt;" in pages
-
-
-def test_an_object_has_its_map_beside_the_truth(site):
-    text = next(p for p in site[1] if "mock-0001" in p.name).read_text()
-    assert text.count("<svg") == 1 + 1 and "linear-gradient(to right, #440154" in text  # the truth, the ranked method
-    assert "truth (x right, y up)" in text and "Its picture is in the dataset" in text
-    fills = re.findall(r'stroke="(#\w{6})"', text.partition("truth (x right")[0])
-    assert len(set(fills)) > 3, "the soft and the stiff half differ"
-
-
-def test_a_superseded_task_has_its_own_table_and_an_object_the_model_that_its_scene_names(site):
-    board = site[0]
-    old = dataclasses.replace(board, task=dataclasses.replace(board.task, name="old-v1", superseded_by="toy-v1"))
-    index = Page(_index([old, board]))
-    assert index.tags.count("table") == 2 and " ".join(index.words).count("superseded by") == 1
-    assert " ".join(Page(_index([board])).words).count("superseded by") == 0
-    assert _called(load_task("fewshot-shoes-v2-mini-v3"), "shoes-v2-mini-0003") == (
-        "shoes-v2-mini-0003, felt-slipper")
-    assert _called(board.task, "mock-0003") == "mock-0003"
 
 
 def test_a_task_of_masks_is_compared_by_its_own_metric_and_not_by_the_error_of_readings(tmp_path, monkeypatch):
