@@ -48,10 +48,9 @@ def test_look_at_puts_the_target_in_the_middle_and_up_up():
     assert 2 * math.atan(0.5 * SPEC.height / intrinsics[1, 1]) == pytest.approx(SPEC.fov)
 
 
-@pytest.mark.parametrize("offset", [(0, 0, 0), (40.0, -25.0, 3.0)])
-def test_depth_of_a_tilted_plane_is_exact(offset):
-    # Off the origin, too: 40 m is 3 um in float32, and the depth is still that of the plane.
-    offset = np.array(offset, float)
+def test_depth_of_a_tilted_plane_is_exact():
+    # Off the origin: 40 m is 3 um in float32, and the depth is still that of the plane.
+    offset = np.array([40.0, -25.0, 3.0])
     corners = np.array([[-1, -1, -0.1], [1, -1, 0.1], [1, 1, 0.15], [-1, 1, -0.05]]) * [0.2, 0.2, 1] + offset
     surface = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int), None, corners)
     intrinsics, pose = look_at(SPEC, offset)
@@ -62,27 +61,6 @@ def test_depth_of_a_tilted_plane_is_exact(offset):
     assert view.mask.sum() > 3000
     # Depth is stored as float32: 6e-8 of 0.6 m.
     assert np.abs(view.depth - exact)[view.mask].max() < 1e-7
-
-
-def test_depth_error_on_a_sphere_is_that_of_its_tessellation():
-    radius = 0.1
-    surface = surface_of(trimesh.creation.icosphere(subdivisions=5, radius=radius))
-    intrinsics, pose = look_at(SPEC, np.zeros(3))
-    view = render(surface, intrinsics, pose, 160, 120)
-    direction = rays(intrinsics, pose, 160, 120)
-    a, b, c = (direction**2).sum(-1), direction @ pose[:3, 3], pose[:3, 3] @ pose[:3, 3] - radius**2
-    disc = b**2 - a * c
-    exact = (-b - np.sqrt(np.maximum(disc, 0))) / a
-    # Away from the silhouette a chord of edge h lies at most h^2 / 8R / cos(60 deg) behind the sphere.
-    edge = 0.005
-    inner = disc / (b**2) > 1e-2
-    hit = pose[:3, 3] + exact[..., None] * direction
-    facing = np.abs(np.einsum("ijk,ijk->ij", hit, direction) / radius / np.sqrt(a)) > 0.5
-    inner &= facing & (disc > 0)
-    assert inner.sum() > 500 and view.mask[inner].all()
-    error = view.depth[inner] - exact[inner]
-    assert error.min() > -1e-7 and error.max() < edge**2 / 8 / radius / 0.5
-    assert not view.mask[disc < 0].any()
 
 
 def test_a_picture_is_bit_identical_when_taken_again():

@@ -1,12 +1,7 @@
 """Late images of a moving bubble: what they do to the estimated forces, and their alignment."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 from vsfsim.bench.noise import NOISE_KINDS, Noise, noisy_nodes
 from vsfsim.sensing.bubble_touch import aligned_nodes

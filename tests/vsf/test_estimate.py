@@ -30,8 +30,8 @@ def cost(k, a, b, var):
     return np.sum((a @ (k / np.sqrt(var)) - b) ** 2)
 
 
-@pytest.mark.parametrize("m, n", [(1, 1), (5, 30), (30, 5), (20, 20), (40, 60), (60, 40), (1, 20), (20, 1)])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("m, n", [(1, 1), (5, 30), (20, 20), (60, 40), (1, 20)])
+@pytest.mark.parametrize("seed", range(2))
 def test_equals_brute_force(m, n, seed):
     rng = np.random.default_rng(1000 * seed + 10 * m + n)
     w = rng.uniform(0, 0.01, (m, n)) * (rng.uniform(size=(m, n)) < 0.4)
@@ -46,8 +46,8 @@ def test_equals_brute_force(m, n, seed):
     assert (result.mean >= 0).all()
 
 
-@pytest.mark.parametrize("var", [1e-6, 1e-2, 1e4, 1e8, 1e12])
-@pytest.mark.parametrize("noise", [1e-4, 0.1, 10.0])
+@pytest.mark.parametrize("var", [1e-6, 1e4, 1e12])
+@pytest.mark.parametrize("noise", [1e-4, 10.0])
 @pytest.mark.parametrize("m, n", [(8, 25), (25, 8)])
 def test_every_balance_of_prior_and_noise(var, noise, m, n):
     rng = np.random.default_rng(m)
