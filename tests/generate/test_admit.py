@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.streams import Stream
 from vsfsim.generate.job import jobs_of
@@ -68,9 +68,3 @@ def test_pilot_touches_tell_a_stiff_plant_from_a_soft_one_and_a_far_one(job, mon
     assert "below reject_below = 0.05 N m" in admit.refusal(soft, with_limit(scene, 0.05), arm, 1, seed)
     far = dataclasses.replace(plant, nodes=plant.nodes + [3.0, 0.0, 0.0])
     assert "none of 6 targets can be reached" in admit.refusal(far, with_limit(scene, 0.05), arm, 1, seed)
-
-
-def test_the_scenes_of_artificial_plants_are_the_issues():
-    mini, full = (load_scene(find_scene(name)).sample(0) for name in ("plants-v4-mini", "plants-v4"))
-    assert mini.dataset.objects >= 12 and full.dataset.objects >= 24 and full.dataset.views == 4
-    assert 50 <= full.touches.count <= 70 and full.touches.depth == 0.10 and full.arm.sweep == 0.0

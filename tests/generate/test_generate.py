@@ -1,7 +1,5 @@
-"""From a scene to a dataset: whole, the same bits for any number of workers and after any number of kills; and the
-press."""
+"""From a scene to a dataset: whole, the same bits for any number of workers and after any number of kills."""
 
-import json
 import os
 import signal
 import subprocess
@@ -15,11 +13,9 @@ from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import load_scene
-from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.streams import Stream, stream
 from vsfsim.data.verify import verify
-from vsfsim.generate.effector import find_effector
 from vsfsim.generate.recipe import splits_for
 from vsfsim.generate.run import generate
 
@@ -42,11 +38,6 @@ count = 2
 depth = 0.004
 approach = 0.005
 frames = { free = 1, in = 2, hold = 0, out = 1 }
-[press]
-from = [0.01, -0.02, 0.045]
-to = [0.01, -0.02, 0.037]
-frames = 4
-retract = 2
 """ + CAMERA + TWO_OBJECTS
 
 
@@ -193,36 +184,6 @@ def test_splits_keep_their_proportions(scene):
     assert splits_for(concrete, 10) == {"train": 5, "test": 5}
     assert sum(splits_for(concrete, 7).values()) == 7
 
-
-# ------------------------------------------------------------------------------------------ the press
-
-KEYS = {"depth", "force", "reaction", "converged", "residual", "iterations", "seconds", "tets", "nodes",
-        "tier", "device", "precision"}
-
-
-def check_press(table):
-    assert table.keys() >= KEYS  # design.md, section 4
-    assert len(table["depth"]) == 6 and np.shape(table["force"]) == np.shape(table["reaction"]) == (6, 3)
-    # the probe starts 5 mm above the top of the block and ends 3 mm inside; a node of the top lies under its tip
-    assert table["depth"] == pytest.approx([0.0, 0.0, 0.001, 0.003, 0.0, 0.0], abs=2e-6)
-    force = np.array(table["force"])
-    # 8 mm in four frames of 2 mm: the first two clear the block, the third is 1 mm inside
-    assert not force[:2].any() and force[3, 2] > force[2, 2] > 0.0 and not force[4:].any()
-    assert all(table["converged"])
-    assert (table["tier"], table["device"], table["precision"]) == ("fem-coarse", "cpu", "float64")
-    assert table["tets"] > 0 and table["nodes"] > table["tets"] and min(table["seconds"]) > 0.0
-    assert np.abs(force - table["reaction"]).max() <= 1e-3 * force.max()
-
-
-def test_press_prints_one_json_object(scene, tmp_path):
-    out = subprocess.run(command("press", scene.path, "--json", "-"), capture_output=True, text=True, cwd=tmp_path,
-                         env={**os.environ, "OMP_NUM_THREADS": "1"})
-    assert out.returncode == 0, out.stderr
-    table = json.loads(out.stdout)
-    check_press(table)
-    here = find_effector("probe").press(scene, Request()).table()
-    assert table["force"] == here["force"], "the same seed gives the same bits in another process"
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
-from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import find_scene, find_task
 from vsfsim.data.hdf5 import read_view, write_view
@@ -180,22 +179,6 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
     bare = dataclasses.replace(view, touches=tuple(dataclasses.replace(t, torque=None) for t in view.touches))
     with pytest.raises(Exception, match="no joint torques"):
         record(bare, task)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("old", "new", "word"), [
-    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"',
-                                                       "at_limit"), ('family = "plant"', 'family = "shoe"',
-                                                                     "solid bodies"),
-                                                  ('model = "gen3"', 'model = "ur5"', "model"),
-])
-def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
-    text = find_scene("plants-mini").read_text()
-    with pytest.raises(SceneError, match=word):
-        scene = parse_scene(text.replace(old, new).replace("species", "style" if "shoe" in new else "species"),
-                            "x.toml")
-        recipe = make_recipe(scene, objects=1, views=1, touches=1)
-        prepare_job(jobs_of(recipe, scene.path, scene.path.parent, None)[0], device="cpu")
 
 
 @pytest.mark.slow

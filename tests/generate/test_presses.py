@@ -8,7 +8,7 @@ import pytest
 from small_scenes import CAMERA, SPRUNG
 
 from vsfsim.baselines.near_springs import NearSprings
-from vsfsim.bench import predictions, sealed
+from vsfsim.bench import predictions
 from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.inspect_result import by_kind
 from vsfsim.bench.protocol import divide, record, specimen
@@ -143,13 +143,6 @@ def test_errors_are_told_by_what_presses(made, task, tmp_path, monkeypatch):
     found = by_kind(predictions.score_predictions(tmp_path / "zero.npz", task, made, name="zero"), task)
     assert found == {'{"cylinder": [0.008, 0.02]}': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0)),
                      '{"sphere": 0.01} from the side': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0))}
-
-
-def test_a_sealed_set_tells_what_presses(made, task, tmp_path):
-    sealed.seal(task, made, tmp_path / "public", tmp_path / "private.json")
-    mine, theirs = list(sealed.questions(tmp_path / "public", task)), list(predictions.questions(task, made))
-    assert [[a.probe for a in q.actions] for q in mine] == [[a.probe for a in q.actions] for q in theirs]
-    assert {a.probe for q in mine for a in q.actions} == {PUNCH, Sphere(0.01)}
 
 
 def test_a_file_holds_the_shapes_and_refuses_a_press_without_one(made, tmp_path):

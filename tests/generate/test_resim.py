@@ -107,13 +107,12 @@ def test_scores_are_a_share_of_the_possible(board, tmp_path):
     assert [row.mark for row in read_rows(tmp_path / "sprung-v1.json")] == ["", leaderboard.CEILING]
 
 
-@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_the_command_finds_the_data_by_the_environment(processes, made, tmp_path, monkeypatch, vsfsim):
+def test_the_command_finds_the_data_by_the_environment(made, tmp_path, monkeypatch, vsfsim):
     (tmp_path / "sprung-v1.toml").write_text(TASK)
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "sprung").symlink_to(made.path)
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
-    said = vsfsim("evaluate", "--method", "resim", "--task", "sprung-v1.toml", "--processes", processes, cwd=tmp_path)
+    said = vsfsim("evaluate", "--method", "resim", "--task", "sprung-v1.toml", cwd=tmp_path)
     assert said.returncode == 0, said.stderr
     assert "rmse_ratio       0.000" in said.stdout and "\npredict " in said.stdout and "meta-fit" not in said.stdout
 

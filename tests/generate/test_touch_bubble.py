@@ -249,21 +249,12 @@ def test_what_cannot_be_touched_is_refused_before_anything_is_made(old, new, mor
         recipe(text, **more)
 
 
-def test_a_tier_is_chosen_that_bends(made):
-    assert Dataset.open(made).recipe.tier == "fem-coarse"
-    assert recipe(SCENE.replace('["bulging"]', '["contact"]')).tier == "fem-coarse"
-    assert recipe(SCENE, tier="fem").tier == "fem"
-
-
 @pytest.mark.parametrize(("old", "new", "message"), [
-    ("camera = [16, 12]", "camera = [16]", r"\[sensor\]: camera is \[16\]; it must be true"),
     ("camera = [16, 12]", "camera = [4, 12]", "from 8 to 4096 pixels"),
-    ("camera = [16, 12]", "camera = 1", "camera is 1; it must be true"),
     ("fine = true", "fine = 1", r"\[sensor\]: fine is 1; it must be true"),
     ("nodes = 100", "nodes = 100\ncontact_edge = 1e-6", r"\[sensor\]: contact_edge is 1e-06"),
     ("approach = 0.005", "approach = 0.005\ntilt = 1.3", r"\[touches\]: tilt is 1.3"),
     ("approach = 0.005", "approach = 0.005\napproach_range = [0.01, 0.02]", "approach gives one value for all touches"),
-    ("approach = 0.005", "approach_range = [0.02, 0.01]", r"approach_range is \[0.02, 0.01\]; it must satisfy"),
     ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
     ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]",
      r"this scene has \[\[obstacles\]\]"),

@@ -11,18 +11,13 @@ from small_scenes import BLOCK
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.effectors.probe import EFFECTOR
-from vsfsim.generate.job import jobs_of
-from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.solid import prepare
 from vsfsim.generate.trade import command, front
 from vsfsim.generate.trade.buy import choose, too_much
 from vsfsim.generate.trade.curve import Curve, distance
 from vsfsim.generate.trade.front import Point, sentence, with_front
-from vsfsim.generate.trade.near import contact_edge, near
 from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.setting import Ground, Setting
-from vsfsim.generate.trade.touches import Run, limits, spread
+from vsfsim.generate.trade.touches import Run, spread
 from vsfsim.physics.convergence import curve_limit
 
 EDGE = (0.013, 0.010, 0.0077)
@@ -75,14 +70,6 @@ def test_a_touch_whose_limit_scatters_counts_for_a_pilot_and_one_without_a_limit
     chosen, best = choose([(SETTING, stuck)], 0.5)
     assert chosen is None and "fem, 20 mm, has no equilibrium at full depth in a touch" in too_much(best)
     assert "is off by 9.9 % on its worst touch, the error of its limit included. Ask for 14 %" in too_much(found)
-
-
-def test_a_touch_that_met_nothing_says_so():
-    good = np.ones(2, bool)
-    runs = [Run((Curve(np.array([0.5, 1.0]), {"force": np.zeros(2)}, good, ~good),), 0.0, 1.0, 1.0, 1.0, 2, (h,))
-            for h in EDGE]
-    own, _ = limits(runs)
-    assert own["force"].why == "it met nothing" and not own["force"].known
 
 
 def test_touches_cover_depths_and_places():
@@ -190,13 +177,6 @@ def test_a_small_block(tmp_path):
     assert json.dumps(found.table()) and (tmp_path / "out" / "tradeoff.html").is_file()
 
 
-def test_a_bubble_has_its_nodes_varied_and_finer_in_the_limit():
-    bubble = Ground("fem-coarse", 0.02, 1, 390, ("fem-coarse",))
-    assert [s.nodes for s in bubble.sweep() if s.nodes] == [195, 780]
-    assert [s.frames for s in bubble.sweep() if s.frames] == [2]
-    assert [s.nodes for s in bubble.ladder()] == [390, 659, 1114] and bubble.ladder()[2].key.startswith("fem, 11.8 mm")
-
-
 def test_the_table_has_every_other_reading_in_its_unit():
     point = dataclasses.replace(POINTS[0], channels={"force": {"rms": 0.03}, "direction": {"rms": 0.1},
                                                      "pressure": {"rms": 0.02}})
@@ -204,19 +184,3 @@ def test_the_table_has_every_other_reading_in_its_unit():
     assert head[-2:] == ["direction deg", "pressure %"]
     assert [float(cell) for cell in row[-2:]] == pytest.approx([math.degrees(0.1), 2.0], rel=0.05)
     assert len(row) == len(head)
-
-
-def test_elements_are_small_over_the_whole_disc_of_a_contact(tmp_path):
-    more = "[touches]\ncount = 1\ndepth = 0.004\napproach = 0.004\n[camera]\nwidth = 32\nheight = 24\ndistance = 0.25\n"
-    subject = prepare(jobs_of(make_recipe(parse_scene('name = "tiny"' + BLOCK + more, tmp_path / "tiny.toml")),
-                              tmp_path / "tiny.toml", tmp_path, None)[0], device="cpu")
-    (aim,) = EFFECTOR.aim(subject, device="cpu")
-    reach = EFFECTOR.manner(subject.scene).reach
-    radius, size = contact_edge(aim, reach, 0)
-    mesh = near(subject, aim, reach, {"resolution": 0.02, "contact": 0}).model.mesh
-    corners = mesh.points[mesh.tets[:, :4]]
-    away = np.linalg.norm(corners - aim.target, axis=2).max(axis=1)
-    longest = np.linalg.norm(corners[:, :, None] - corners[:, None], axis=3).max(axis=(1, 2))
-    inside = away < radius
-    assert size == pytest.approx(0.5 * radius) and inside.sum() > 50
-    assert longest[inside].max() < 2.2 * size and longest.max() > 2.5 * size

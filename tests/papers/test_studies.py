@@ -120,20 +120,6 @@ def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer,
     assert {HOLDS: "at fault: data", FAILS: "not at fault: data", UNTOLD: "nothing is stored"}[answer] in said
 
 
-def test_an_experiment_of_another_size_counts_where_there_is_none_of_the_size_asked(study, monkeypatch):
-    both = found(study, all=LEVEL, half=[v + 0.1 for v in LEVEL])
-    asked = dataclasses.replace(study, claims=(), experiments=study.claims,
-                                tasks={"standard": "fewshot-shoes-v2-v3", **study.tasks})
-    monkeypatch.setattr(verdicts, "load_study", lambda name: asked)
-    for size in ("standard", "mini"):
-        monkeypatch.setattr(verdicts, "stored", lambda study, at, *_, size=size: both if at == size else {})
-        _, (experiment,) = verdicts.verdicts("standard", ["toy"])
-        assert experiment.answer == HOLDS and experiment.difference.mean == pytest.approx(-0.1)
-    monkeypatch.setattr(verdicts, "stored", lambda *_: {})
-    _, (experiment,) = verdicts.verdicts("standard", ["toy"])
-    assert experiment.difference is None
-
-
 def test_the_same_evaluation_has_one_file_in_all_studies(study):
     half, every = study.variant("half"), study.variant("all")
     other = parse_study(TEXT.replace("A toy", "Another"), Path("other.toml"))
@@ -157,15 +143,11 @@ def test_folds_of_a_task_without_cross_validation_need_trainings_and_draws():
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('baseline = "all"', 'baseline = "none"', "has no variant 'none'"),
     ("share_of_objects = 0.5", "share_of_objects = 2.0", "share_of_objects is 2.0"),
-    ("share_of_objects = 0.5", 'train = "mine"', "train is 'mine'"),
     ("share_of_objects = 0.5", 'world = "moon"', "world is 'moon'"),
     ('worse = ["half", "0"]', 'worse = "half"', "1: worse is 'half'; it must be a list, got text"),
     ("share_of_objects = 0.5", 'extra = [{ data = "more" }]', r"\[\[variant\]\] 2 extra 1: 'objects' is missing"),
     ("share_of_objects = 0.5", 'extra = [{ data = "more", objects = 1 }]', "variant 'half': data is 'more'"),
-    ("share_of_objects = 0.5", 'train_views = ["left"]', r"train_views is \['left'\]; it must be a whole number"),
-    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper is {'0': 'two'}; it must be a number"),
-    ('title = "A toy"', 'title = "A toy"\nshots = [0.5]', r"shots is \[0.5\]; it must be a whole number"),
-    ('title = "A toy"', 'titel = "A toy"', "titel")])
+    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper is {'0': 'two'}; it must be a number")])
 def test_a_wrong_file_is_refused(old, new, message):
     with pytest.raises(TaskError, match=message):
         parse_study(TEXT.replace(old, new), Path("toy.toml"))

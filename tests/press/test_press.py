@@ -23,8 +23,8 @@ from vsfsim.sensing.tessellate import tessellate
 BOX = '[object]\nshape = { box = [0.06, 0.05, 0.03] }\nyoung_modulus = 1e5\nresolution = 0.015\ntier = "linear"\n'
 
 
-@pytest.mark.parametrize("order", [0.7, 1.0, 2.0, 3.5])
-@pytest.mark.parametrize("sizes", [(8.0, 6.0, 4.5), (8.0, 6.5, 4.0), (9.0, 8.0, 6.0, 3.0)])
+@pytest.mark.parametrize("order", [0.7, 3.5])
+@pytest.mark.parametrize("sizes", [(8.0, 6.5, 4.0), (9.0, 8.0, 6.0, 3.0)])
 def test_a_made_up_sequence_gives_its_order_and_limit_back(order, sizes):
     h = 1e-3 * np.array(sizes)
     found = convergence(h, 9.7 + 40.0 * (h / 0.01) ** order, tolerance=1e-9)

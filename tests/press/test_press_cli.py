@@ -139,15 +139,6 @@ def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path
         assert data["contact_force"].sum(axis=1) == pytest.approx(-data["force"], abs=tolerance)
 
 
-def test_a_press_without_probe_and_path_is_refined(press):
-    """The first mesh fixes what is assumed; the others are pressed along the same path."""
-    scene = SCENE[:SCENE.index("[probe]")]
-    found = json.loads(press("--refine", "3", "--json", "-", tier="linear", size=0.015, text=scene).stdout)
-    assert len(found["refinement"]["edge"]) == 3
-    paths = {note for mesh in found["refinement"]["meshes"] for note in mesh["notes"] if "No [press]" in note}
-    assert len(paths) == 1 and len(found["depth"]) == 10
-
-
 def test_refinement_prints_the_meshes_and_says_what_they_are_worth(press):
     out = press("--refine", "3", "--json", "-", tier="linear", size=0.015)
     found = json.loads(out.stdout)["refinement"]

@@ -13,12 +13,6 @@ from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.rods.model import grow
 
 
-def test_the_shelf_is_complete() -> None:
-    assert {"plants", "plants-mini", "shoes-v2-mini", "indent", "indent-homogeneous", "rod-bend", "ball",
-            "punyo"} <= set(shelf.scenes())
-    assert {"plant", "shoe"} <= set(shelf.families())
-
-
 @pytest.mark.parametrize("name", shelf.scenes())
 def test_scene_builds(name: str) -> None:
     scene = load_scene(shelf.scenes()[name]).sample(0)
