@@ -9,14 +9,13 @@ import scipy.sparse as sp
 from element_body import FOAM, SIZE, Body, E, tet
 
 from vsfsim.core.solid import Solid
-from vsfsim.physics.elements import anchor, gas, hinge, triangle
+from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.foundation import foundation
 from vsfsim.physics.laws import hyperfoam
 from vsfsim.physics.linear.cholesky import Order
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed, ellipse
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model, tetrahedra
-from vsfsim.physics.solve.elasticity import Elasticity
 
 ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0),
             "hyperfoam": lambda mesh, modulus, _: tetrahedra(mesh, modulus, FOAM.poisson_ratio, law=hyperfoam.LAW,
@@ -232,20 +231,3 @@ def test_the_bits_are_the_same_again(body):
     x = np.random.default_rng(3).standard_normal((len(u), 3))
     first, again = ((*body(u[:, None]), body.tangent_times(u, x, projected=True)) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(first, again))
-
-
-def test_held_rows_of_a_product_are_zero(small, device):
-    model = small("all at once")
-    body = Body(model, device)
-    body.model = model
-    body.elements = Elasticity(model, device=device)
-    x = np.random.default_rng(3).standard_normal((len(model.free), 2))
-    product = body.tangent_times(np.zeros(len(model.free)), x, projected=False)
-    assert (product[model.free == 0.0] == 0.0).all() and (product[model.free == 1.0] != 0.0).any()
-    expected = (model.factor.stiffness @ x) * model.free[:, None]
-    assert np.abs(product - expected).max() < 1e-12 * np.abs(expected).max()
-
-
-def test_what_an_element_cannot_be_is_refused():
-    with pytest.raises(AssertionError):
-        anchor.block(np.array([0]), np.array([-1.0]))

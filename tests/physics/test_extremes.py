@@ -10,12 +10,10 @@ from scipy.optimize import brentq
 from vsfsim.core.quality import worst_angle
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.laws.law import lame
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
-from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 from vsfsim.robot.path import turn_to
@@ -64,8 +62,8 @@ def press(model, depths, device, *, linear=False, **limits):
 # ------------------------------------------------------------------------------------------ contrast, Poisson's ratio
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
-@pytest.mark.parametrize("contrast", [1e-4, 1.0, 1e8])
+@pytest.mark.parametrize("nu", [0.0, 0.49])
+@pytest.mark.parametrize("contrast", [1e-4, 1e8])
 def test_contrast_and_poissons_ratio(device, contrast, nu):
     """A fifth of the thickness: every one of these converges."""
     frames = press(body(inclusion(contrast), nu=nu), [0.1, 0.2], device)
@@ -81,9 +79,8 @@ def test_a_stiff_inclusion_becomes_a_rigid_one(device):
     assert force[3] > 1.02 * force[0], "it is there to be felt"
 
 
-@pytest.mark.parametrize("nu", [0.499, 0.4999])
-def test_nearly_incompressible(device, nu):
-    assert press(body(nu=nu), [0.05, 0.1], device).converged.all()
+def test_nearly_incompressible(device):
+    assert press(body(nu=0.4999), [0.05, 0.1], device).converged.all()
 
 
 @pytest.mark.slow
@@ -106,17 +103,10 @@ def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
     assert force[0] == pytest.approx(force[1], abs=within) and force[2] == pytest.approx(force[1], abs=within)
 
 
-def test_a_nearly_incompressible_body_is_not_led_astray(device):
-    """Straight steps change the volume at second order. On two kinds of processor these frames take 283 and 290
-    conjugate gradients; a GPU has no factors of the deformed tangent."""
-    frames = press(body(inclusion(1e8), nu=0.4999), [0.1, 0.2, 0.3], device)
-    assert frames.converged.all() and frames.cg_iterations.sum() < (370 if device == "cpu" else 1500)
-
-
 # ------------------------------------------------------------------------------------------ depth
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
+@pytest.mark.parametrize("nu", [0.0, 0.45])
 def test_four_tenths_of_the_thickness(device, nu):
     frames = press(body(nu=nu), np.linspace(0.1, 0.4, 4), device)
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
@@ -136,7 +126,7 @@ def test_eight_tenths_of_the_thickness(device, nu):
     assert (frames.min_det_f[good, 0] > 0.0).all()
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("nu", [0.0, 0.3])
 def test_a_plane_over_a_whole_face(device, nu):
     """A foam cube of 40 mm pressed flat to half its height, base held: ten frames in few iterations, and the force
     rises faster and faster."""
@@ -169,36 +159,6 @@ def density(axial, side, mu, lam):
     return 0.5 * mu * (axial**2 + 2.0 * side**2 - 3.0) - mu * np.log(j) + 0.5 * lam * (j - 1.0) ** 2
 
 
-def test_a_slender_column_buckles_in_few_iterations(block, line, device):
-    """Under a plane that is tilted by a fiftieth: on the way to the bent state the tangent has negative curvature. The
-    second frame takes 201 conjugate gradients, 184 on another kind of processor."""
-    model = block((0.02, 0.02, 0.09), 0.0101, poisson_ratio=0.3)
-    frames = Solver(model, Plane(), device=device, options=SolverOptions(tolerance=1e-4)).run(
-        line([[0.0, 0.0, 0.09 * (1.0 - d)] for d in (0.03, 0.06)], Plane(), axis=(0.02, 0.0, -1.0)))
-    assert frames.converged.all() and frames.cg_iterations[1, 0] < 450
-    assert frames.force[1, 0, 2] < 0.7 * frames.force[0, 0, 2]  # the bent column carries less
-    assert (np.abs(frames.force[:, 0, 1]) < 1e-3 * frames.force[:, 0, 2]).all()
-
-
-def test_weight_from_a_state_without_a_number_is_put_on_in_parts(block, line, device, monkeypatch):
-    """Not balanced, because nothing says so: a prediction whose measure was not finite passed for the equilibrium."""
-    model = block((0.04, 0.04, 0.02), 0.01, density=1000.0, gravity=(0.0, 0.0, -98.1))
-    put_on, evaluate, asked, found = touches.weight.apply, touches.Equilibrium.evaluate, iter((True,)), []
-
-    def lost_first(self, columns):
-        state = evaluate(self, columns)
-        return {**state, "measure": state["measure"] * float("nan")} if next(asked, False) else state
-
-    def watched(balance, pose):
-        put_on(balance, pose)
-        found.append(float(evaluate(balance, balance.every)["measure"][0]))
-
-    monkeypatch.setattr(touches.Equilibrium, "evaluate", lost_first)
-    monkeypatch.setattr(touches.weight, "apply", watched)
-    Solver(model, PROBE, device=device).run(line([[0.0, 0.0, 0.05]], PROBE))
-    assert found[0] <= SolverOptions().tolerance
-
-
 def test_a_crushed_element_is_marked(device):
     """Between walls a flat press to 93 % leaves 7 % of the volume: an equilibrium of the continued law, and no datum.
     Its numbers are kept apart."""
@@ -218,15 +178,6 @@ def test_a_crushed_element_is_marked(device):
         values = getattr(frames, name)
         assert np.isfinite(values[:3]).all() and np.isnan(values[3]).all(), name
     assert (frames.unbalanced_force[:3] == 0.0).all() and frames.unbalanced_force[3, 0, 2] > frames.force[2, 0, 2]
-
-
-@pytest.mark.parametrize("linear", [False, True])
-def test_one_step_over_the_whole_depth(device, linear):
-    """No frames in between: halving finds the way."""
-    whole = press(body(), [0.4], device, linear=linear)
-    slow = press(body(), [0.1, 0.2, 0.3, 0.4], device, linear=linear)
-    assert whole.converged.all() and slow.converged.all()
-    assert whole.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=1e-3)
 
 
 def test_a_hard_frame_ends_at_its_limit(device):
@@ -270,9 +221,9 @@ def test_slivers(device):
 # ------------------------------------------------------------------------------------------ weight
 
 
-@pytest.mark.parametrize("young_modulus", [3e4, 3e3, 3e2])
+@pytest.mark.parametrize("young_modulus", [3e4, 3e2])
 def test_heavy_sagging(device, young_modulus):
-    """rho g h / E = 0.01, 0.1, 1: every frame converges, and the base carries all the weight, pressed or not."""
+    """rho g h / E = 0.01 and 1: every frame converges, and the base carries all the weight, pressed or not."""
     model = body(lambda x: np.full(x.shape[:-1], young_modulus), nu=0.45, density=1000.0, gravity=(0.0, 0.0, -9.81))
     frames = press(model, [-0.5, 0.1], device)
     assert frames.converged.all()
@@ -291,17 +242,3 @@ def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
     assert frames.converged.all() and frames.iterations[2, 0] <= 35
     assert np.isclose(frames.force[2, 0, 2], 11.12, rtol=0.01)
     assert (np.diff(frames.force[:, 0, 2]) > 3.0).all()
-
-
-def test_a_frame_whose_patch_grows_too_often_is_marked(block, line, device, monkeypatch):
-    monkeypatch.setattr(touches, "_GROWTHS", 1)
-    monkeypatch.setattr(RigidContact, "extend_patch", grows(RigidContact.extend_patch))
-    model = block((0.06, 0.06, 0.03), 0.0101, poisson_ratio=0.3)
-    ball = Sphere(0.008)
-    frames = Solver(model, ball, device=device, linear=True).run(line([[0.0, 0.0, 0.03 + 0.008 - 0.001]], ball))
-    assert not frames.converged.any() and frames.reason[0, 0] == Reason.PATCH
-
-
-def grows(real):
-    """`RigidContact.extend_patch` that says that the patch grew."""
-    return lambda *args, **kwargs: real(*args, **kwargs) or True

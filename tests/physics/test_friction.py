@@ -99,37 +99,6 @@ def test_without_friction_the_drag_is_small_and_the_way_back_is_the_way_there(co
     assert (frames.slipping == 0.0).all()
 
 
-@pytest.mark.slow
-def test_a_ball_that_ploughs_on_arrives_in_few_iterations(block, line, device):
-    """In every frame points come into touch where the body bulges up before the ball; anchors that went along with them
-    crept on, hundreds of iterations a frame, and frames were lost."""
-    soft = block((0.06, 0.06, 0.03), 0.006, young_modulus=E, poisson_ratio=0.45)
-    path = drag(line, Sphere(0.012), (0.0, 0.0, 0.03 + 0.012), 0.003, [0.0005 * k for k in range(1, 11)])
-    frames = Solver(soft, Sphere(0.012), friction=0.6, device=device, options=USUAL).run(path)
-    assert frames.converged.all() and frames.slipping[-1, 0] > 0.8, "it slides"
-    assert frames.iterations[:, 0].mean() < 40 and frames.iterations.max() < 120
-    along, normal = -frames.force[-1, 0, 0], frames.force[-1, 0, 2]
-    # on a dented surface the drag is mu N and what it takes to push the heap ahead
-    assert 0.55 * normal < along < 0.9 * normal
-
-
-@pytest.mark.slow
-def test_holding_still_changes_nothing(coarse, line, device):
-    frames = Solver(coarse, Plane(), friction=0.3, device=device,
-                    options=USUAL).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
-    # points that slip sit exactly on their limit: the step that holds still finds them in balance within the tolerance
-    assert frames.force[-1] == pytest.approx(frames.force[-3], rel=2e-3, abs=1e-4)
-    assert (frames.iterations[-2:] <= 1).all()
-
-
-@pytest.mark.slow
-def test_one_large_step_slides_at_mu_times_the_normal_force_as_small_ones_do(coarse, line, device):
-    mu = 0.3
-    frames = Solver(coarse, Plane(), friction=mu, device=device, options=USUAL).run(plate(line, 0.001, [0.006]))
-    # the normal force depends on the way in the corners; the quotient does not, see above for small steps
-    assert -frames.force[-1, 0, 0] / frames.force[-1, 0, 2] == pytest.approx(mu, rel=2e-3)
-
-
 def test_two_fingers_pinch_and_lift(block, line, device):
     """Two balls press a rod from both sides and pull it up: friction alone carries the pull."""
     model = block((0.02, 0.02, 0.06), 0.01, young_modulus=E, poisson_ratio=NU)

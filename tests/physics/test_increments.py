@@ -1,64 +1,15 @@
 """The way between poses: nothing slips through, whatever the step."""
 
-import itertools
 
 import numpy as np
 import pytest
 from frame_checks import from_above
-from scipy.spatial.transform import Rotation
 
-from vsfsim.core.shape import Box, Plane, Sphere
-from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.solve import increments
+from vsfsim.core.shape import Sphere
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
 USUAL = SolverOptions(tolerance=5e-4)
-
-
-def pose(position, rotation=(0.0, 0.0, 0.0)):
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
-    out[:3, 3] = position
-    return out[None, None]  # (B, K, 4, 4)
-
-
-def test_the_stride_is_a_part_of_the_inner_radius_or_the_wall(block):
-    model = block((0.1, 0.1, 0.004), 0.02)
-    # volume 4e-5, surface 0.0216: a little under the 4 mm of the sheet, for its edges
-    assert increments.mean_thickness(model) == pytest.approx(2 * 4e-5 / 0.0216, rel=1e-9)
-    assert increments.stride(RigidBodies(Sphere(0.02)), 0.004) == 0.004
-    assert increments.stride(RigidBodies(Sphere(0.02)), 1.0) == pytest.approx(0.01)
-    assert increments.stride(RigidBodies(Box((0.1, 0.1, 0.02))), 1.0) == pytest.approx(0.0005, rel=0.05)  # edges
-    assert increments.stride(RigidBodies((Plane(), Sphere(0.004))), 1.0) == pytest.approx(0.002)
-    assert increments.stride(RigidBodies(Plane()), 1.0) == 1.0
-
-
-def test_pieces_are_short_even_and_end_where_they_should():
-    bodies = RigidBodies(Box((0.02, 0.02, 0.04)))
-    a, b = pose([0.0, 0.0, 0.1], [0.0, 0.0, 0.3]), pose([0.0, 0.03, 0.08], [0.0, 1.0, 0.3])
-    steps = [a, *increments.pieces(a, b, 0.005, bodies)]
-    assert np.array_equal(steps[-1], b) and len(steps) > 5
-    corners = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.02, 0.02)])
-
-    def placed(p):
-        return corners @ p[0, 0, :3, :3].T + p[0, 0, :3, 3]
-
-    for p, q in itertools.pairwise(steps):
-        assert np.linalg.norm(placed(q) - placed(p), axis=1).max() <= 0.005 + 1e-12
-        assert q[0, 0, :3, :3] @ q[0, 0, :3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
-
-
-def test_a_pose_that_repeats_is_one_piece():
-    a = pose([0.0, 0.0, 0.1])
-    assert len(list(increments.pieces(a, a, 0.001, RigidBodies(Sphere(0.01))))) == 1
-
-
-def test_ratio_of_steps():
-    a, b, c, back = (pose([0.0, 0.0, z]) for z in (0.1, 0.09, 0.085, 0.095))
-    assert increments.ratio(a, b, c) == pytest.approx([0.5])
-    assert increments.ratio(a, b, back) == [0.0] and increments.ratio(a, a, b) == [0.0]
-    assert increments.ratio(a, b, pose([0.0, 0.0, 0.0])) == [2.0]
 
 
 @pytest.mark.parametrize("linear", [False, True])
@@ -109,16 +60,6 @@ def test_a_path_that_begins_inside_the_object_is_marked(block, line, device, lin
     frames = Solver(model, probe, device=device, linear=linear, options=USUAL).run(both, start=start)
     assert frames.converged[:, 0].all() and (frames.reason[:, 1] == Reason.PATH).all()
     assert np.isnan(frames.force[:, 1]).all()
-
-
-def test_what_is_inside(block):
-    """A ball that barely touches is not, one whose middle is under the surface, or that has no surface in it, is."""
-    model, bodies = block((0.06, 0.06, 0.06), 0.02), RigidBodies(Sphere(0.012))
-    height = [0.072, 0.071, 0.065, 0.06, 0.03]
-    poses = np.concatenate([pose([0.003, 0.001, z]) for z in height])
-    assert increments.inside(bodies, model, poses).tolist() == [False, False, True, True, True]
-    assert increments.inside(RigidBodies(Sphere(0.004)), model, pose([0.003, 0.001, 0.03])).all()
-    assert not increments.inside(RigidBodies(Plane()), model, pose([0.0, 0.0, -0.001])).any()
 
 
 def test_weight_is_taken_up_in_parts_where_it_is_heavy(block, line, device):

@@ -10,12 +10,12 @@ from frame_checks import from_above
 
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
 from vsfsim.generate.effectors.bubble import solve as solve_bubble
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.body_samples import body_samples, inner_radius
+from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import DEEP, Intrusion
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.foundation import foundation
@@ -41,20 +41,6 @@ def at(*places):
     out = np.tile(np.eye(4), (len(places), 1, 1, 1))
     out[:, 0, :3, 3] = places
     return out
-
-
-@pytest.mark.parametrize("shape", BODIES.values(), ids=BODIES.keys())
-def test_samples_lie_on_the_surface_and_leave_no_hole(shape):
-    spacing = 0.4 * inner_radius(shape)
-    points = body_samples(shape, spacing)
-    # the projection onto the rounded surface leaves no more than the last of three Newton steps
-    assert np.abs(sdf.distance(shape, points)).max() < 1e-6 * inner_radius(shape)
-    rng = np.random.default_rng(0)
-    reach = sdf.reach(shape)
-    other = rng.uniform(-reach, reach, (40_000, 3))
-    other = other[np.abs(sdf.distance(shape, other)) < 0.02 * spacing]
-    away = np.linalg.norm(other[:, None] - points[None], axis=2).min(axis=1)
-    assert len(other) > 50 and away.max() < spacing
 
 
 @pytest.mark.parametrize("shape", BODIES.values(), ids=BODIES.keys())
@@ -168,16 +154,9 @@ def test_a_touch_goes_on_from_the_last_equilibrium(model, device, line, monkeypa
     assert frames.force[2, 0, 2] == pytest.approx(whole.force[2, 0, 2], rel=1e-4)
 
 
-def test_a_plane_has_no_samples_and_presses_a_whole_face(model, device, line):
-    frames = Solver(model, Plane(), device=device).run(line([[0, 0, SIZE[2] - 0.001]], Plane()))
-    assert len(body_samples(Plane(), 0.001)) == 0
-    assert frames.converged.all() and frames.penetration.max() < 0.01 * model.element_size
-
-
-@pytest.mark.parametrize("frames", [1, pytest.param(4, marks=pytest.mark.slow)])
-def test_a_ball_that_went_through_a_membrane_is_never_in_silence(frames):
+def test_a_ball_that_went_through_a_membrane_is_never_in_silence():
     """A ball of 3 mm goes 20 mm into a bubble of 390 nodes, too fast for it: every frame has a push or is marked."""
-    scene = parse_scene(BUBBLE.format(frames=frames), "bubble.toml").sample(0)
+    scene = parse_scene(BUBBLE, "bubble.toml").sample(0)
     found = solve_bubble(scene, Request(limit=2.0)).solved.frames
     good = found.converged[:, 0]
     assert (np.linalg.norm(found.force[good, 0], axis=1) > 0.1).all()
@@ -217,12 +196,12 @@ name = "bubble"
 kind = "bubble"
 nodes = 390
 [[obstacles]]
-shape = {{ sphere = 0.003 }}
+shape = { sphere = 0.003 }
 pose = [0.0, 0.0, 0.0]
 [press]
 from = [0.0, 0.0, 0.034]
 to = [0.0, 0.0, 0.014]
-frames = {frames}
+frames = 1
 """
 
 

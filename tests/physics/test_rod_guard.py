@@ -69,10 +69,6 @@ def test_what_is_creeped_up_to_is_the_same_equilibrium(guarded, device):
     assert np.linalg.norm(alone.force[-1, 0, 0]) == pytest.approx(np.linalg.norm(force[at]), rel=0.02)
 
 
-def test_frames_in_the_middle_of_which_launches_end_are_the_same(guarded, device):
-    assert np.array_equal(push(solver(1e6, 5e9, device=device, share=1)).force, guarded.force)
-
-
 def test_touches_that_come_and_go_have_the_bits_of_those_alone(guarded, device):
     """Two plants, places for two touches, four touches: the third enters where the first was, the fourth waits."""
     two = solver(1e6, 5e9, device=device)
@@ -118,18 +114,6 @@ def test_an_arm_that_hooks_something_on_its_way_back_comes_to_a_protective_stop(
     assert frames.converged[:n].all() and not frames.converged[n:].any()
     assert np.array_equal(frames.force[:n], whole.force[:n]) and np.isnan(frames.force[n:]).all()
     assert (force[:n] > LIMIT).sum() >= 2, "past the limit, which is one of the way in, and under the stop it goes on"
-
-
-def test_frames_without_an_equilibrium_stop_the_arm_only_where_several_on_end_are_past_its_force(device):
-    """Two iterations are too few for any frame that touches: all are marked, and it is the fifth past the stop's force,
-    no earlier one, that ends the touch."""
-    few = {"newton": 2, "travel": 2, "work": 0}
-    whole, frames = hooked(device, force_limit=1e9, **few), hooked(device, **few)
-    force, n = np.linalg.norm(whole.force[:, 0, 0], axis=-1), int(frames.frames[0])
-    first = int(np.argmax(force > 0.0))
-    assert whole.ended[0] == Ended.WHOLE and not whole.converged[first:].any() and (force[first:] > 1.25 * LIMIT).all()
-    assert frames.ended[0] == Ended.FORCE and n == first + 4
-    assert np.array_equal(frames.force[:n], whole.force[:n]) and (frames.reason[first:n, 0] > 0).all()
 
 
 def test_a_touch_ends_when_its_patience_does(device):

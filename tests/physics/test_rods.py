@@ -114,17 +114,16 @@ def test_a_batch_gives_the_bits_of_touches_alone(device):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("yields", [False, True])
-def test_many_lanes_give_the_bits_of_one(monkeypatch, yields):
+def test_many_lanes_give_the_bits_of_one(monkeypatch):
     """A warp's 32 lanes as fibers of a CPU: the same states to the last bit, as no lane adds up what another does; sums
     over lanes alone may round differently."""
     monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
     body = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
-    if yields:  # cores that yield at a strain of 0.2 % of the surface
-        flat, r = body.half_width > 0.0, body.radius
-        second = np.where(flat, 4.0 / 3.0 * body.half_width * r**3, np.pi / 4.0 * r**4)
-        body = dataclasses.replace(body, yielding=np.stack([0.9 * body.young_modulus * second,
-                                                            0.002 * body.young_modulus * second / r], axis=1))
+    # cores that yield at a strain of 0.2 % of the surface
+    flat, r = body.half_width > 0.0, body.radius
+    second = np.where(flat, 4.0 / 3.0 * body.half_width * r**3, np.pi / 4.0 * r**4)
+    body = dataclasses.replace(body, yielding=np.stack([0.9 * body.young_modulus * second,
+                                                        0.002 * body.young_modulus * second / r], axis=1))
     height, start = body.nodes[:, 2].max(), body.nodes[:, 0].min()
     poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h * height, start=s) for h,
                             s in ((0.7, start - 0.03), (0.5, -0.06))], axis=1)
@@ -132,7 +131,7 @@ def test_many_lanes_give_the_bits_of_one(monkeypatch, yields):
                            options=RodOptions(lanes=n)).run(np.zeros(2, int), poses, friction=0.4, keep_nodes=True)
                  for n in (1, 32))
     assert one.contacts.max() > 1 and (one.iterations == many.iterations).all()
-    assert (one.heat.max() > 1e-4) == yields and np.abs(one.heat - many.heat).max() < 1e-12
+    assert one.heat.max() > 1e-4 and np.abs(one.heat - many.heat).max() < 1e-12
     assert np.abs(one.force - many.force).max() < 1e-9 and np.abs(one.nodes - many.nodes).max() < 1e-12
 
 
@@ -205,14 +204,6 @@ def test_a_leaf_that_a_link_goes_through_is_marked_until_it_is_free(device):
     free = frames.contacts[:, 0] == 0
     assert (frames.converged[:, 0] == free).all() and free[11:].all()
     assert np.abs(frames.nodes[-1, 0] - body.nodes).max() < 1e-12
-
-
-def test_a_touch_ends_before_its_force_limit(device):
-    frames = touch(stem(10, radius=0.01), crossing(np.linspace(0.0, 0.05, 51), height=0.3, start=-0.045), device=device,
-                   force_limit=5.0)
-    count = int(frames.frames[0])
-    assert 5 < count < 51 and np.linalg.norm(frames.force[:count, 0, 0], axis=1).max() <= 5.0
-    assert np.isnan(frames.force[count:]).all() and not frames.converged[count:].any()
 
 
 def test_too_many_contacts_are_marked(device):

@@ -104,11 +104,10 @@ def test_frames_of_columns_arrive(key, count, tmp_path):
     assert np.isnan(frames.push[given_up]).all() and all(frames.reasons[t] for t in np.flatnonzero(given_up))
 
 
-@pytest.mark.parametrize("thickness", [pytest.param(0.0005, marks=pytest.mark.slow), 0.001])
-def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line, thickness):
+def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line):
     """After a step of several times its thickness both faces lie in the ball: frames were lost, or called converged
     with 4 to 25 times the force."""
-    model, probe = block((thickness, 0.1, 0.1), 0.01, young_modulus=1e6), Sphere(0.02)
+    model, probe = block((0.001, 0.1, 0.1), 0.01, young_modulus=1e6), Sphere(0.02)
     options = SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))
 
     face, middle = model.mesh.points.max(axis=0)[0], model.mesh.points.mean(axis=0)[1]
@@ -236,7 +235,7 @@ def test_round_bodies_have_their_volume_surface_and_top_at_every_tier(shape):
 BAR = dict(shape="{ rod = [0.06, 0.006] }", more="fixed = [-1.0, -1.0, -1.0, 1.0, 1.0, 0.004]")
 
 
-@pytest.mark.parametrize("tier", ["linear", "fem-coarse", "fem", "fem-fine"])
+@pytest.mark.parametrize("tier", ["linear", "fem"])
 def test_a_round_bar_is_as_stiff_as_its_section(tier):
     """Energies of stretch, bending and torsion of Saint-Venant's fields: E A, E I and G J per length."""
     model = tiers.build(scene(**BAR), tier)

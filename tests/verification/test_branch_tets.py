@@ -115,18 +115,6 @@ def solid(rings: int, step: float, travel: np.ndarray):
     return frames.force[:, 0], model.mesh.points[ends] + moved, len(body.tets), body
 
 
-def test_the_tubes_join_without_a_gap():
-    body = fork(2, 0.01)
-    # three straight tubes of the circle's area up to the fork; what mitres add on one half they take on the other
-    cuts = sum(np.trapezoid(np.abs(u) / np.tan(0.5 * np.arccos(a @ b)) * 2 * np.sqrt(np.maximum(RADIUS**2 - u**2, 0)),
-                            u) / 2
-               for a in AXES for b in AXES if a is not b for u in [np.linspace(-RADIUS, RADIUS, 2001)])
-    assert body.volume() == pytest.approx(np.pi * RADIUS**2 * sum(LENGTHS) - cuts, rel=1e-3)
-    faces, _ = body.surface()
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # the surface is closed
-
-
 @pytest.mark.slow
 def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
     """Pushed by 20 mm across its plane at four fifths of one branch: the trunk bends and twists, the other branch

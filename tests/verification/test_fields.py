@@ -81,7 +81,7 @@ def solve(model, line, device):
 # ------------------------------------------------------------------------------------------ patch test
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
+@pytest.mark.parametrize("nu", [0.0, 0.45])
 def test_patch_test_of_a_large_affine_field_on_a_distorted_mesh(line, device, nu):
     """A base held, a load on the rest: stretched by 8 % and sheared by 0.25 and 0.15, the same everywhere inside
     whatever the tetrahedra."""

@@ -10,14 +10,11 @@ import trimesh
 import warp as wp
 
 import references
-from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.bubble import inflation
-from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.bubble.sheet import Sheet
 from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.mesh import membrane as membrane_mesh
-from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.elasticity import Elasticity
 
@@ -290,7 +287,7 @@ def test_plate(nodes):
     assert np.abs(plate(nodes)).max() < 0.006
 
 
-@pytest.mark.parametrize("nodes", [200, 450, 1000])
+@pytest.mark.parametrize("nodes", [200, 1000])
 def test_bending_does_not_depend_on_the_mesh(nodes):
     """A quadratic deflection has the energy of its curvatures on any mesh, the rim's free edge and all."""
     rng = np.random.default_rng(0)
@@ -337,24 +334,3 @@ def test_wrinkles_bear_no_compression(device):
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * (edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]).sum()
     assert (force[:, 0] * points[:, :1]).sum(axis=0) == pytest.approx(stress * area, rel=1e-12)
-
-
-def test_the_rest_factor_of_a_bubble_inverts_the_whole_tangent(tmp_path):
-    """The gas's coupling of all nodes is in the solves, though no matrix of it was ever made."""
-    model = build_bubble(dataclasses.replace(Bubble(), nodes=200), cache=tmp_path)
-    gradient, rate = model.factor.coupling
-    moves = np.flatnonzero(model.free)
-    whole = (assemble(len(model.mesh.points), model.blocks).toarray() + rate
-             * np.outer(gradient, gradient))[np.ix_(moves, moves)]
-    right = np.random.default_rng(0).standard_normal((len(model.free), 3)) * model.free[:, None]
-    answer = model.factor.solve(right)
-    assert answer[moves] == pytest.approx(np.linalg.solve(whole, right[moves]), rel=1e-8,
-                                          abs=1e-10 * np.abs(answer).max())
-    assert (answer[model.free == 0.0] == 0.0).all()
-    nodes = np.arange(40, 50)
-    compliance = model.factor.columns(nodes)[:, (3 * nodes[:, None] + np.arange(3)).ravel()]
-    place = np.searchsorted(moves, (3 * nodes[:, None] + np.arange(3)).ravel())
-    held = np.isin((3 * nodes[:, None] + np.arange(3)).ravel(), moves)
-    inverse = np.linalg.inv(whole)
-    assert compliance[np.ix_(held, held)] == pytest.approx(inverse[np.ix_(place[held], place[held])], rel=1e-7,
-                                                           abs=1e-9 * np.abs(inverse).max())

@@ -55,19 +55,9 @@ def cantilever_plate(length, width, bending, nu, pressure, *, along=10, across=5
                                       (p, q) in zip(c, terms, strict=True)))
 
 
-def test_the_reference_is_a_beam_without_poissons_effect():
-    w = cantilever_plate(0.06, 0.04, 2.0, 0.0, 3.0)
-    assert w(0.06, 0.0) == pytest.approx(3.0 * 0.06**4 / (8 * 2.0), rel=1e-9) == w(0.06, 0.02)
-    # with it, more terms change nothing that matters here
-    coarse, fine = (cantilever_plate(0.06, 0.04, 2.0, 0.3, 3.0, along=a, across=b)(0.06, 0.02) for a,
-                    b in ((10, 5), (14, 8)))
-    assert coarse == pytest.approx(fine, rel=1e-3)
-
-
 # at nu = 0.45 thin elements resist the change of curvature through their volume: 1.2 % observed, 0.1 % at 0.3
 @pytest.mark.parametrize(("size", "tier", "nu"), [
     ((0.06, 0.04, 0.002), "auto", 0.3),
-    pytest.param((0.06, 0.04, 0.002), "auto", 0.45, marks=pytest.mark.slow),
     pytest.param((0.06, 0.04, 0.002), "fem", 0.3, marks=pytest.mark.slow),
     pytest.param((0.3, 0.2, 0.002), "auto", 0.45, marks=pytest.mark.slow),
 ])
@@ -104,16 +94,6 @@ def test_a_scanned_thin_plate_bends_as_plate_theory_says(tmp_path):
     print(f"scanned plate: {-u[end, 2].mean() / w(length, 0.25 * width) - 1:+.2%}, {len(model.mesh.tets)} tets")
     assert -u[end, 2].mean() == pytest.approx(w(length, 0.25 * width), rel=0.03)
     assert len(model.mesh.tets) < 12_000
-
-
-def test_thin_bodies_are_not_cut_into_cubes_of_their_thickness():
-    """The number of tetrahedra stays sane for every form of box, and thick boxes keep the size they had."""
-    for size in ((0.06, 0.04, 0.002), (0.3, 0.2, 0.001), (0.1, 0.1, 0.004), (0.5, 0.01, 0.001), (0.002, 0.06, 0.04)):
-        for tier in ("fem-coarse", "fem"):
-            scene = clamped(f"{{ box = {list(size)} }}", -0.5 * size[0], nu=0.3, gravity=0.0)
-            assert len(tiers.body(scene, tier)[0].tets) < 22_000, (size, tier)
-    scene = clamped("{ box = [0.10, 0.10, 0.05] }", -0.05, nu=0.3, gravity=0.0)
-    assert tiers.element_size(scene.object, "fem", scene.probe) == pytest.approx(0.0005 ** (1 / 3) / 13, rel=1e-12)
 
 
 # ------------------------------------------------------------------------------------------ rods

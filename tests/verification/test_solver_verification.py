@@ -81,7 +81,7 @@ def test_compression_by_a_plane(block, line, device, confined, nu):
         assert np.abs(deformed - homogeneous).max() < 1e-6 * SIZE[2]
 
 
-@pytest.mark.parametrize(("resolution", "contrast"), [(0.02, 1e3), (0.01, 1e3), (0.02, 1e6), (0.02, 1e8)])
+@pytest.mark.parametrize(("resolution", "contrast"), [(0.01, 1e3), (0.02, 1e8)])
 def test_two_layers_are_springs_in_series(block, line, device, resolution, contrast):
     """Heterogeneous E at confined sides: each layer is homogeneous, at any depth and on any mesh, and both carry the
     same closed-form stress."""

@@ -9,7 +9,6 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effector import kernels_of
 from vsfsim.physics import runtime
-from vsfsim.physics.linear.cholesky import factor_kernels
 
 SCENES = "shoes-v3-mini", "shoes-v2-punyo-mini", "plants-v4-mini"  # solids, a bubble, plants
 
@@ -25,11 +24,6 @@ def modules(monkeypatch):
         for scene in SCENES:
             runtime.compile_kernels(kernels_of(load_scene(find_scene(scene)).sample(0), "float64"), "cuda:0")
     return found
-
-
-def test_what_runs_on_the_host_alone_is_not_compiled_for_a_gpu(modules):
-    assert "vsfsim_contact" in modules
-    assert not {kernel.module.name for kernel in factor_kernels()} & set(modules)
 
 
 @pytest.mark.slow

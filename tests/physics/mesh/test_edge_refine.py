@@ -1,6 +1,5 @@
 """Elements divided along the edges of a probe: conforming, sound, small where asked for and nowhere else."""
 
-import dataclasses
 
 import numpy as np
 import pytest
@@ -53,26 +52,6 @@ def test_tetrahedra_are_small_along_the_edges_of_a_punch(shape):
     size = 1.3 * 0.25 * 0.5 * SIDE
     assert (longest <= size + GROWTH * away + 1e-12).all() and longest[away > 0.025].max() > 0.9 * CELL
     assert len(tets) < len(fine.tets) < 7500
-
-
-def test_edges_meet_a_body_where_they_pass_its_surface():
-    plain = Solid(*box(SIZE, CELL), np.zeros(180 * 5, int), ("body",))
-    place, which = punch(SIZE[2]).meets(plain)
-    # the lower edges and corners only: the upper ones stay outside
-    assert place[:, 2] == pytest.approx(SIZE[2]) and len(np.unique(which)) == len(which)
-    assert np.abs(place[:, :2] - [0.002, 0.003]).max(axis=1) == pytest.approx(0.5 * SIDE)
-    for way in (punch(SIZE[2], depth=-0.001), punch(SIZE[2], at=(0.2, 0.0))):  # does not get there; passes by
-        assert not len(way.meets(plain)[0]) and refine_near(plain, way, 0.25)[0] is plain
-    assert len(refine_near(plain, punch(SIZE[2]), 1e3)[0].tets) == len(plain.tets), "fine enough as it is"
-
-
-@pytest.mark.slow
-def test_a_long_thin_edge_does_not_fill_the_memory():
-    """The size grows until there are few enough elements, and the size that was taken is returned."""
-    plain = Solid(*box(SIZE, CELL), np.zeros(180 * 5, int), ("body",))
-    path = dataclasses.replace(punch(SIZE[2]), half=np.full(len(punch(SIZE[2]).half), 1e-4))
-    fine, part = refine_near(plain, path, 0.2)
-    assert part > 0.2 and len(fine.tets) <= 2 * len(plain.tets) + 12_000
 
 
 def test_a_centred_punch_leaves_the_mesh_its_mirror_image():

@@ -148,23 +148,12 @@ def test_polygons_that_are_not_convex_are_cut_by_their_ears() -> None:
     assert trimesh.Trimesh(found.vertices, found.faces).area == pytest.approx(1.5 + 4.0)
 
 
-@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off"])
-def test_formats_agree(suffix: str) -> None:
-    mesh = trimesh.creation.box((1, 2, 3))
-    data = mesh.export(file_type=suffix)
-    assert volume(data, f"box.{suffix}") == pytest.approx(6.0)
-    if suffix == "ply":
-        assert volume(mesh.export(file_type="ply", encoding="ascii"), "box.ply") == pytest.approx(6.0)
-    if suffix == "stl":
-        assert volume(mesh.export(file_type="stl_ascii"), "box.stl") == pytest.approx(6.0)
-        assert volume(b"solid facet".ljust(80) + data[80:], "box.stl") == pytest.approx(6.0), "it is binary"
-
-
 def test_counts_are_compared_with_the_header() -> None:
     box = trimesh.creation.box((1, 2, 3))
     stl, ply, off = box.export(file_type="stl"), box.export(file_type="ply"), box.export(file_type="off")
     ascii_ply = box.export(file_type="ply", encoding="ascii")
     off = off.encode() if isinstance(off, str) else off
+    assert volume(b"solid facet".ljust(80) + stl[80:], "a.stl") == pytest.approx(6.0), "it is binary"
     for data, name, word in (
         (stl[:80] + struct.pack("<I", 13) + stl[84:], "a.stl", "announces 13 triangles, and it holds 12"),
         (stl[:80] + struct.pack("<I", 11) + stl[84:], "a.stl", "announces 11 triangles"),

@@ -7,7 +7,7 @@ from vsfsim.core import shelf
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.core.shape import Box, Plane, Sphere
+from vsfsim.core.shape import Sphere
 from vsfsim.generate.effectors import bubble
 from vsfsim.physics.bubble import sensor
 from vsfsim.physics.bubble.sensor import build_bubble
@@ -68,17 +68,6 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
     assert 0.5e-3 < model.element_size < 1.1e-3 and len(model.mesh.points) == len(flat)
     assert model.mesh.volume[0] == pytest.approx(even.mesh.volume[0], rel=0.01)
     assert np.abs(model.read_out.positions(model.mesh.points) - model.mesh.points[:390]).max() < 1e-15
-
-
-def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
-    def asked(shape, place=(0.0, 0.0, 0.0335), edge=None):
-        return sensor.wishes(even.mesh.points, even.element_size, RigidBodies(shape),
-                                      at(np.array(place), 0.005), edge)
-
-    assert asked(Sphere(0.03)) == () and asked(Sphere(0.003), (0.0, 0.0, 0.06)) == ()
-    assert asked(Plane()) == ()
-    assert asked(Box((0.01, 0.01, 0.01)))[0][0] == sensor.SHARP * even.element_size
-    assert asked(Box((0.01, 0.01, 0.01)), edge=0.002)[0][0] == 0.002 and asked(Sphere(0.003), edge=0.05) == ()
 
 
 def tip(extra=""):

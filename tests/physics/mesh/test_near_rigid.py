@@ -6,7 +6,7 @@ from frame_checks import from_above
 
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.mesh.near_rigid import COMPACT, limited
+from vsfsim.physics.mesh.near_rigid import limited
 from vsfsim.physics.mesh.quadratic import gauss_points, quadratic_mesh
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.solve.frames import SolverOptions
@@ -35,18 +35,6 @@ def mesh_and_moduli(modulus):
 
 
 CUBE = cells((-0.01, -0.01, 0.02), (0.01, 0.01, 0.04))
-
-
-def test_a_compact_part_is_limited_and_a_slender_one_keeps_more():
-    mesh, e = mesh_and_moduli(CUBE(1e8))
-    found, lowered = limited(mesh, e)
-    # a cube of edge a has second moments a^2 / 12, and a thickness of a / 3
-    most = found.max() / 1e5
-    assert most == pytest.approx(COMPACT * (6.0 * np.sqrt(5.0 / 12.0)) ** 3) and lowered == pytest.approx(1e8 / most)
-    assert (found[e == 1e5] == 1e5).all()
-    bar = cells((-0.02, 0.0, 0.03), (0.02, 0.01, 0.04))
-    mesh, e = mesh_and_moduli(bar(1e8))
-    assert limited(mesh, e)[0].max() / 1e5 > 10.0 * most
 
 
 @pytest.mark.parametrize("modulus", [

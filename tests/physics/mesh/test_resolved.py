@@ -12,7 +12,7 @@ from references.closed_forms import hertz_layer
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.effectors.probe import press
-from vsfsim.physics.mesh.resolved import LIMIT, SHARE, corner_det_f, mesh_error, resolved
+from vsfsim.physics.mesh.resolved import LIMIT, corner_det_f, resolved
 from vsfsim.press.text import text
 
 BLOCK = """
@@ -38,8 +38,7 @@ def pressed(radius, depth, *, more="", parts="", at=(0.0, 0.0), above=0.0, frame
     return press(parse_scene(scene, "s.toml").sample(0), Request(tier=tier))
 
 
-@pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015), (0.003, 0.010, 0.010),
-                                                          (0.005, 0.004, 0.014)])
+@pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015), (0.005, 0.004, 0.014)])
 def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure(radius, depth, element):
     result = pressed(radius, depth, more=f"resolution = {element}")
     assert result.resolved is not None and not result.resolved.any()
@@ -68,33 +67,16 @@ def test_a_wall_that_bends_is_not_marked_for_its_small_contact():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("radius", "offset"), [(0.0015, (0.026, 0.004, -0.0185)), (0.002, (-0.03, 0.0, -0.018)),
-                                                (0.001, (0.0, 0.024, -0.019))])
-def test_a_nub_beside_a_ball_gets_elements_of_its_own(radius, offset):
-    """The first nub was 53 to 141 % too stiff on elements that suit the ball; 0.1564, 0.4224 and 0.6788 N at 0.9, 1.9
+def test_a_nub_beside_a_ball_gets_elements_of_its_own():
+    """The nub was 53 to 141 % too stiff on elements that suit the ball; 0.1564, 0.4224 and 0.6788 N at 0.9, 1.9
     and 2.9 mm with `fem` on elements of 4.5 mm, smaller at the nub."""
-    parts = f"[[probe.parts]]\nshape = {{ sphere = {radius} }}\noffset = [{', '.join(map(str, offset))}]\n"
+    parts = "[[probe.parts]]\nshape = { sphere = 0.0015 }\noffset = [0.026, 0.004, -0.0185]\n"
     result = pressed(0.02, 0.003, parts=parts, above=1e-4)
     good = result.converged
-    assert good[:2].all(), "the nub of 1 mm ends 2.9 mm deep, marked"
+    assert good.all()
     nub = result.more["body_force"][:, 1, 2]
-    assert (result.more["mesh_error"][good] < LIMIT).all() and (nub[good] > 0.0).all()
-    if radius == 0.0015:
-        assert nub == pytest.approx([0.1564, 0.4224, 0.6788], rel=0.04)  # measured: -1.8, +0.2, +2.1 %
-
-
-def test_the_error_of_several_bodies_counts_what_they_bear():
-    force = np.array([[[0.0, 0.0, 3.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]])
-    found = mesh_error(np.array([[1.0, 0.2, 0.0]]), force)
-    assert found == pytest.approx([0.75 * SHARE + 0.25 * SHARE / 0.04])
-    assert mesh_error(np.array([[0.0]]), np.zeros((1, 1, 3))) == 0.0, "no contact, no error"
-
-
-def test_a_body_with_edges_needs_a_wider_contact_than_a_ball():
-    force, radius = np.array([[[0.0, 0.0, 1.0]]]), np.array([[0.677]])
-    assert mesh_error(radius, force) < LIMIT
-    assert mesh_error(radius, force, edges=np.array([True])) == pytest.approx(0.168, rel=0.01)  # measured: 0.168
-    assert mesh_error(np.array([[1.2]]), force, edges=np.array([True])) < LIMIT
+    assert (result.more["mesh_error"] < LIMIT).all()
+    assert nub == pytest.approx([0.1564, 0.4224, 0.6788], rel=0.04)  # measured: -1.8, +0.2, +2.1 %
 
 
 def test_det_f_at_corners_is_that_of_the_displacements(block):

@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Box, Capsule, Sphere
 from vsfsim.physics import tiers
-from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.touches import Solver
@@ -87,22 +86,6 @@ def test_an_obstacle_in_the_way_holds_the_post(block):
     assert last[0] == pytest.approx(last[1], rel=0.02, abs=0.02 * np.abs(last[1]).max())
 
 
-def test_a_way_with_nothing_in_it_is_one_step_and_another_stops_before_the_object(block):
-    model, bodies = block(POST, 0.01), RigidBodies([Sphere(0.004)])
-    poses, first = way((-0.2, 0.0, 0.05), (0.2, 0.0, 0.05), 1)
-    before = increments.clear(first[:, None], poses[0][:, None], bodies, model)[0, 0, :3, 3]
-    assert -0.03 < before[0] < -0.009, "the ball touches at -9 mm"
-    past, first = way((-0.2, 0.03, 0.05), (0.2, 0.03, 0.05), 1)
-    assert np.array_equal(increments.clear(first[:, None], past[0][:, None], bodies, model), past[0][:, None])
-
-
-def test_the_thinnest_part_in_the_way_counts(block):
-    """Of a plate the thickness under its faces, not twice the volume over the surface."""
-    model = block((0.08, 0.02, 0.004), 0.01)
-    assert increments.thinnest(model, [np.arange(len(model.mesh.faces))]) == pytest.approx(0.004, rel=1e-6)
-    assert increments.thinnest(model, [np.zeros(0, int)]) == np.inf
-
-
 def test_a_way_that_cannot_be_cut_finely_enough_is_marked(block, monkeypatch):
     model = block(POST, 0.01, young_modulus=1e5)
     monkeypatch.setattr(increments, "_MOST_PIECES", 1)
@@ -114,8 +97,7 @@ def test_a_way_that_cannot_be_cut_finely_enough_is_marked(block, monkeypatch):
 @pytest.mark.parametrize("linear", [True, False], ids=["linear", "fem-coarse"])
 @pytest.mark.parametrize(("probe", "start", "stop"), [
     (Sphere(0.004), (-0.012, 0.001, 0.045), (0.003, 0.001, 0.045)),
-    (Capsule(0.004, 0.02), (-0.012, 0.0, 0.05), (0.002, 0.003, 0.047)),
-    (Sphere(0.006), (-0.014, 0.0, 0.058), (0.0, 0.004, 0.058))], ids=["ball", "capsule", "ball near the end"])
+    (Capsule(0.004, 0.02), (-0.012, 0.0, 0.05), (0.002, 0.003, 0.047))], ids=["ball", "capsule"])
 def test_friction_does_not_depend_on_the_number_of_frames(block, probe, start, stop, linear):
     """A ball that pushed a post aside with friction 0.5 at the tier `linear` had 0.174 N upwards in one frame and 0.617
     N in eight."""
