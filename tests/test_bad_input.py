@@ -10,10 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from vsfsim.bench.mock import mock_view
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
+from mock_dataset import TASK, written
 
 HERE = Path(__file__).parent
 BOX = """
@@ -45,15 +42,6 @@ splits = { train = 1, test = 1 }
 FLAT = "v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0\nf 1 2 3\nf 1 3 4\n"
 PRESS, GENERATE = ("press", "box.toml"), ("generate", "box.toml", "--out", "out")
 MESH = ('box = [0.06, 0.06, 0.03]', 'mesh = "flat.obj"')
-TASK = """
-name = "toy-v1"
-description = "Three blocks of springs."
-dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
-protocol = { shots = [0, 5], seeds = 2, query = 4, seed = 0 }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.1, tare_frames = 2, seed = 0 }
-metrics = { primary = "rmse", ranking_shot = 5 }
-"""
 EVALUATE = ("evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.toml", "--dataset", "toy")
 
 
@@ -83,15 +71,7 @@ def assert_refused(out, message):
 @pytest.fixture(scope="module")
 def mock_dataset(tmp_path_factory):
     """The folder of a mock dataset that each test copies."""
-    folder = tmp_path_factory.mktemp("mock") / "toy"
-    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
-                    splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(folder, recipe, [view.name for view in views]) as writer:
-        for view in views:
-            writer.add(view)
-        writer.finish()
-    return folder
+    return written(tmp_path_factory.mktemp("mock") / "toy").path
 
 
 @pytest.fixture
@@ -106,25 +86,10 @@ def toy(mock_dataset, tmp_path, monkeypatch):
 @pytest.mark.parametrize(("words", "old", "new", "message"), [
     (PRESS, "young_modulus", "young_modulos",
      "box.toml [object]: unknown key 'young_modulos'. Did you mean 'young_modulus'?"),
-    (GENERATE, "[touches]", "[tuoches]", "unknown key 'tuoches'. Did you mean 'touches'?"),
-    (PRESS, "young_modulus = 1e5", "young_modulus = -1e5",
-     "box.toml [object]: young_modulus is -100000.0; a Young's modulus is a positive number of pascals"),
     (GENERATE, "young_modulus = 1e5", "young_modulus = { uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"),
-    (PRESS, "young_modulus = 1e5",
-     "young_modulus = { base = 1e5, inclusions = [{ sphere = [0, 0, 0, 0.01], value = -1.0 }] }",
-     "inclusions[0]: value is -1.0"),
     (PRESS, *MESH, "volume"),
     ((*GENERATE, "--workers", "1"), *MESH, "volume"),
     (PRESS, MESH[0], 'mesh = "none.obj"', "none.obj"),
-    (PRESS, "shape = { sphere = 0.02 }", 'shape = { mesh = "none.stl" }',
-     "[touches]: the touches of a dataset are made with one simple probe"),
-    (PRESS, "from = [0.0, 0.0, 0.05]", "path = [[0, 0, 0.05], [0, 0, 0.04]]",
-     "box.toml [press]: there is a path, and to; give either path"),
-    (PRESS, "frames = 2", "frames = 2\nrotation = [0, 0, 90]",
-     "box.toml [press]: rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
-    (PRESS, "tier = \"linear\"", "friction = -0.1",
-     "box.toml [object]: friction is -0.1; it must be a number from 0 to 10."),
-    (PRESS, 'tier = "linear"', 'tier = "fine"', "tier is 'fine'. Did you mean 'fem-fine'?"),
     (PRESS, "= 1e5", "== 1e5", "box.toml' is not valid TOML"),
 ])
 def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, old, new, message):
@@ -141,7 +106,6 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, ol
     ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
     ('{ mesh = "text.obj" }', "mesh file 'text.obj' cannot be understood as OBJ: line 1 begins with 'not'"),
     ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
-    ('{ mesh = "flat.doc" }', "mesh file 'flat.doc' ends in '.doc'; allowed are .obj, .ply, .stl"),
 ])
 def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vsfsim, tmp_path, probe, message):
     (tmp_path / "box.toml").write_text(BOX[:BOX.index("[touches]")].replace("{ sphere = 0.02 }", probe))
@@ -153,26 +117,20 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vs
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("evaluate", "--method", "point-vfs", "--task", "toy-v1.toml", "--dataset", "toy"),
-     "unknown method 'point-vfs'. Did you mean 'point-vsf'?"),
-    (("check", "guassian"), "unknown method 'guassian'. Did you mean 'gaussian'?"),
     (("evaluate", "--method", "nowhere:Mine", "--task", "toy-v1.toml", "--dataset", "toy"),
      "method 'nowhere:Mine' cannot be loaded: ModuleNotFoundError"),
     ((*EVALUATE, "--out", "toy-v1.toml/x.json"), "'toy-v1.toml' is no folder"),
     ((*EVALUATE, "--out", "toy-v1.toml"), "which has the ending of a file that is read, not written"),
     (("verify", "toy-v1.toml"), "'toy-v1.toml' is a file, not a folder of a dataset."),
-    (("press", "indnt"), "unknown scene 'indnt'. Did you mean 'indent'?"),
     (("press", "indent", "--tier", "linear"),
      "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),
     (("press", "indent", "--plot", "nowhere/x.png"), "there is no folder 'nowhere'"),
     (("press", "indent", "--picture", "nowhere/x.png"),
      "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
-    (("press", "indent", "--gif", "x.png"), "--gif is 'x.png'; it must end in .gif"),
     (("press", "indent", "--save", "x.h5"), "--save is 'x.h5'; it must end in .npz"),
     (("press", "indent", "--plot", "x.tex"), "--plot is 'x.tex'; it must end in .png or .jpg"),
     (("press", "indent", "--json", "toy-v1.toml"), "which has the ending of a file that is read, not written"),
     (("check", "gaussian", "--set", "x=" + 3000 * "[" + 3000 * "]"), "--set x: its value is nested too deep"),
-    (("press", "indent", "--tier", "spring"), "unknown tier 'spring'"),
     (("generate", "indent"), "there is no [touches]"),
     (("generate", "shoes-mini", "--renderer", "pyrendr", "--out", "out"),
      "--renderer is 'pyrendr'. Did you mean 'pyrender'?"),
@@ -185,12 +143,11 @@ def test_a_wrong_word_is_refused_and_leaves_nothing(vsfsim, toy, words, message)
     assert contents(toy) == before
 
 
-@pytest.mark.parametrize("where", [0.1, 0.5, 0.999])
 @pytest.mark.parametrize("name", ["mock-0000-v0.h5", "mock-0002-v0.h5", "dataset.json"])
-def test_one_flipped_byte_of_a_dataset_is_never_scored(vsfsim, toy, name, where):
+def test_one_flipped_byte_of_a_dataset_is_never_scored(vsfsim, toy, name):
     path = toy / "toy" / name
     content = bytearray(path.read_bytes())
-    content[int(where * len(content))] ^= 4
+    content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
     before = contents(toy)
     assert_refused(vsfsim(*EVALUATE, cwd=toy), name)
@@ -205,14 +162,6 @@ def test_verify_names_the_damaged_file_and_the_cure(vsfsim, toy):
     out = vsfsim("verify", "toy", cwd=toy)
     assert (out.returncode == 2 and "mock-0001-v0.h5: was changed after it was written" in out.stdout
             and "vsfsim generate" in out.stdout)
-
-
-def test_the_folder_of_another_scene_is_refused_and_left_alone(vsfsim, toy):
-    (toy / "box.toml").write_text(BOX)
-    before = contents(toy)
-    assert_refused(vsfsim("generate", "box.toml", "--out", "toy", cwd=toy),
-                   "folder toy holds another dataset: scene 'mock' there, 'box' asked for")
-    assert contents(toy) == before
 
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(vsfsim, tmp_path):

@@ -1,13 +1,10 @@
 """The command line as a user meets it: fast help, exit codes, one-paragraph errors."""
 
-import io
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from vsfsim.cli.console import Progress
 
 HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplotlib", "rich")
 
@@ -39,22 +36,6 @@ def test_the_old_spelling_of_measure_works_and_names_the_new_one(vsfsim, tmp_pat
     assert old.stderr == "note: `vsfsim bench` is now `vsfsim measure`\n" + new.stderr
 
 
-def test_progress_is_a_bar_in_a_terminal_and_rare_lines_in_a_log(monkeypatch):
-    for terminal in (False, True):
-        stream = io.StringIO()
-        stream.isatty = lambda terminal=terminal: terminal
-        monkeypatch.setattr(sys, "stderr", stream)
-        with Progress("press", interval=0.0) as progress:
-            progress(0, 4, "kernel [modules]")
-            progress(1, 2, "frames")
-            progress(2, 2, "frames")
-        if terminal:
-            assert "press" in stream.getvalue() and "2/2" in stream.getvalue() and "frames" in stream.getvalue()
-        else:
-            first, *_, last = stream.getvalue().splitlines()
-            assert first == "press: 0/4 kernel [modules]" and last == "press: 2/2 frames, 0 s left"
-
-
 @pytest.mark.parametrize(("words", "message"), [
     (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
     (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-v3-mini-v1"),
@@ -66,7 +47,6 @@ def test_progress_is_a_bar_in_a_terminal_and_rare_lines_in_a_log(monkeypatch):
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-mini-v1"),
      "vsfsim generate shoes-v3-mini --objects"),
     (("verify", "nowhere"), "there is no folder of a dataset 'nowhere'"),
-    (("check", "gausian"), "Did you mean 'gaussian'?"),
     (("leaderboard", "--task", "x.toml"), "there is no task file 'x.toml'"),
 ])
 def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_path):

@@ -9,15 +9,8 @@ import pytest
 from pages import PAGES, README, ROOT, blocks
 
 MOCK = """
-from vsfsim.bench.mock import mock_view
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
-recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=1, views=1, touches=2, splits={"test": 1},
-                device="cpu", tier="vsf", precision="float64", renderer="warp")
-view = mock_view(0, touches=2)
-with DatasetWriter("datasets/try", recipe, [view.name]) as writer:
-    writer.add(view)
-    writer.finish()
+from mock_dataset import written
+written("datasets/try", train=0, test=1, touches=2)
 """
 BUBBLE = """
 from pathlib import Path
@@ -108,11 +101,6 @@ def test_the_tests_that_the_pages_name_exist():
         end = r"_\w+\(" if dots else r"\("
         assert not name or any(re.search(f"def {name}{end}", text)
                                for text in ([texts[file]] if file else texts.values())), (page, file, name)
-
-
-def test_no_page_has_a_conflict_left_by_a_merge():
-    for page in PAGES:
-        assert not re.findall(r"^(?:<{7}|={7}$|>{7}).*", page.read_text(), re.MULTILINE), page.name
 
 
 def test_the_tiers_of_the_physics_page_are_those_of_the_code():

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mock_dataset import written
 
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import parse_task
 from vsfsim.core import shelf
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
 HERE = Path(__file__).parent
 READERS = ("object", "manifest", "result", "board", "predictions", "task", "scene")
@@ -21,13 +19,7 @@ READERS = ("object", "manifest", "result", "board", "predictions", "task", "scen
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("fuzz")
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
-                    splits={"train": 1, "test": 1}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-    views = [mock_view(i, split="train" if i < 1 else "test", touches=2) for i in range(2)]
-    with DatasetWriter(out / "toy", recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        dataset = writer.finish()
+    dataset = written(out / "toy", test=1, touches=2)
     np.savez(out / "predictions.npz", **{"a/0/0/000": np.zeros((12, 1)), "b/5/1/011": np.ones((12, 1))})
     text = (HERE / "bench" / "conftest.py").read_text().split('TASK = """')[1].split('"""')[0]
     for old, new in (("query = 4", "query = 1"), ("[0, 1, 5]", "[0, 1]"), ("ranking_shot = 5", "ranking_shot = 1")):

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import tomllib
 
 import pytest
 from pages import CONTRIBUTING, README, ROOT, blocks, named
@@ -26,12 +25,6 @@ def test_the_method_conforms(tmp_path):
     assert out.returncode == 0 and "mine:NearSprings conforms" in out.stdout, out.stdout + out.stderr
 
 
-def test_the_scene_can_be_sampled(tmp_path):
-    from vsfsim.core.scene import parse_scene
-
-    assert parse_scene(named(README, "foam.toml", "toml"), tmp_path / "foam.toml").sample(0).press.frames == (5,)
-
-
 def test_ci_runs_the_second_command_of_the_readme():
     """The same two steps, in a venv of its own."""
     second = blocks(README, "bash")[0].split("# what the tests need")[1]
@@ -49,10 +42,6 @@ def test_the_container_runs_the_first_command_of_the_readme():
     said = dockerfile.split('"-c", "')[1].split('"]')[0].replace("\\\n", " ")
     assert len(steps) == 4 and [one.strip() for one in said.split("&&")] == steps
     assert '-c constraints.txt ".[all,cloud]"' in dockerfile
-
-
-def test_the_readme_installs_everything_with_its_first_command():
-    assert '-e ".[all]"' in blocks(README, "bash")[0].splitlines()[0]
 
 
 def test_the_architecture_names_what_is_there():
@@ -83,12 +72,6 @@ def test_what_to_read_first_is_short():
         paths = [ROOT / (a or b) for a, b in named]
         assert 10 < len(paths) == len(set(paths)) <= int(files) == 20
         assert sum(len(path.read_text().splitlines()) for path in paths) <= int(lines.replace(",", "")) == 3000
-
-
-def test_the_entry_point_of_a_method_is_where_the_recipe_says():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert '[project.entry-points."vsfsim.methods"]' in CONTRIBUTING
-    assert set(project["entry-points"]["vsfsim.methods"]) >= {"gaussian", "point-vsf", "sbml"}
 
 
 @pytest.mark.slow

@@ -7,9 +7,9 @@ layers that hold physical quantities. A field is documented by the string litera
 import ast
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
-from field_docs import fields_of
 
 ROOT = Path(__file__).parents[1]
 LAYERS = ("vsfsim/core", "vsfsim/data", "vsfsim/physics", "vsfsim/robot", "vsfsim/sensing", "vsfsim/vsf",
@@ -18,6 +18,35 @@ LAYERS = ("vsfsim/core", "vsfsim/data", "vsfsim/physics", "vsfsim/robot", "vsfsi
 SHAPE = re.compile(r"\(\w[\w\s+]*,")  # (n,), (T, 3), (3 n,), (T + 1,)
 DIMENSIONLESS = ("relative", "fraction", "factor", "probability", " over ", "0..1", "0 to 1", "see `", "unit of the")
 """Words that stand for [-], or that send the reader to the class that says it."""
+
+
+class Field(NamedTuple):
+    """A field of a dataclass, as it is declared."""
+
+    name: str
+    """Its name."""
+    kind: str
+    """Its annotation, as source text."""
+    doc: str
+    """The string literal below it on one line, or sentence, shape and unit of its row; empty if there is neither."""
+
+
+def fields_of(node: ast.ClassDef) -> list[Field]:
+    """The public fields of a class, in order."""
+    out = []
+    for statement, following in zip(node.body, [*node.body[1:], ast.Pass()], strict=True):
+        if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
+            continue
+        literal = (following.value.value if isinstance(following, ast.Expr)
+                   and isinstance(following.value, ast.Constant) else None)
+        rows = [call for call in ast.walk(statement.annotation) if isinstance(call, ast.Call)]
+        if rows:
+            _, dims, unit, sentence = (ast.literal_eval(value) for value in rows[0].args)
+            literal = f"{sentence} ({', '.join(dims.split())},) [{unit}]"
+        if not statement.target.id.startswith("_"):
+            out.append(Field(statement.target.id, ast.unparse(statement.annotation),
+                             " ".join(literal.split()) if isinstance(literal, str) else ""))
+    return out
 
 
 def undocumented(text: str) -> list[str]:

@@ -4,14 +4,12 @@ import json
 import shutil
 
 import pytest
+from mock_dataset import written
 
-from vsfsim.bench.mock import mock_view
 from vsfsim.core import shelf
 from vsfsim.core.errors import DatasetError
 from vsfsim.data import archive
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
 NAME = "toy-v1"
 
@@ -19,13 +17,7 @@ NAME = "toy-v1"
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """An archive with one dataset, whose digest is known."""
-    recipe = Recipe(scene="<mock>", scene_text="mock", seed=0, objects=2, views=1, touches=3, splits={"test": 2},
-                    device="cpu", tier="vsf", precision="float64", renderer="warp")
-    views = [mock_view(i, touches=3) for i in range(2)]
-    with DatasetWriter(tmp_path / "archive" / NAME, recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        made = writer.finish()
+    made = written(tmp_path / "archive" / NAME, train=0, test=2, touches=3)
     monkeypatch.setenv(archive.VARIABLE, str(tmp_path / "archive"))
     monkeypatch.setattr(archive, "digests_of", lambda name: {made.sha256} if name == NAME else set())
     return made

@@ -3,13 +3,12 @@
 import dataclasses
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from mock_dataset import written
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
@@ -18,20 +17,12 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256, write_atomic
 from vsfsim.data.hdf5 import read_view
 from vsfsim.data.manifest import manifest_bytes
-from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 
 
 @pytest.fixture
 def folder(tmp_path):
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
-                    splits={"train": 1, "test": 1}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-    views = [mock_view(i, split="train" if i < 1 else "test", touches=2) for i in range(2)]
-    with DatasetWriter(tmp_path / "toy", recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        writer.finish()
-    return tmp_path / "toy"
+    return written(tmp_path / "toy", test=1, touches=2).path
 
 
 def rewrite(folder, change):
@@ -43,10 +34,6 @@ def rewrite(folder, change):
 
 def load_all(folder):
     return [dataset.load(name) for dataset in [Dataset.open(folder)] for name in dataset.names()]
-
-
-def test_a_whole_dataset_is_read(folder):
-    assert [view.name for view in load_all(folder)] == ["mock-0000-v0", "mock-0001-v0"]
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -146,24 +133,6 @@ def test_object_files_that_point_outside_or_are_too_large_are_refused(folder, ch
         load_all(folder)
     with pytest.raises(DatasetError, match=message):
         read_view(path, blind=False)
-
-
-def test_a_vast_field_takes_no_memory(folder):
-    path = folder / "mock-0001-v0.h5"
-    with h5py.File(path, "a") as file:
-        vast(file, folder)
-    code = f"""
-import resource
-from vsfsim.core.errors import DatasetError
-from vsfsim.data.hdf5 import read_view
-resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
-try:
-    read_view({str(path)!r})
-except DatasetError as error:
-    print(error)
-"""
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "has shape (30000, 30000)" in out.stdout, out.stderr
 
 
 def test_text_is_made_plain():

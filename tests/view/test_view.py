@@ -10,25 +10,15 @@ import subprocess
 
 import numpy as np
 import pytest
+from mock_dataset import written
 
-from vsfsim.bench.mock import mock_view
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 from vsfsim.view.page import data_of, page
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    views = [mock_view(i, touches=3) for i in range(2)]
-    path = tmp_path_factory.mktemp("view") / "toy"
-    recipe = Recipe(scene="<mock>", scene_text="mock", seed=0, objects=2, views=1, touches=3, splits={"test": 2},
-                    device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(path, recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        writer.finish()
-    return path
+    return written(tmp_path_factory.mktemp("view") / "toy", train=0, test=2, touches=3).path
 
 
 def values(table):
@@ -136,7 +126,7 @@ def test_a_browser_draws_the_object_and_the_cut_takes_part_of_it_away(folder, vs
 FOLDS = """
 name = "toy-v1"
 description = "A toy."
-dataset = { folder = "toy", scene = "<mock>", seed = 0, objects = 2, views = 1, touches = 3, tier = "vsf" }
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 2, views = 1, touches = 3, tier = "vsf" }
 protocol = { folds = 2, draws = 1, trainings = 1, shots = [0, 1], query = 2, seed = 0 }
 observation = { kind = "normal-force" }
 noise = { force_std = 0.1, tare_frames = 0, seed = 0 }

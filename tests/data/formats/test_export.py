@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from mock_dataset import written
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError, VsfsimError
@@ -19,22 +20,13 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.lerobot import frame_rows
-from vsfsim.data.recipe import Recipe
 from vsfsim.data.same import compare
 from vsfsim.data.writer import DatasetWriter
-
-RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=2,
-                splits={"train": 2, "test": 1}, device="cpu", tier="vsf", precision="float64", renderer="warp")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    views = [mock_view(k, split="train" if k < 2 else "test", touches=2) for k in range(3)]
-    path = tmp_path_factory.mktemp("data") / "d"
-    with DatasetWriter(path, RECIPE, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
-        return writer.finish()
+    return written(tmp_path_factory.mktemp("data") / "d", train=2, test=1, touches=2)
 
 
 def test_lerobot_holds_every_frame_to_the_bit(made, tmp_path):
@@ -124,11 +116,11 @@ def test_webdataset_holds_every_array(made, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def dotted(tmp_path_factory):
+def dotted(made, tmp_path_factory):
     """Names with dots, and views whose splits alternate."""
     views = [dataclasses.replace(mock_view(k, split=("train", "test", "train")[k], touches=2), name=name)
              for k, name in enumerate(("shoe.v2-0000", "shoe.v2-0001", "shoe%2Ev2".replace("%", "+")))]
-    with DatasetWriter(tmp_path_factory.mktemp("dotted") / "d", RECIPE, [v.name for v in views]) as writer:
+    with DatasetWriter(tmp_path_factory.mktemp("dotted") / "d", made.recipe, [v.name for v in views]) as writer:
         for view in views:
             writer.add(view)
         return writer.finish()
@@ -170,8 +162,8 @@ def test_openvsf_wants_an_arm_and_bad_words_are_told(made, tmp_path):
         export(made.path, "webdataset", tmp_path / "o")
 
 
-def test_a_half_made_dataset_is_not_exported(tmp_path):
-    with DatasetWriter(tmp_path / "d", RECIPE, ["mock-0000-v0"]) as writer:
+def test_a_half_made_dataset_is_not_exported(made, tmp_path):
+    with DatasetWriter(tmp_path / "d", made.recipe, ["mock-0000-v0"]) as writer:
         writer.add(mock_view(0, touches=2))
     with pytest.raises(DatasetError, match="unfinished"):
         export(tmp_path / "d", "webdataset", tmp_path / "w")
@@ -181,7 +173,6 @@ def test_a_half_made_dataset_is_not_exported(tmp_path):
 SLOW = """
 import sys, time
 from vsfsim.data.formats import webdataset
-from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 real = webdataset.packed
 webdataset.packed = lambda arrays: (print("writing", flush=True), time.sleep(0.2), real(arrays))[-1]
@@ -209,7 +200,7 @@ def test_datasets_are_compared_touch_by_touch(made, tmp_path):
         touches = [dataclasses.replace(t, force=t.force * factor) for t in view.touches]
         return dataclasses.replace(view, touches=tuple(touches))
 
-    with DatasetWriter(tmp_path / "d", RECIPE, [v.name for v in views]) as writer:
+    with DatasetWriter(tmp_path / "d", made.recipe, [v.name for v in views]) as writer:
         for view, factor in zip(views, (1.0, 1.0 + 1e-5, 1.5), strict=True):
             writer.add(changed(view, factor), "another CPU")
         writer.finish()

@@ -1,0 +1,27 @@
+"""Datasets of mock objects, and a task on them."""
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+TASK = """
+name = "toy-v1"
+description = "A toy."
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
+protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 2, query = 4, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 5 }
+"""
+
+
+def written(folder, *, train=1, test=2, touches=12):
+    """The dataset of mock objects made in ``folder``, the first ``train`` of them for training."""
+    views = [mock_view(i, split="train" if i < train else "test", touches=touches) for i in range(train + test)]
+    splits = {name: count for name, count in (("train", train), ("test", test)) if count}
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=len(views), views=1, touches=touches,
+                    splits=splits, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(folder, recipe, [view.name for view in views]) as writer:
+        for view in views:
+            writer.add(view)
+        return writer.finish()
