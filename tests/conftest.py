@@ -19,7 +19,7 @@ WORKERS = 4  # processes at most: each holds a gigabyte and compiles for itself 
 LONGEST = ("test_invariance.py", "test_bad_input.py", "test_extremes.py", "test_bubble.py", "test_isolation.py",
            "test_scan.py", "test_generate.py", "test_first_hour.py", "test_rigid.py", "test_training.py",
            "test_solver.py", "test_sbml.py", "test_friction.py", "test_new_effector.py", "test_plants.py",
-           "test_generate_to_score.py", "test_notebook.py", "test_bubble_edges.py", "test_field_vsf.py",
+           "test_notebook.py", "test_bubble_edges.py", "test_field_vsf.py",
            "test_packaging.py", "test_press_cli.py", "test_python.py", "test_dataset.py", "test_stability.py",
            "test_touch_bubble.py", "test_evaluate.py", "test_presets.py", "test_admission.py", "test_interruption.py",
            "test_body_points.py", "test_docs.py")

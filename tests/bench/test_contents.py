@@ -5,10 +5,9 @@ import pytest
 import toy_methods  # noqa: F401  (the methods below extend one of it, in a process of their own)
 
 from vsfsim.bench.evaluate import finish
-from vsfsim.bench.identity import _SCORES, contents_of, files_of, method_sha256, scorer_sha256, versions_of
+from vsfsim.bench.identity import _SCORES, contents_of, files_of, method_sha256, scorer_sha256
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.core.errors import MethodError
-from vsfsim.core.system import content
 
 KEPT = "r.parts/*/*.answers"
 METHOD = """
@@ -88,25 +87,6 @@ def test_answers_pass_through_the_particle_model_and_ceilings_through_the_solver
         assert not [name for name in found if name.startswith(("vsfsim.cli", "vsfsim.bench.leaderboard",
                                                                "vsfsim.bench.result", "vsfsim.data"))]
     assert len(_SCORES) < 15 and scorer_sha256() != method_sha256("sbml") != method_sha256("resim")
-
-
-def test_other_packages_count_by_their_version_wherever_they_lie(tmp_path, monkeypatch):
-    (tmp_path / "libs" / "thing").mkdir(parents=True)
-    (tmp_path / "libs" / "thing" / "__init__.py").write_text("A = 1\n")
-    info = tmp_path / "libs" / "thing-1.5.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thing\nVersion: 1.5\n")
-    (info / "top_level.txt").write_text("thing\n")
-    (tmp_path / "mine.py").write_text("import thing\nimport numpy\n\n\nclass Mine: ...\n")
-    monkeypatch.syspath_prepend(tmp_path / "libs")
-    content._installed.cache_clear()
-    try:
-        before = method_sha256("mine:Mine", tmp_path)
-        (tmp_path / "libs" / "thing" / "__init__.py").write_text("A = 2\n")
-        assert method_sha256("mine:Mine", tmp_path) == before
-        assert versions_of("mine:Mine", tmp_path)["thing"] == "1.5"
-    finally:
-        content._installed.cache_clear()
 
 
 def test_a_package_counts_with_every_file_in_it(tmp_path):

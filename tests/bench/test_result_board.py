@@ -72,15 +72,6 @@ def test_the_same_dataset_from_a_machine_that_rounds_otherwise_is_ranked(results
     assert "new ~" in text and "~ on the same dataset, made on a machine that rounds otherwise" in text
 
 
-def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
-    for name, a in zip("ab", (1, 2)):
-        dataclasses.replace(results[0], method="twin", parameters={"a": a, "b": 0.5}).save(tmp_path / f"{name}.json")
-    dataclasses.replace(results[1], method="alone", parameters={"a": 3}).save(tmp_path / "c.json")
-    names = [line.split("  ")[1].strip()
-             for line in leaderboard.text(leaderboard.collect(task, [tmp_path])).splitlines() if line[:1].isdigit()]
-    assert sorted(names) == ["alone", "twin (a=1)", "twin (a=2)"]
-
-
 def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task, toy_dataset, tmp_path):
     made = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
     for k, (name, change) in enumerate({

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -81,17 +80,6 @@ class Seeded(Constant):
 
     def __init__(self, *, seed=0):
         super().__init__(value=float(seed))
-
-
-class ShownGpus(Constant):
-    """Writes which GPUs it sees into a file of its own in the folder ``report``, in each training."""
-
-    def __init__(self, *, seed=0, device="cpu", report=""):
-        super().__init__(value=float(seed))
-        self.report = report
-
-    def meta_fit(self, specimens):
-        (Path(self.report) / str(os.getpid())).write_text(os.environ["CUDA_VISIBLE_DEVICES"])
 
 
 class Cumulative(Constant):

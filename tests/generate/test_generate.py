@@ -125,17 +125,6 @@ def test_another_seed_gives_another_dataset_and_more_objects_keep_the_first(made
     assert all(np.array_equal(p.force, q.force) for p, q in zip(a.touches, b.touches))
 
 
-def killed(words, moment):
-    """Start a command and kill it as soon as ``moment()`` is true; returns how long it ran [s]."""
-    began = time.perf_counter()
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while process.poll() is None and not moment():
-        time.sleep(0.005)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    return time.perf_counter() - began
-
-
 def leave(job, device):
     """Stands in for the function that makes a view: the system kills the worker, as it does when memory runs out."""
     os.kill(os.getpid(), signal.SIGKILL)
@@ -146,17 +135,6 @@ def test_a_worker_that_is_killed_is_said_to_be(scene, tmp_path, monkeypatch):
     with pytest.raises(DatasetError, match=r"a worker process ended before .* out of memory. Run the same"):
         generate(scene, tmp_path / "d", workers=2)
     assert not list((tmp_path / "d").glob("*.h5"))
-
-
-@pytest.mark.slow
-def test_sigkill_half_way_then_again_gives_the_same_bits(made, scene, tmp_path):
-    """Killed with its two workers when the first file is there; see `tests/data` for every moment of the writing."""
-    out = tmp_path / "d"
-    killed(command("generate", scene.path, "--out", out, "--workers", 2),
-           lambda: out.is_dir() and list(out.glob("*.h5*")))
-    generate(scene, out, workers=1)
-    assert contents(out) == contents(made.path)
-    assert verify(out).ok
 
 
 @pytest.mark.slow
@@ -183,7 +161,6 @@ def test_splits_keep_their_proportions(scene):
     assert splits_for(concrete, 2) == {"train": 1, "test": 1}
     assert splits_for(concrete, 10) == {"train": 5, "test": 5}
     assert sum(splits_for(concrete, 7).values()) == 7
-
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):

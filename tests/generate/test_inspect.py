@@ -5,7 +5,6 @@ import re
 import numpy as np
 import pytest
 
-from vsfsim.core.shelf import find_scene
 from vsfsim.generate.inspect import inspect
 
 BLOCK = """
@@ -51,11 +50,3 @@ def test_of_a_bubble_without_an_object_its_free_dome(tmp_path):
     # 100 nodes are 4 % low at the apex and 3 % in volume
     assert apex == pytest.approx(30.89, rel=0.05) and gauge == 7820.0
     assert volume == pytest.approx(1e6 * np.pi * 0.05725 * 0.040 * 0.03089 / 1.763, rel=0.05)
-
-
-def test_of_an_arm_the_plant(tmp_path):
-    text = find_scene("plants-mini").read_text()
-    lines = lines_of(text.replace('name = "plants-mini"', 'name = "small"'), tmp_path)
-    segments = int(re.match(r"small: (\d+) segments", lines[0]).group(1))
-    parts = [int(n) for n in re.findall(r"(\d+) segments, E", "\n".join(lines))]
-    assert segments > 20 and len(parts) >= 2 and sum(parts) == segments

@@ -21,13 +21,12 @@ from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import DatasetError, SceneError, VsfsimError
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import Registry, effectors
 from vsfsim.data import schema
 from vsfsim.data.hdf5 import read_view
 from vsfsim.data.verify import _check_schema, verify
 from vsfsim.generate.effector import find_effector
-from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import generate
 from vsfsim.press.command import press
 
@@ -270,13 +269,6 @@ def test_it_is_pressed_printed_drawn_and_saved(load_cell, tmp_path):
     assert force[-1] > 0.1 and numbers["cell_force"] == pytest.approx(np.clip(force, -2.0, 2.0), abs=0.025 + 1e-12)
     assert np.load(tmp_path / "s.npz")["cell_force"].tolist() == numbers["cell_force"]
     assert all((tmp_path / name).read_bytes()[:4] == b"\x89PNG" for name in ("p.png", "q.png"))
-
-
-def test_its_own_settings_are_refused_by_itself(load_cell):
-    with pytest.raises(SceneError, match=r"\[sensor\]: range is -1"):
-        make_recipe(parse_scene(SCENE.replace("range = 2.0", "range = -1"), "w.toml"))
-    with pytest.raises(SceneError, match=r"\[sensor\]: unknown key 'rnage'"):
-        make_recipe(parse_scene(SCENE.replace("range = 2.0", "rnage = 2.0"), "w.toml"))
 
 
 def test_a_channel_that_is_declared_and_not_recorded_is_refused(load_cell, made, tmp_path):

@@ -13,8 +13,6 @@ from vsfsim.bench.task import parse_task
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import find_scene, find_task
 from vsfsim.data.hdf5 import read_view, write_view
-from vsfsim.data.summary import summary
-from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants.batches import make_together
 from vsfsim.generate.plants.prepare import prepare_job
@@ -92,20 +90,6 @@ def off_line(arm, aim):
     """Furthest that the tool leaves the line of an aim, between its rows [m]."""
     off = arm.postures(aim.angles(np.linspace(0.0, len(aim.line) - 1.0, 20 * len(aim.line)))).tool[:, :3, 3] - aim.start
     return float(np.linalg.norm(off - (off @ aim.axis)[:, None] * aim.axis, axis=1).max())
-
-
-def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
-    _, view, job = made
-    assert all(t.ended is None for t in view.touches)  # no guarded move
-    view = dataclasses.replace(view, touches=(view.touches[0], dataclasses.replace(view.touches[1], ended=1)))
-    recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
-    with DatasetWriter(tmp_path / "d", recipe, [view.name]) as writer:
-        writer.add(view)
-        writer.finish()
-    text = summary(tmp_path / "d")
-    assert "penetration" in text and "min det" not in text  # beams have no det F
-    assert "1 touches at the arm's protective stop, 0 with" in text
-    assert read_view(tmp_path / "d" / f"{view.name}.h5").touches[1].ended == 1
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made, prepared):

@@ -1,13 +1,8 @@
 """Ray makes the dataset of one process, on two nodes of this machine."""
 
 import contextlib
-import glob
-import os
-import random
-import signal
 import subprocess
 import time
-from pathlib import Path
 
 import pytest
 from test_generate import SCENE, command
@@ -69,42 +64,18 @@ def test_workers_of_two_nodes_give_the_bytes_of_one_process(scene, made, tmp_pat
     assert found.sha256 == made.sha256 and contents(tmp_path / "d") == contents(made.path)
 
 
-def descendants(process):
-    """Processes that a process and its children have started (Linux)."""
-    found = []
-    for path in glob.glob(f"/proc/{process}/task/*/children"):
-        with contextlib.suppress(OSError):  # it has ended
-            found += [int(word) for word in Path(path).read_text().split()]
-    return found + [pid for child in found for pid in descendants(child)]
-
-
-def at_work(of):
-    """Processes of tasks among the descendants of a process. Others of Ray end their node with them."""
-    found = []
-    for pid in descendants(of):
-        with contextlib.suppress(OSError):
-            found += [pid] if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::vsfsim") else []
-    return found
-
-
 @pytest.mark.slow
-def test_after_twenty_kills_of_workers_and_one_of_the_head_the_bytes_are_the_same(scene, made, tmp_path):
-    """Of the processes that make views at random moments; then of the head, whose loss is told within a minute."""
-    rng, kills = random.Random(0), 0
+def test_after_the_head_was_killed_the_bytes_are_the_same(scene, made, tmp_path):
+    """Its loss is told within a minute; another cluster goes on."""
     words = [*command("generate", scene.path, "--out", tmp_path / "d", "--objects", OBJECTS), "--on", "ray"]
-    with cluster(4) as there:
+    with cluster(2) as there:
         run = subprocess.Popen([*words, "--address", there.address], stderr=subprocess.PIPE, text=True)
-        while kills < 20 and run.poll() is None:
-            time.sleep(rng.uniform(0.0, 1.0))
-            for pid in at_work(os.getpid())[:1]:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-                    kills += 1
+        while run.poll() is None and not list((tmp_path / "d").glob("*.h5")):
+            time.sleep(0.01)
         there.head_node.kill_gcs_server()
         there.head_node.kill_raylet(check_alive=False)
         _, said = run.communicate(timeout=120.0)
-    print(f"{kills} kills of workers, one of the head; exit code {run.returncode}: {said.strip()[-300:]}")
-    assert kills == 20 and run.returncode == 2 and "was lost" in said and "Traceback" not in said
+    assert run.returncode == 2 and "was lost" in said and "Traceback" not in said
     assert not (tmp_path / "d" / "dataset.json").exists()
     with cluster(2) as there:
         found = generate(scene, tmp_path / "d", objects=OBJECTS, fan=Fan(ray=there.address))

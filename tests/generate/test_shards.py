@@ -5,10 +5,9 @@ import json
 import os
 import re
 import signal
-import sys
 
 import pytest
-from test_generate import SCENE, command
+from test_generate import SCENE
 
 from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.core.scene import load_scene
@@ -216,27 +215,6 @@ def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkey
         "dataset.part.json", "manifest", "tiny-0000-v0.h5", "tiny-0001-v0.h5"]
     assert generate(scene, tmp_path / "d", objects=4).sha256 == made.sha256
     assert contents(tmp_path / "d") == contents(made.path)
-
-
-@pytest.mark.slow
-def test_the_batch_file_makes_all_shards(scene, made, tmp_path, monkeypatch):
-    """With an `sbatch` that runs the tasks of the array here, one after the other."""
-    out, bin = tmp_path / "d", tmp_path / "bin"
-    words = [str(w) for w in command("generate", scene.path, "--out", out, "--objects", 4)]
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(VsfsimError, match="there is no Slurm on this machine"):
-        engines.submit(words, 2)
-    bin.mkdir()
-    task = "SLURM_ARRAY_TASK_ID=$k SLURM_ARRAY_TASK_COUNT=2 SLURM_CPUS_PER_TASK=1 bash $0.job || exit 1"
-    for name, text in (("sbatch", f"cat > $0.job\nfor k in 0 1; do {task}; done"), ("srun", 'exec "$@"')):
-        (bin / name).write_text(f"#!/bin/bash\n{text}\n")
-        (bin / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{bin}:/usr/bin:/bin")
-    engines.submit(words, 2)
-    with pytest.raises(VsfsimError, match="sbatch ended with code 1: shards failed"):
-        engines.submit([*words, "--tier", "no"], 2)
-    assert make(planned(scene, out, objects=4, finish=True)).dataset.sha256 == made.sha256
-    assert sys.executable == words[0] and lines.finished_names(open_store(out)) == set()
 
 
 def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():

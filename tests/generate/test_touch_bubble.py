@@ -269,13 +269,3 @@ def test_touches_need_an_object():
             + "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n")
     with pytest.raises(SceneError, match=r"\[touches\]: the touches of a dataset are made on an \[object\]"):
         parse_scene(text, "felt.toml")
-
-
-def test_an_object_in_the_way_of_every_target(tmp_path):
-    scene = parse_scene(SCENE.replace("approach = 0.005", "approach = 0.4"), "felt.toml").sample(0)
-    sensor = build_bubble(scene.sensor)
-    view = type("V", (), {"points": lambda self: np.array([[0.0, 0.0, 0.01]]), "camera_pose": np.eye(4) * 1.0})()
-    samples = np.array([[0.0, 0.0, 0.01], [0.02, 0.0, 0.05]])
-    body = type("M", (), {"mesh": type("K", (), {"points": samples, "faces": np.array([[0, 1, 1]])})()})()
-    with pytest.raises(SceneError, match=r"no target of 200 can be reached by the \[sensor\]"):
-        touch_bubble.aim(scene, body, sensor, view, lambda k: np.random.default_rng(k))

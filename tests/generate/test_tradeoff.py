@@ -12,12 +12,11 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.trade import command, front
-from vsfsim.generate.trade.buy import choose, too_much
 from vsfsim.generate.trade.curve import Curve, distance
 from vsfsim.generate.trade.front import Point, sentence, with_front
 from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.setting import Ground, Setting
-from vsfsim.generate.trade.touches import Run, spread
+from vsfsim.generate.trade.touches import Run
 from vsfsim.physics.convergence import curve_limit
 
 EDGE = (0.013, 0.010, 0.0077)
@@ -51,33 +50,6 @@ def test_a_curve_of_fewer_frames_is_read_between_them():
     # straight lines from (0, 0) over (1/2, 1/4) to (1, 1)
     assert off.full == 0.0 and off.worst == pytest.approx(0.0625) and off.shallow == pytest.approx(1.0)
     assert distance("force", Curve(share[1::2], coarse.readings, np.array([True, False]), ~good), share, limit) is None
-
-
-def test_a_touch_whose_limit_scatters_counts_for_a_pilot_and_one_without_a_limit_does_not():
-    share, good = np.array([0.5, 1.0]), np.ones(2, bool)
-    curve = Curve(share, {"force": share}, good, ~good)
-    exact, loose, none = (
-        {"force": curve_limit(EDGE, np.stack([share * s for s in scale]), tolerance=1e-4)}
-        for scale in ((1.0, 1.0, 1.0), (1.0, 1.1, 1.0), (1.0, math.nan, 1.0)))
-    run = Run((curve,) * 3, 0.0, 1.0, 1.0, 1.0, 3, (0.01,) * 3)
-    found = front.point(SETTING, run, [exact, loose, none], [share] * 3, shows=True)
-    assert found.error == 0.0 and found.bar < 1e-3 and not loose["force"].known
-    assert found.off == pytest.approx(1.25 * 0.1 * np.sqrt(0.625), rel=0.01)
-    half = dataclasses.replace(curve, converged=np.array([True, False]))
-    lost = dataclasses.replace(run, curves=(curve, half, curve))
-    stuck = front.point(SETTING, lost, [exact, loose, none], [share] * 3, shows=True)
-    assert stuck.error == 0.0 and math.isnan(stuck.off), "no equilibrium where the limit scatters"
-    chosen, best = choose([(SETTING, stuck)], 0.5)
-    assert chosen is None and "fem, 20 mm, has no equilibrium at full depth in a touch" in too_much(best)
-    assert "is off by 9.9 % on its worst touch, the error of its limit included. Ask for 14 %" in too_much(found)
-
-
-def test_touches_cover_depths_and_places():
-    rng = np.random.default_rng(0)
-    depth, place = rng.uniform(1.0, 2.0, 30), rng.uniform(size=(30, 3))
-    taken = spread(depth.tolist(), place, 5)
-    ranks = np.argsort(np.argsort(depth))[taken]
-    assert len(set(taken)) == 5 and sorted(ranks // 6) == [0, 1, 2, 3, 4]
 
 
 def some(key, cpu, error, *, bar=0.004, shows=True):

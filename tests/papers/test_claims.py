@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from papers.claims import SIZES, Claim, Side, claims_of, decided, judge, text, with_results
+from papers.claims import SIZES, Claim, Side, claims_of, decided, judge, text
 from papers.decide import FAILS, HOLDS, UNTOLD, Difference, Question, Values, answers, holm
 from papers.figures import TABLES, TEXTS, figure, printed, said
 from papers.study import load_study, studies
@@ -110,13 +110,6 @@ def test_an_angle_is_a_share_of_objects():
 
     some = values_of(row("a", []).result, load_task(TASK).protocol, "rotation_error", "all", {"x": 14.0, "y": 170.0})
     assert some.objects == {"x": 1.0, "y": 0.0}
-
-
-def test_a_claim_takes_the_first_size_with_results():
-    mini, none = verdict(row("a", LESS), row("b", LEVEL)), verdict(row("a", LESS), None)
-    standard = verdict(row("a", LEVEL), row("b", LESS))
-    assert with_results([[standard], [mini]]) == [standard] and with_results([[none], [mini]]) == [mini]
-    assert with_results([[none], [none]]) == [none] and with_results([[], [mini]]) == [mini]
 
 
 def test_a_missing_result_is_named_with_its_command():

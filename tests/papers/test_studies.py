@@ -88,13 +88,6 @@ def test_a_table_says_which_rows_are_on_other_data_and_which_on_the_same_made_ag
     assert "data" not in report.text(study, "mini", found(study, all=LEVEL, half=LEVEL))
 
 
-def test_a_table_has_the_shots_that_its_study_asks(study):
-    both = found(study, all=LEVEL, half=LEVEL)
-    both["all"] = dataclasses.replace(both["all"], result=dataclasses.replace(both["all"].result, shots=("0", "1")))
-    assert report.cells(study, both)[0][1:3] == ["0-shot", "1-shot"]
-    assert "1-shot" not in report.cells(dataclasses.replace(study, shots=(0,)), both)[0]
-
-
 def test_only_a_class_of_objects_counts(study):
     boots = dataclasses.replace(study.variant("all"), only="boot")
     counted = stored_results._counted(study, boots, study.task_of(boots, "mini"))

@@ -1,6 +1,5 @@
 """Around a press: what is assumed, observed order of convergence, pressures, pictures' triangles."""
 
-import dataclasses
 import errno
 
 import numpy as np
@@ -13,11 +12,9 @@ from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 from vsfsim.generate.assume import with_probe
 from vsfsim.generate.boundary import deformed_surface, face_pressure
 from vsfsim.generate.effectors.probe import prepare, solve
-from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.convergence import convergence
-from vsfsim.physics.solve.frames import Reason
-from vsfsim.press.command import Press, press
+from vsfsim.press.command import Press
 from vsfsim.sensing.tessellate import tessellate
 
 BOX = '[object]\nshape = { box = [0.06, 0.05, 0.03] }\nyoung_modulus = 1e5\nresolution = 0.015\ntier = "linear"\n'
@@ -140,14 +137,3 @@ def test_a_full_disk_is_named(pressed, tmp_path, monkeypatch, way):
     with pytest.raises(VsfsimError, match=f"(?s){file}.*(full|space)"):
         getattr(Press("small", (pressed[1],), "cpu"), way)(file)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_stated_time_limit_is_the_only_one_of_a_frame(monkeypatch):
-    """Two conjugate gradients a frame are not enough here. Who states a time limit gets that time for the frame."""
-    own = tiers.options
-    monkeypatch.setattr(tiers, "options", lambda tier: dataclasses.replace(own(tier), cg_frame=2))
-    path = "[press]\nfrom = [0, 0, 0.05]\nto = [0, 0, 0.047]\nframes = 1\n"
-    loaded = parse_scene(BOX.replace("linear", "fem-coarse") + path, "s.toml")
-    few, timed = (press(loaded, limit=limit).result for limit in (None, 60.0))
-    assert Reason.ITERATIONS.text in few.more["reason"]
-    assert set(timed.more["reason"]) == {Reason.NONE.text}

@@ -11,8 +11,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.effectors.bubble import inward_distance, outside, result_of, solve
-from vsfsim.generate.press_result import Colours
+from vsfsim.generate.effectors.bubble import inward_distance, result_of, solve
 from vsfsim.press import figures
 from vsfsim.press.command import Press
 from vsfsim.press.command import press as command
@@ -81,19 +80,7 @@ def test_what_is_saved(down, tmp_path):
         assert np.abs(data["fine_position"][:, data["fine_rim"]] - rim).max() < 1e-12, "the rim is clamped"
 
 
-def shades(image):
-    """Pixels that are red, blue and grey (3,)."""
-    red, green, blue = image.reshape(-1, 3).astype(int).T
-    grey = (abs(red - green) < 12) & (abs(green - blue) < 20) & (red < 200)
-    return np.array([(red > blue + 60).sum(), (blue > red + 60).sum(), grey.sum()])
-
-
-def rendered(solved, frame, values):
-    """The picture from outside, one value a triangle: red above zero, blue below."""
-    return figures.rendered(outside(solved, frame, values, Colours("bwr", -1.0, 1.0)), "cpu")
-
-
-def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
+def test_the_skin_has_a_dent_and_a_bulge_and_the_picture_shows_dots(down, tmp_path):
     solved, result = down
     depth = inward_distance(solved.sensor, solved.in_mount()[0][2])
     # the node nearest the ball's pole has gone as far as the mount has; the skin around bulges out, since the air has
@@ -101,10 +88,6 @@ def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
     assert depth.max() == pytest.approx(result.depth[2], rel=0.05)
     assert -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
     assert np.abs(depth[solved.sensor.mesh.rim]).max() < 1e-12
-    sign = np.where(depth[solved.sensor.mesh.faces].mean(axis=1) > 0.0, 1.0, -1.0)
-    alone = dataclasses.replace(solved, scene=dataclasses.replace(solved.scene, obstacles=()))
-    with_ball, without = (shades(rendered(s, 2, sign)) for s in (solved, alone))
-    assert (with_ball > 2000).all() and (without[:2] > 2000).all() and without[2] == 0
     figures.picture(result, "small", tmp_path / "p.png")
     drawn = matplotlib.image.imread(tmp_path / "p.png")
     assert drawn.shape[1] > 3 * drawn.shape[0] and np.ptp(drawn[:, -200:, 0]) > 0.3, "the camera inside sees dots"
@@ -151,7 +134,7 @@ frames = 2
 
 def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
     made = solve(parse_scene(SOFT, "soft.toml").sample(0), Request())
-    solved, result = made.solved, result_of(made, Request())
+    result = result_of(made, Request())
     saved = {name: values for name, (values, _) in result.arrays.items()}
     assert result.converged.all() and result.force[-1, 2] > 0.5
     assert result.reaction == pytest.approx(result.force, rel=1e-2, abs=1e-3), "the object is held"
@@ -160,6 +143,3 @@ def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pus
     arm = saved["node_position"] - saved["mount_pose"][:, None, :3, 3]
     moment = np.einsum("tji,tj->ti", saved["mount_pose"][:, :3, :3], np.cross(arm, saved["node_force"]).sum(axis=1))
     assert moment == pytest.approx(result.more["wrench"][:, 3:], abs=1e-6)
-    # the picture's block lies where the skin is pushed in
-    red, _, grey = shades(rendered(solved, 1, np.ones(len(solved.sensor.mesh.faces))))
-    assert red > 2000 and grey > 20_000

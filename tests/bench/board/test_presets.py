@@ -35,16 +35,6 @@ def test_a_preset_knows_the_observation():
     assert not any("surface-gp-" in row.method for row in choices("normal-force")), "they differ by their choice alone"
 
 
-@pytest.mark.parametrize("field", ["grid-vsf", "neural-vsf"])
-def test_a_preset_knows_what_is_asked(field):
-    """Forces on a membrane tell a field where matter is, and the pressure alone what the next touch will read."""
-    mask, readings = (preset(field, "tuned", "pressure", answer) for answer in ("mask", "readings"))
-    assert (mask.parameters.get("skin", True), readings.parameters["skin"]) == (True, False)
-    rows = {row.stem: row for row in choices("pressure", answer="readings")}
-    assert rows[f"{field}.tuned"] == readings
-    assert not any(isinstance(value, dict) for row in (mask, readings) for value in row.parameters.values())
-
-
 @pytest.mark.parametrize("answer", [Answer.MASK, Answer.POSE, Answer.READINGS])
 def test_methods_that_cannot_give_a_tasks_answer_are_left_out(answer):
     needs = {Answer.MASK: "stiffness", Answer.POSE: "locate", Answer.READINGS: "predict"}[answer]

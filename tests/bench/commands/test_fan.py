@@ -58,10 +58,6 @@ def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
     words = ["evaluate", "--task", "t.toml", "--on", "slurm", "--shards=4", "--print", "--all"]
     assert shard_words(words) == ["vsfsim", "evaluate", "--task", "t.toml", "--all"]
     task = "fewshot-shoes-v2-mini-v3"
-    out = vsfsim("evaluate", "--method", "gaussian", "--task", task, "--on", "slurm", "--shards", "3", "--print",
-                 cwd=tmp_path)
-    assert "--array=0-2" in out.stdout
-    assert f"srun vsfsim evaluate --method gaussian --task {task} --shard auto" in out.stdout
     out = vsfsim("papers", "study", "rope", "--on", "k8s", "--shards", "5", "--print", cwd=tmp_path)
     assert '"vsfsim", "papers", "study", "rope", "--shard", "auto/5"' in out.stdout and "completions: 5" in out.stdout
     for words, text in ((("--on", "ray", "--shard", "0/2"), "--shard and --on do not go together"),

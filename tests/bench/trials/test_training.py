@@ -79,17 +79,6 @@ def test_a_share_is_a_part_of_a_larger_one(dataset, task):
             } != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
 
 
-@pytest.mark.parametrize(("device", "seen"), [("cuda", ["3", "3", "5", "5"]), ("cuda:0", ["3,5"] * 4)])
-def test_trainings_side_by_side_have_a_gpu_each_unless_told_which(dataset, task, monkeypatch, tmp_path, device, seen):
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5")
-    path, report = tmp_path / "shown.json", tmp_path / "shown"
-    report.mkdir()
-    name, given = "toy_methods:ShownGpus", {"report": str(report), "device": device}
-    row = Row.at(path, name, task, dataset, parameters=given)
-    assert [made.method for _, made in make([row], 4, check=False)] == [name]
-    assert sorted(file.read_text() for file in report.iterdir()) == seen
-
-
 def test_objects_of_another_dataset_are_added(dataset, task):
     extra = Training(extra=(Extra(task, dataset, 2),))
     fold = extra.folds(dataset, task.protocol)[0]
