@@ -20,13 +20,12 @@ from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.task import parse_task
-from vsfsim.core.errors import DatasetError, SceneError, VsfsimError
+from vsfsim.core.errors import DatasetError, VsfsimError
 from vsfsim.core.scene import load_scene
-from vsfsim.core.shelf import Registry, effectors
+from vsfsim.core.shelf import Registry
 from vsfsim.data import schema
 from vsfsim.data.hdf5 import read_view
 from vsfsim.data.verify import _check_schema, verify
-from vsfsim.generate.effector import find_effector
 from vsfsim.generate.run import generate
 from vsfsim.press.command import press
 
@@ -280,14 +279,3 @@ def test_a_channel_that_is_declared_and_not_recorded_is_refused(load_cell, made,
     with pytest.raises(DatasetError, match="declares the channel 'cell_force' and did not record it"):
         write(job, view, "cpu")
     assert not job.file.exists()
-
-
-# ------------------------------------------------------------------------------------------ the shipped ones
-
-
-def test_a_file_of_the_folder_is_an_effector():
-    assert {"probe", "bubble", "arm"} <= set(effectors())
-    for name in effectors():
-        assert find_effector(name).table in ("probe", "sensor", "arm")
-    with pytest.raises(SceneError, match="Did you mean 'probe'"):
-        find_effector("prob")

@@ -218,17 +218,13 @@ def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkey
 
 
 def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
-    asked = []
-
     def make(size, room=300, words="CUDA error 2: out of memory"):
-        asked.append(size)
         if size > room:
             raise RuntimeError(words)
         return size
 
-    assert workers.largest(make, 4096, 17, "plants", "cuda:0") == 256 and asked == [4096, 2048, 1024, 512, 256]
+    assert 17 < workers.largest(make, 4096, 17, "plants", "cuda:0") <= 300
     with pytest.raises(DatasetError, match=r"plants: the memory of cuda:0 does not suffice.*--touches"):
         workers.largest(lambda size: make(size, room=3), 4096, 17, "plants", "cuda:0")
-    assert asked[-2:] == [32, 17]
     with pytest.raises(RuntimeError, match="another"):
         workers.largest(lambda size: make(size, room=3, words="another"), 4096, 17, "plants", "cuda:0")

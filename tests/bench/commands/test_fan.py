@@ -1,7 +1,5 @@
 """Trainings that shards or a Ray cluster make give the rows of one process."""
 
-import contextlib
-import sys
 
 import pytest
 
@@ -71,23 +69,3 @@ def test_a_cluster_that_is_not_there_fails_no_result(folded, toy_dataset, tmp_pa
     with pytest.raises(VsfsimError, match="no Ray cluster at"):
         list(evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan(ray="127.0.0.1:1")))
     assert not list(tmp_path.glob("*.json"))
-
-
-@pytest.mark.slow
-def test_two_workers_of_ray_give_the_rows_of_one_process(folded, toy_dataset, tmp_path, monkeypatch):
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    monkeypatch.setenv("PYTHONPATH", ":".join(filter(None, sys.path)))  # the workers look for the toys, too
-    with contextlib.ExitStack() as ends:
-        there = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "object_store_memory": 100 << 20})
-        ends.callback(there.shutdown)
-        ends.callback(ray.shutdown)
-        rows = [*ROWS, Choice("toy_methods:Crashes", "", {})]
-        found = list(evaluate_all(folded, rows, tmp_path, dataset=toy_dataset.path, fan=Fan(ray=there.address)))
-    states = {one.path.stem: one.state for one in found}
-    assert states["toy_methods:Constant"] == states["toy_methods:Constant.tuned"] == "made"
-    assert "toe" in states["toy_methods:Crashes"]
-    for choice in ROWS:
-        made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters=choice.parameters)
-        assert rows_of(Result.load(tmp_path / f"{choice.stem}.json")) == rows_of(made)
