@@ -5,14 +5,12 @@ A new element is tested by adding a row to `ELEMENTS`, `FLAT` or `DOMES`.
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from element_body import FOAM, SIZE, Body, E, tet
 
 from vsfsim.core.solid import Solid
 from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.foundation import foundation
 from vsfsim.physics.laws import hyperfoam
-from vsfsim.physics.linear.cholesky import Order
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed, ellipse
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model, tetrahedra
@@ -177,21 +175,6 @@ def test_tangent_is_symmetric_and_its_projection_never_negative(body, projected)
         assert lowest < -1e-3 * np.abs(whole).max(), "this state was meant to be unstable"
 
 
-@pytest.mark.parametrize("kind", [*ELEMENTS, *FLAT])
-def test_the_assembled_tangent_is_the_one_that_multiplies(small, kind):
-    """A foam's numbers, which all elements of a block share, were taken for one row of each element, and a frame that
-    needed such a matrix ended in an error. A matrix is made on a CPU alone, and not for a gas."""
-    body = Body(small(kind), "cpu")
-    u = crumpled(body, 2e-4)
-    n = len(body.points)
-    whole = body.tangent_times(u, np.eye(3 * n), projected=True)
-    every = Order(sp.bsr_matrix(np.ones((3 * n, 3 * n)), blocksize=(3, 3)), body.points)
-    values = np.zeros((n * n, 3, 3))
-    body.elements.add_matrices(0, every, values)
-    made = values.reshape(n, n, 3, 3).transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
-    assert np.abs(made - whole).max() < 1e-12 * np.abs(whole).max()
-
-
 @pytest.mark.parametrize("projected", [False, True])
 def test_tangent_at_rest_is_the_rest_stiffness(body, projected):
     n = body.points.size
@@ -204,26 +187,6 @@ def test_tangent_at_rest_is_the_rest_stiffness(body, projected):
     assert np.abs(tangent - rest).max() < 1e-12 * np.abs(rest).max() * (1e4 if projected else 1.0)
     if body.kind not in SURFACES:
         assert np.abs(body.model.factor.stiffness - rest).max() < 1e-12 * np.abs(rest).max()
-
-
-def test_touches_keep_to_themselves(body):
-    """Projected and true columns side by side, some renewed and some not, in another order: each is as if alone."""
-    rng = np.random.default_rng(4)
-    n = body.points.size
-    u, x = 4e-3 * rng.standard_normal((n, 4)), rng.standard_normal((n, 2))
-    alone = {(b, p, k): body.tangent_times(u[:, b], x[:, [k]], projected=p)[:, 0] for b in range(4)
-             for p in (False, True) for k in range(2)}
-    body.elements.begin(4)
-    given = body.put(u)
-    body.elements.tangent(body.index([0, 1, 2, 3]), given, projected=False)
-    body.elements.tangent(body.index([3, 1]), given, projected=True)
-    body.elements.forces(body.index([2, 0]), body.put(np.zeros((n, 4))))  # must not disturb what the tangent remembers
-    for columns, flags in (([3, 0], (True, False)), ([2, 1], (False, True))):
-        out = body.put(np.full_like(x, np.nan))
-        body.elements.multiply(body.index(columns), body.put(x), out)
-        product = out.numpy()
-        for k, (b, projected) in enumerate(zip(columns, flags)):
-            assert np.array_equal(product[:, k], alone[b, projected, k])
 
 
 def test_the_bits_are_the_same_again(body):

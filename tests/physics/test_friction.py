@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from vsfsim.core.shape import Cylinder, Plane, Sphere
+from vsfsim.core.shape import Plane, Sphere
 from vsfsim.physics.solve.frames import SolverOptions
-from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver
 
 SIZE = (0.04, 0.04, 0.02)
@@ -144,29 +143,3 @@ def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(coarse, line, d
     assert frames.force[-1] == pytest.approx(frames.force[-2], rel=2e-3, abs=1e-4), "holding still"
     free = Solver(coarse, Plane(), device=device, options=options, linear=True).run(plate(line, 0.001, [0.001]))
     assert np.abs(free.force[-1, 0, :2]).max() < 1e-6 * normal[3]
-
-
-def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, line, monkeypatch):
-    """A flat punch with friction 1 in one step: the same force, whether the limits follow the normal forces within
-    Newton's method, as on a sheet, or not."""
-    make, renew, probe, followed = Solver._make_contact, Equilibrium.renew_friction, Cylinder(0.008, 0.02), []
-    poses = line([[0.0, 0.0, SIZE[2] + 0.01], [0.0, 0.0, SIZE[2] + 0.009]], probe)
-
-    def as_on_a_sheet(self, *given):
-        contact, previous = make(self, *given)
-        contact.follows = True
-        return contact, previous
-
-    def watched(self, columns):
-        followed.append(not self.contact.symmetric)
-        return renew(self, columns)
-
-    monkeypatch.setattr(Equilibrium, "renew_friction", watched)
-    forces = []
-    for maker, follows in ((as_on_a_sheet, True), (make, False)):
-        followed.clear()
-        monkeypatch.setattr(Solver, "_make_contact", maker)
-        frames = Solver(coarse, probe, friction=1.0, options=USUAL).run(poses)
-        assert frames.converged.all() and any(followed) == follows
-        forces.append(frames.force[-1, 0])
-    assert np.linalg.norm(forces[0] - forces[1]) < 1e-3 * np.linalg.norm(forces[1])

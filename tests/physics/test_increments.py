@@ -39,17 +39,6 @@ def test_a_thin_sheet_is_not_jumped_over(block, line, device):
     assert once.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=0.002)
 
 
-def test_a_first_pose_deep_inside_is_come_to_from_its_start(block, line, device):
-    model = block((0.06, 0.06, 0.03), 0.015)
-    probe = Sphere(0.012)
-    deep = line([[0.004, 0.0, 0.03 + 0.012 - 0.006]], probe)
-    sudden = Solver(model, probe, device=device, options=USUAL).run(deep, start=from_above(deep))
-    slow = Solver(model, probe, device=device,
-                  options=USUAL).run(line([[0.004, 0.0, 0.03 + 0.012 - z] for z in np.linspace(0.0, 0.006, 7)], probe))
-    assert sudden.converged.all()
-    assert sudden.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=2e-3, abs=2e-3)
-
-
 @pytest.mark.parametrize("linear", [False, True])
 def test_a_path_that_begins_inside_the_object_is_marked(block, line, device, linear):
     """From which side the ball came there is not known: of two touches the one that begins free has its force."""

@@ -106,16 +106,6 @@ def test_two_layers_are_springs_in_series(block, line, device, resolution, contr
     assert frames.converged.all()
 
 
-def test_bonded_base_does_not_matter_without_poissons_effect(block, line, device):
-    """With supports as scenes have them: nu = 0, small strain, force = E A strain, two layers in series."""
-    model = block((0.04, 0.04, 0.04), 0.02, young_modulus=lambda x: np.where(x[..., 2] > 0.02, 1e5, 3e5),
-                  poisson_ratio=0.0)
-    frames = Solver(model, Plane(), device=device, options=TIGHT).run(line([[0, 0, 0.04 - 4e-6]], Plane()))
-    exact = (4e-6 - frames.penetration[0, 0]) * 0.04**2 / (0.02 / 1e5 + 0.02 / 3e5)
-    # nonlinear terms are of the order of the strain, 1e-4
-    assert frames.force[0, 0, 2] == pytest.approx(exact, rel=3e-4)
-
-
 # ------------------------------------------------------------------------------------------ beams under their own
 # weight
 
