@@ -103,18 +103,15 @@ def test_the_tests_that_the_pages_name_exist():
                                for text in ([texts[file]] if file else texts.values())), (page, file, name)
 
 
-def test_the_tiers_of_the_physics_page_are_those_of_the_code():
+def test_the_tiers_and_reasons_of_the_physics_page_are_those_of_the_code():
+    from vsfsim.physics.solve.frames import Reason
     from vsfsim.physics.tiers import TIERS
 
-    table = (ROOT / "docs" / "physics.md").read_text().split("## Tiers")[1].split("\n\n| tier | element size")[0]
-    assert re.findall(r"^\| `([\w-]+)` \|", table, re.MULTILINE) == list(TIERS)
-
-
-def test_the_reasons_of_the_physics_page_are_those_of_the_code():
-    from vsfsim.physics.solve.frames import Reason
-
-    table = (ROOT / "docs" / "physics.md").read_text().split("| reason | meaning |")[1].split("\n\n")[0]
-    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [r.name for r in Reason if r.value]
+    text = (ROOT / "docs" / "physics.md").read_text()
+    tiers = text.split("## Tiers")[1].split("\n\n| tier | element size")[0]
+    assert re.findall(r"^\| `([\w-]+)` \|", tiers, re.MULTILINE) == list(TIERS)
+    reasons = text.split("| reason | meaning |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)` \|", reasons, re.MULTILINE) == [r.name for r in Reason if r.value]
 
 
 def test_the_leaderboards_of_the_pages_are_those_that_ship():

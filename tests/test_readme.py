@@ -9,6 +9,7 @@ from pages import CONTRIBUTING, README, ROOT, blocks, named
 
 
 def vsfsim(*words, cwd):
+    """With -P, like the console script: Python itself does not look into the current folder."""
     return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words],
                           capture_output=True, text=True, cwd=cwd)
 
@@ -19,7 +20,7 @@ def test_the_readme_is_short():
         assert (ROOT / picture).stat().st_size < 200_000
 
 
-def test_the_method_conforms(tmp_path):
+def test_the_method_is_found_in_the_current_folder_and_conforms(tmp_path):
     (tmp_path / "mine.py").write_text(named(README, "mine.py", "python"))
     out = vsfsim("check", "mine:NearSprings", cwd=tmp_path)
     assert out.returncode == 0 and "mine:NearSprings conforms" in out.stdout, out.stdout + out.stderr

@@ -41,7 +41,6 @@ def test_a_probe_survives_its_table(shape):
 
 @pytest.mark.parametrize(("table", "message"), [
     (None, "x: shape is None; give one of box, sphere, cylinder, rod, mesh, family"),
-    ({}, "x: shape is {}"),
     ({"bx": [1, 1, 1]}, "x: unknown shape 'bx'. Did you mean 'box'?"),
     ({"box": [0.1, 0.1, 0.1], "sphere": 1.0}, "a shape has one kind, this one has 2: box, sphere."),
     ({"box": [0.1, 0.1]}, "box is [0.1, 0.1]; give [x, y, z] in metres."),
@@ -62,8 +61,6 @@ def test_object_shapes_that_cannot_be(table, message):
 @pytest.mark.parametrize(("table", "message"), [
     (0.02, "x: shape is 0.02; give one of sphere, capsule, cylinder, box, plane, mesh"),
     ({"rod": [0.1, 0.1]}, "unknown shape 'rod'. Allowed: box, capsule, cylinder, mesh, plane, sphere."),
-    ({"capsule": [0.01]}, "capsule is [0.01]; give [radius, length] in metres."),
-                                                ({"box": [0.1, -0.1, 0.1]}, "box y is -0.1"),
 ])
 def test_probes_that_cannot_be(table, message):
     with pytest.raises(SceneError, match=re.escape(message)):
@@ -119,13 +116,11 @@ def test_a_region_takes_the_scenes_value_then_the_familys():
     ({"base": 1e5, "inclusions": [3]}, "young_modulus.inclusions[0] is 3"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1]}]},
      "inclusions[0] has keys sphere; give `value` and one of sphere, box, capsule."),
-    ({"base": 1e5, "inclusions": [{"cone": [0, 0, 0, 1], "value": 1e5}]}, "give `value` and one of"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 1], "value": 1e5}]},
      "sphere is [0, 0, 1]; give [x, y, z, radius] in metres, finite numbers"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 0], "value": 1e5}]},
      "the radius is 0; it must be greater than 0"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, float("nan"), 0, 0.01], "value": 1e5}]}, "finite numbers"),
-    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, True], "value": 1e5}]}, "finite numbers"),
     ({"base": 1e5, "inclusions": {"sphere": [0, 0, 0, 0.01], "value": 1e5}}, "young_modulus.inclusions is"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1], "value": -2.0}]}, "inclusions[0]: value is -2.0"),
     ({"inclusions": [{"sphere": [0, 0, 0, 1], "value": 1e5}]}, "has inclusions but no base"),

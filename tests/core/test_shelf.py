@@ -18,10 +18,6 @@ def test_names_are_the_files_and_paths_work_too(tmp_path):
     assert shelf.find_scene(str(own)) == own and shelf.find_task(str(own)) == own
 
 
-def test_the_entry_points_hold_the_baselines():
-    assert shelf.methods()["point-vsf"].value == "vsfsim.baselines.point_vsf:PointVsf"
-
-
 @pytest.mark.parametrize(("find", "given", "error", "message"), [
     (shelf.find_scene, "indnt", SceneError, "unknown scene 'indnt'. Did you mean 'indent'?"),
     (shelf.find_scene, "indnt", SceneError, "`vsfsim scenes` lists them; a path to a .toml file works too."),

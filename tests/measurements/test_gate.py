@@ -8,17 +8,11 @@ import pytest
 
 from measurements.gate.cells import CELLS, SMALL, press
 from measurements.gate.compare import earlier
-from measurements.gate.mechanisms import MECHANISMS
 from vsfsim.core.errors import VsfsimError
 
 RECORD = json.loads((Path(__file__).parent / "gate_expected.json").read_text())
 """Of each small cell: push at its last frame [N], Newton iterations and conjugate gradients, made by
 `vsfsim measure solver --cell small`."""
-
-
-def test_cells_have_names_of_their_own():
-    assert len({c.name for c in CELLS}) == len(CELLS) == 40
-    assert set(SMALL) < {c.name for c in CELLS}
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -28,16 +22,6 @@ def test_small_cells_converge_to_their_forces_within_their_budget(name):
     assert np.linalg.norm(run.force[-1]) == pytest.approx(known["push"], rel=2e-3)  # of a released reading
     assert run.newton <= 1.3 * known["newton"] + 2  # another CPU rounds otherwise
     assert run.cg <= 1.3 * known["cg"] + 10
-
-
-def test_mechanisms_are_there_again_after_they_were_switched_off():
-    from measurements.gate.mechanisms import without
-    from vsfsim.physics.contact.rigid_contact import RigidContact
-
-    before = RigidContact.reach
-    with without(list(MECHANISMS)):
-        assert RigidContact.reach is not before
-    assert RigidContact.reach is before
 
 
 def test_a_file_that_is_no_record_is_named(tmp_path):

@@ -117,25 +117,6 @@ def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float,
     return Verdict(cell, outcome, frames=2, converged=2, push=push, **more)
 
 
-@pytest.mark.parametrize("refused", [True, False])
-def test_a_refused_second_press_is_recorded(refused, monkeypatch):
-    """A cell that the sample presses at tier `fem` as well says so where that press is refused."""
-    cell = next(c for c in design() if c.kind == "solid" and int(c.key[:4], 16) % SAMPLE == 1
-                and c.factors["tier"] == "fem-coarse" and float(c.factors["depth"]) >= 0.1)
-
-    def gather(cell, folder, limit, *, device, tier=None):
-        if tier == "fem" and refused:
-            raise VsfsimError("the body has 99,999 nodes")
-        return ball_in_a_box()
-
-    monkeypatch.setattr("measurements.stability.judge.gather", gather)
-    found = judge(cell, 1.0)
-    assert (found.outcome, found.unchecked) == (Outcome.CONVERGED, "the body has 99,999 nodes" if refused else "")
-    assert Verdict.of(json.loads(json.dumps(found.table()))).unchecked == found.unchecked
-    rows = report.measurement([found], {}).record().get("unchecked", [])
-    assert rows == [{"reason": found.unchecked, "number": 1}] * refused
-
-
 def test_a_campaign_continues_and_refuses_other_circumstances(tmp_path, monkeypatch):
     cells = design()[:3]
     file = tmp_path / "cells.jsonl"
@@ -156,12 +137,6 @@ def test_forces_that_do_not_scale_with_the_units_are_wrong():
     right = report.scaled([verdict(base), verdict(stiff, push=(1e6, 2e6))])
     wrong = report.scaled([verdict(base), verdict(stiff, push=(1e6, 1.9e6))])
     assert right[1].outcome is Outcome.CONVERGED and wrong[1].outcome is Outcome.WRONG
-
-
-def test_shares_of_the_outcomes():
-    some = [verdict(c, Outcome.UNRESOLVED if k % 5 == 0 else Outcome.CONVERGED) for k, c in enumerate(design()[:200])]
-    found = report.measurement(some, {}).record()["shares"][0]
-    assert (found["not resolved"], found["converged"]) == (pytest.approx(0.2), pytest.approx(0.8))
 
 
 def test_a_press_that_its_mesh_does_not_resolve_is_told_and_not_compared(monkeypatch):
