@@ -3,15 +3,11 @@
 import dataclasses
 import itertools
 import json
-import sys
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-
-sys.path.insert(0, str(Path(__file__).parent))
-from drawn_punyo import punyo
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
@@ -25,6 +21,9 @@ from vsfsim.data.verify import verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.generate.recorded.openvsf import GAUGE, Options, _mount, import_openvsf
+from vsfsim.physics.bubble.sensor import HEIGHT, POWER
+from vsfsim.physics.mesh.membrane import READ_OUT, closed, ellipse
+from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, body_torque
 from vsfsim.vsf.observe import normal_force_rows
 from vsfsim.vsf.sticking import stick
@@ -58,6 +57,23 @@ seed = 0
 primary = "rmse_ratio"
 ranking_shot = 2
 """
+
+
+def punyo(mount):
+    """A Punyo's free dome over its base, as the sensor's published mesh has it: vertices [m] and triangles, those of
+    the dome first, in the frame of the arm's link that carries it; the area inside the rim [m^2]; and its ``mount``."""
+    a, b = 0.05725, 0.040
+    flat, faces, rim = ellipse(a, b, READ_OUT[0], rim=READ_OUT[1])
+    height = HEIGHT * np.clip(1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2, 0.0, None) ** POWER
+    height[rim] = 0.0
+    z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
+    x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
+    x /= np.linalg.norm(x)
+    vertices = gen3.PUNYO_RIM_CENTRE + np.column_stack([flat, height]) @ np.stack([x, np.cross(z, x), z])
+    p = vertices[faces][:, :, :2]
+    e, f = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    area = 0.5 * (e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]).sum()
+    return SimpleNamespace(vertices=vertices, triangles=closed(faces, rim), area=float(area), mount=mount)
 
 
 def write_object(place, rng, *, bubble, touches=4, frames=9, tare=5):
@@ -154,9 +170,7 @@ def test_pressures_of_a_bubble_become_pascals_over_the_tare(shoes):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "method"), [
-    *itertools.product(["joint-torque", "pressure"], ["gaussian", "point-vsf", "contact-points", "sbml"]),
-    # these predict one number a frame, and refuse the seven of an arm
-    *itertools.product(["pressure"], ["near-springs", "surface-gp", "cnp"])])
+    *itertools.product(["joint-torque", "pressure"], ["point-vsf", "sbml"]), ("pressure", "surface-gp")])
 def test_methods_are_scored_on_recordings(plants, shoes, tmp_path, kind, method):
     dataset = plants[2] if kind == "joint-torque" else shoes[3]
     (tmp_path / "task.toml").write_text(TASK.format(kind=kind))

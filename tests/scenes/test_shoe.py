@@ -173,7 +173,5 @@ def test_refusals() -> None:
         make(length=26)
     with pytest.raises(SceneError, match=r"style is 'boots'. Did you mean 'boot'"):
         make(style="boots")
-    with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):
-        make(resolution=0.1)
     with pytest.raises(SceneError, match="style"):
         make(style=["boot"])

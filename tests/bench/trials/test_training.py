@@ -38,13 +38,6 @@ def learned(training, dataset, task):
             for name in fold.test}
 
 
-def test_the_default_is_the_task(dataset, task):
-    from vsfsim.bench.protocol import folds_of
-
-    assert Training().folds(dataset, task.protocol) == folds_of(dataset, task.protocol)
-    assert Training().table() == {} and Training(classes=CLASSES).is_plain and not Training(touches=0.5).is_plain
-
-
 def test_classes_divide_the_objects(dataset, task):
     same = learned(Training("same-class", classes=CLASSES), dataset, task)
     other = learned(Training("other-classes", classes=CLASSES), dataset, task)
