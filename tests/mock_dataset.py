@@ -1,5 +1,7 @@
 """Datasets of mock objects, and a task on them."""
 
+from collections import Counter
+
 from vsfsim.bench.mock import mock_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
@@ -15,13 +17,19 @@ metrics = { primary = "rmse", ranking_shot = 5 }
 """
 
 
-def written(folder, *, train=1, test=2, touches=12):
-    """The dataset of mock objects made in ``folder``, the first ``train`` of them for training."""
-    views = [mock_view(i, split="train" if i < train else "test", touches=touches) for i in range(train + test)]
-    splits = {name: count for name, count in (("train", train), ("test", test)) if count}
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=len(views), views=1, touches=touches,
-                    splits=splits, device="cpu", tier="vsf", precision="float64", renderer="warp")
+def write(folder, views, scene_text="mock", seed=0):
+    """The dataset of some views of mock objects, made in ``folder``."""
+    splits = Counter({view.object_index: view.split for view in views}.values())
+    recipe = Recipe(scene="mock", scene_text=scene_text, seed=seed, objects=sum(splits.values()), views=1,
+                    touches=len(views[0].touches), splits=dict(splits), device="cpu", tier="vsf", precision="float64",
+                    renderer="warp")
     with DatasetWriter(folder, recipe, [view.name for view in views]) as writer:
         for view in views:
             writer.add(view)
         return writer.finish()
+
+
+def written(folder, *, train=1, test=2, touches=12):
+    """That of ``train`` and ``test`` objects."""
+    return write(folder, [mock_view(i, split="train" if i < train else "test", touches=touches)
+                          for i in range(train + test)])

@@ -1,24 +1,14 @@
 import json
 import os
-from collections import Counter
 
+import mock_dataset
 import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result_file import unpack
 from vsfsim.bench.task import parse_task
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
 
-TASK = """
-name = "toy-v1"
-description = "A toy."
-dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
-protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 3, query = 4, seed = 0 }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }
-metrics = { primary = "rmse", ranking_shot = 5 }
-[[paper]]
+TASK = mock_dataset.TASK.replace("seeds = 2", "seeds = 3") + """[[paper]]
 method = "somebody"
 source = "a paper"
 unit = "hPa"
@@ -60,17 +50,7 @@ def toy_views():
 @pytest.fixture(scope="session")
 def write_dataset(tmp_path_factory):
     """Writes the views of some mock objects into a folder of their own."""
-    def write(views, scene_text="mock", seed=0):
-        splits = Counter({view.object_index: view.split for view in views}.values())
-        recipe = Recipe(scene="mock", scene_text=scene_text, seed=seed, objects=sum(splits.values()), views=1,
-                        touches=len(views[0].touches), splits=dict(splits), device="cpu", tier="vsf",
-                        precision="float64", renderer="warp")
-        with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in views]) as writer:
-            for view in views:
-                writer.add(view)
-            return writer.finish()
-
-    return write
+    return lambda *given: mock_dataset.write(tmp_path_factory.mktemp("data") / "toy", *given)
 
 
 @pytest.fixture(scope="session")

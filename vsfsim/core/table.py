@@ -191,6 +191,6 @@ def read(cls: type[Row], node: Any, where: str, more: tuple[str, ...] = (), **gi
     Raises:
         SceneError: not a table, an unknown key, or a value that is not allowed.
     """
-    known = {f.name: f.metadata["get"] for f in dataclasses.fields(cls) if "get" in f.metadata}  # type: ignore[arg-type]
+    known = {f.name: f.metadata["get"] for f in dataclasses.fields(cls) if f.metadata}  # type: ignore[arg-type]
     t = Table(node, where, (*known, *more))
     return cls(**{key: get(t, key) for key, get in known.items() if key in t.table}, **given)

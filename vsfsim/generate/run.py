@@ -154,7 +154,7 @@ def _on_ray(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
     from vsfsim.core.system import engines
 
     for number, error in engines.on_ray(partial(make_one, device=asked.device), jobs, address=asked.fan.ray,
-                                         gpus=asked.fan.gpus):
+                                        gpus=asked.fan.gpus):
         if error and not asked.poison:
             raise DatasetError(f"{jobs[number].name}: {error}")
         yield jobs[number].name

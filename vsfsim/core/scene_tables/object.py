@@ -62,7 +62,7 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     where = f"{path} [object]"
     own = ("shape", "fixed", "young_modulus", "material", "law", "appearance")
     t = Table(node, where, (*(f.name for f in dataclasses.fields(ObjectSpec)), *own))
-    shape = parse_object_shape(t.table.get("shape"), where)
+    shape = beside(parse_object_shape(t.table.get("shape"), where), path)  # type: ignore[arg-type]
     fixed = t.table.get("fixed", "bottom")
     fixed = t.word("fixed", "bottom", ("bottom", "none")) if isinstance(fixed, str) else t.vector("fixed", None, 6)
     material, family = parse_material(t.table.get("young_modulus"), where), isinstance(shape, Family)
@@ -75,8 +75,8 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     appearance = t.table.get("appearance", {})
     if not isinstance(appearance, Mapping):
         raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
-    found = read(ObjectSpec, node, where, own, shape=beside(shape, path), fixed=fixed, young_modulus=material,  # type: ignore[arg-type]
-                 foam=foam, law=_law(t, family), appearance=appearance)
+    found = read(ObjectSpec, node, where, own, shape=shape, fixed=fixed, young_modulus=material, foam=foam,
+                 law=_law(t, family), appearance=appearance)
     return found if foam is None else dataclasses.replace(found, poisson_ratio=foam.poisson_ratio)
 
 

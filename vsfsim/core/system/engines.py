@@ -188,7 +188,7 @@ WAIT = 5.0  # a cluster may take so long to answer [s]
 
 
 def on_ray(function: Callable[[Any], None], items: Sequence[Any], *, address: str = "auto", gpus: float = 0.0,
-        retries: int = 20) -> Iterator[tuple[int, str]]:
+           retries: int = 20) -> Iterator[tuple[int, str]]:
     """Call ``function(item)`` for each item on a cluster; yields (number of the item, "" or its error) as they end.
 
     No more tasks than twice the cluster's cores wait at a time. A task whose process or node dies is started again.
