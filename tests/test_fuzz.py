@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mock_dataset import written
+from mock_dataset import TASK, written
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.task import parse_task
@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("fuzz")
     dataset = written(out / "toy", test=1, touches=2)
     np.savez(out / "predictions.npz", **{"a/0/0/000": np.zeros((12, 1)), "b/5/1/011": np.ones((12, 1))})
-    text = (HERE / "bench" / "conftest.py").read_text().split('TASK = """')[1].split('"""')[0]
+    text = TASK
     for old, new in (("query = 4", "query = 1"), ("[0, 1, 5]", "[0, 1]"), ("ranking_shot = 5", "ranking_shot = 1")):
         text = text.replace(old, new)
     task = parse_task(text, "toy-v1.toml")
