@@ -13,15 +13,11 @@ from scipy.optimize import minimize
 sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import bubble, disc, patch
 
-from vsfsim.sensing.dense_force import METHODS, BubbleCalibration, DenseForceEstimator, EstimatorOptions
-from vsfsim.sensing.force_program import ForceProgram, prox, ridge, solve
-from vsfsim.sensing.membrane_fe import (
-    NeoHookeanMembrane,
-    SensorError,
-    nodal_areas,
-    plane_stress_stiffness,
-    pressure_stiffness,
-)
+from vsfsim.physics.elements import triangle
+from vsfsim.physics.mesh.quadratic import assemble
+from vsfsim.sensing.dense_force import METHODS, BubbleCalibration, DenseForceEstimator
+from vsfsim.sensing.force_program import EstimatorOptions, prox, ridge, solve
+from vsfsim.sensing.membrane_fe import SensorError, in_their_planes, nodal_areas, skin_forces
 
 
 @pytest.fixture(scope="module")
@@ -50,50 +46,36 @@ def presses(toy):
 # elements
 
 
-def test_a_uniform_strain_is_carried_by_the_rim_alone():
+def test_a_uniform_strain_of_the_linear_skin_is_carried_by_the_rim_alone():
     flat, triangles, rim = disc(4)
     points = np.column_stack([flat, np.zeros(len(flat))])
-    k = plane_stress_stiffness(points, triangles, 700.0, poisson_ratio=0.3)
+    k = assemble(len(points), (triangle.block(triangles, points, in_their_planes(points, triangles), 700.0),))
     strain = np.array([[0.01, 0.003], [0.003, -0.004]])
     force = (k @ np.column_stack([flat @ strain, np.zeros(len(flat))]).ravel()).reshape(-1, 3)
     inner = np.setdiff1d(np.arange(len(flat)), rim)
-    assert np.abs(force[inner]).max() < 1e-12
-    # virtual work: sum x_i f_j = A sigma_ij, sigma = D strain
-    stress = 700.0 / (1 - 0.09) * (0.7 * strain + 0.3 * np.trace(strain) * np.eye(2))
+    assert np.abs(force[inner]).max() < 1e-11
+    # virtual work: sum x_i f_j = A sigma_ij, sigma = D strain of plane stress with nu = 1/2
+    stress = 700.0 / 0.75 * (0.5 * strain + 0.5 * np.trace(strain) * np.eye(2))
     area = np.abs(nodal_areas(points, triangles)[:, 2]).sum()
-    assert np.einsum("ni,nj->ij", flat, force[:, :2]) / area == pytest.approx(stress, rel=1e-10)
-    assert np.abs(force[:, 2]).max() == 0.0  # a slack flat membrane has no stiffness across itself: the published model
+    assert np.einsum("ni,nj->ij", flat, force[:, :2]) / area == pytest.approx(stress, rel=1e-9)
+    assert np.abs(force[:, 2]).max() < 1e-12  # a slack flat membrane has no stiffness across itself
 
 
-def test_neo_hookean_equal_stretch_and_its_derivatives(toy):
+def test_a_skin_at_equal_stretch_has_the_tension_of_the_closed_form():
     flat, triangles, _ = disc(3)
-    membrane = NeoHookeanMembrane(flat, triangles, 200.0)
     stretch = 1.3
     points = np.column_stack([stretch * flat, np.zeros(len(flat))])
-    force = membrane.forces(points)
+    force = skin_forces(points, triangles, flat[triangles], 600.0)
     # equal stretch: tension mu h (1 - s^-6) per present length, and sum x . f = 2 T A
     area = np.abs(nodal_areas(points, triangles)[:, 2]).sum()
     assert np.sum(points * force) == pytest.approx(2 * 200.0 * (1 - stretch**-6) * area, rel=1e-12)
-    rng = np.random.default_rng(0)
-    x, step = toy.rest + 1e-4 * rng.standard_normal(toy.rest.shape), rng.standard_normal(toy.rest.shape)
-    h = 1e-7
-
-    def slope(function):  # central difference
-        return (function(x + h * step) - function(x - h * step)) / (2 * h)
-
-    # the difference's own error is about eps / h = 1e-9 of the energy's size, and h^2
-    assert slope(toy.membrane.energy) == pytest.approx(np.sum(toy.membrane.forces(x) * step), rel=1e-5)
-    assert slope(toy.membrane.forces).ravel() == pytest.approx(toy.membrane.tangent(x) @ step.ravel(), abs=1e-3)
-    assert np.abs(toy.membrane.tangent(x) @ step.ravel()).max() > 1e2
-    change = slope(lambda y: nodal_areas(y, toy.triangles)).ravel()
-    assert change == pytest.approx(pressure_stiffness(x, toy.triangles) @ step.ravel(), abs=1e-9)
 
 
 # program
 
 
 @pytest.mark.parametrize(("lasso", "smooth", "friction"), [
-    (4.0, 3.0, 0.6), (2.0, 0.0, np.inf), (0.0, 2.0, np.inf)])
+    (4.0, 3.0, 0.6), (2.0, 0.0, np.inf)])
 def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, smooth, friction):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((12, 12))
@@ -102,7 +84,8 @@ def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, s
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
     c, d, w = rng.standard_normal(12), 1e-2 * rng.standard_normal(12), 4e4
     edges = np.array([[0, 1], [1, 2], [0, 3]])
-    program = ForceProgram(w, lasso=lasso, smooth=smooth, friction=friction, tolerance=1e-8, iterations=100_000)
+    neighbours = smooth**-0.5 if smooth else np.inf
+    program = EstimatorOptions(w**-0.5, 1.0 / lasso, neighbours, friction, tolerance=1e-8, iterations=100_000)
     found = solve(sparse.csr_matrix(k), c, d, program, inward=inward, edges=edges)
     f = found.force.reshape(4, 3)
     # KKT: with y = -K^-T w (u - d) the force must be the fixed point f = prox(f + y), node by node
@@ -136,7 +119,7 @@ def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, s
 def test_the_quadratic_program_is_stationary():
     rng = np.random.default_rng(3)
     k, (c, d) = sparse.csr_matrix(rng.standard_normal((12, 12))), rng.standard_normal((2, 12, 2))
-    found = ridge(k, c, d, 4.0, 3.0)
+    found = ridge(k, c, d, EstimatorOptions(0.5, 3.0**-0.5))
     assert found.force == pytest.approx(k @ found.displacement + c, abs=1e-12) and found.converged.all()
     assert 4.0 * (found.displacement - d) + 3.0 * k.T @ found.force == pytest.approx(np.zeros((12, 2)), abs=1e-10)
 
@@ -225,8 +208,10 @@ def test_a_touch_of_a_dataset_in_the_world(toy, calibration, presses):
 def test_what_it_refuses(calibration, toy):
     with pytest.raises(SensorError, match="membrane"):
         DenseForceEstimator(calibration, method="membran")
-    with pytest.raises(SensorError, match="reference"):
+    with pytest.raises(SensorError, match="needs the stress-free coordinates"):
         DenseForceEstimator(replace(calibration, reference=None), method="membrane")
+    with pytest.raises(SensorError, match="wound the other way"):
+        DenseForceEstimator(replace(calibration, reference=toy.flat * [-1, 1]), method="membrane")
     with pytest.raises(SensorError, match="rim"):
         DenseForceEstimator(replace(calibration, rim=np.zeros(3, bool)))
     with pytest.raises(SensorError, match="pressure"):
@@ -238,5 +223,5 @@ def test_what_it_refuses(calibration, toy):
         estimator.estimate(np.full((1, *toy.rest.shape), np.nan), np.array([7000.0]))
     with pytest.raises(SensorError, match=r"\(T, 127, 3\)"):
         estimator.estimate(toy.rest[None, :5], np.array([7000.0]))
-    with pytest.raises(SensorError, match="squashed"):
+    with pytest.raises(SensorError, match="membrane: triangle 0 has no area"):
         DenseForceEstimator(calibration, method="membrane").estimate(0 * toy.rest[None], np.array([7000.0]))

@@ -27,18 +27,20 @@ import numpy as np
 from scipy import sparse
 
 from vsfsim.core.errors import did_you_mean
-from vsfsim.sensing.force_program import ForceProgram, ridge, solve
+from vsfsim.physics.elements import gas, triangle
+from vsfsim.physics.mesh.quadratic import assemble
+from vsfsim.sensing.force_program import EstimatorOptions, ridge, solve
 from vsfsim.sensing.membrane_fe import (
-    NeoHookeanMembrane,
     SensorError,
     checked_mesh,
+    in_their_planes,
     nodal_areas,
     nodal_normals,
-    plane_stress_stiffness,
-    pressure_stiffness,
+    skin_forces,
 )
 
 METHODS = ("residual", "paper", "membrane")
+_ROUNDS = 2  # linearisations of `membrane`
 
 
 @dataclass(frozen=True)
@@ -55,41 +57,8 @@ class BubbleCalibration:
     """E h of the skin [N/m]."""
     pressure: float
     """Gauge pressure of the free dome [Pa]."""
-    poisson_ratio: float = 0.5
-    """Of the linear model [-]."""
     reference: np.ndarray | None = None
     """Stress-free material coordinates (n, 2) [m]; None if unknown. Method `membrane` needs them."""
-    shear: float | np.ndarray | None = None
-    """mu h of the skin [N/m], one number or (m,); None for E h / 3."""
-
-
-@dataclass(frozen=True)
-class EstimatorOptions:
-    """Weights of an estimate."""
-
-    displacement_std: float = 5e-5
-    """Noise of a node's displacement, per component [m]."""
-    force_scale: float = 0.05
-    """Scale of a node's force [N]; the lasso's weight is its inverse and the ridge's weight its inverse square."""
-    neighbour_scale: float = 0.2
-    """Expected difference of the forces on neighbouring nodes in contact [N], infinity for no smoothing;
-    `membrane` only."""
-    friction: float = 1.0
-    """Coefficient of the friction cone [-]; `membrane` only."""
-    rounds: int = 2
-    """Number of linearisations; `membrane` only."""
-    tolerance: float = 1e-4
-    """Of the program's optimality conditions, relative [-]."""
-    iterations: int = 4000
-    """Largest number of iterations of the program."""
-
-    def __post_init__(self) -> None:
-        for name in ("displacement_std", "force_scale", "neighbour_scale", "friction", "tolerance"):
-            value = getattr(self, name)
-            if not 0.0 < value or (name not in ("friction", "neighbour_scale") and not np.isfinite(value)):
-                raise SensorError(f"dense force: {name} is {value!r}; it must be greater than 0.")
-        if self.rounds < 1 or self.iterations < 1:
-            raise SensorError(f"dense force: rounds {self.rounds} and iterations {self.iterations}; give at least 1.")
 
 
 @dataclass(frozen=True)
@@ -145,14 +114,16 @@ class DenseForceEstimator:
             if calibration.reference is None:
                 raise SensorError("dense force: method 'membrane' needs the stress-free coordinates of the nodes "
                                   "(reference); give them, or use 'paper'.")
-            shear = calibration.stiffness / 3.0 if calibration.shear is None else calibration.shear
-            self._membrane = NeoHookeanMembrane(calibration.reference, self.triangles, shear)
-            # The unbalanced force of the free dome (discretisation, error of the modulus) is subtracted.
-            self._tare = (self._membrane.forces(self.rest) - calibration.pressure
-                          * nodal_areas(self.rest, self.triangles)).ravel()[self.free]
+            self._shape = np.asarray(calibration.reference, np.float64)[self.triangles]
+            edges = self._shape[:, 1:] - self._shape[:, :1]
+            if not (np.linalg.det(edges) > 0.0).all():
+                raise SensorError("dense force: a triangle of the reference has no area or is wound the other way.")
+            # the unbalanced force of the free dome (discretisation, error of the modulus) is subtracted
+            self._tare = self._unbalanced(self.rest, calibration.pressure)
         else:
-            self._stiffness = self._cut(plane_stress_stiffness(
-                self.rest, self.triangles, calibration.stiffness, poisson_ratio=calibration.poisson_ratio))
+            shape = in_their_planes(self.rest, self.triangles)
+            skin = triangle.block(self.triangles, self.rest, shape, calibration.stiffness)
+            self._stiffness = self._cut(assemble(len(self.rest), (skin,)))
 
     def estimate(self, position: np.ndarray, pressure: np.ndarray) -> DenseForce:
         """Forces of T frames.
@@ -182,8 +153,7 @@ class DenseForceEstimator:
         if self.method == "residual":
             return self._result(measured, self._stiffness @ measured + offset, np.zeros(len(clamped)),
                                 np.ones(len(clamped), bool))
-        o = self.options
-        found = ridge(self._stiffness, offset, measured, o.displacement_std**-2, o.force_scale**-2)
+        found = ridge(self._stiffness, offset, measured, self.options)
         return self._result(found.displacement, found.force, found.residual, found.converged)
 
     def _cut(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
@@ -194,23 +164,30 @@ class DenseForceEstimator:
         return np.stack([(p * nodal_areas(x, self.triangles)).ravel()[self.free]
                          for x, p in zip(points, pressure, strict=True)], axis=1)
 
+    def _unbalanced(self, points: np.ndarray, pressure: float) -> np.ndarray:
+        """What skin and air leave on the free degrees of freedom (3 n,) [N]."""
+        skin = skin_forces(points, self.triangles, self._shape, self.calibration.stiffness)
+        return (skin - pressure * nodal_areas(points, self.triangles)).ravel()[self.free]
+
+    def _tangent(self, points: np.ndarray, pressure: float) -> sparse.csr_matrix:
+        """The change of `_unbalanced` with the free degrees of freedom (3 n, 3 n) [N/m]."""
+        skin = triangle.block(self.triangles, points, self._shape, self.calibration.stiffness)
+        air = gas.block(self.triangles, points, pressure=pressure, volume=1.0, sealed=False)
+        return self._cut(assemble(len(points), (skin, air)))
+
     def _nonlinear(self, position: np.ndarray, pressure: np.ndarray, measured: np.ndarray) -> DenseForce:
         """Gauss-Newton: every round linearises skin and air about the last solution, the first about the measured
         shape."""
         force, residual = np.zeros_like(measured), np.zeros(len(position))
         displacement = measured.copy()
         converged = np.ones(len(position), bool)
-        o = self.options
-        program = ForceProgram(o.displacement_std**-2, 1.0 / o.force_scale, o.neighbour_scale**-2, o.friction,
-                               o.tolerance, o.iterations)
         for t in range(len(position)):
             x, found = position[t], None
-            for _ in range(o.rounds):
-                tangent = self._cut(self._membrane.tangent(x) - pressure[t] * pressure_stiffness(x, self.triangles))
+            for _ in range(_ROUNDS):
+                tangent = self._tangent(x, pressure[t])
                 here = (x - self.rest).ravel()[self.free]
-                unbalanced = self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)
-                out = unbalanced.ravel()[self.free] - self._tare
-                found = solve(tangent, out - tangent @ here, measured[:, t], program,
+                out = self._unbalanced(x, pressure[t]) - self._tare
+                found = solve(tangent, out - tangent @ here, measured[:, t], self.options,
                               inward=-nodal_normals(x, self.triangles)[self.inner], edges=self._edges,
                               start=None if found is None else found.start)
                 x = self.rest.copy()

@@ -27,21 +27,30 @@ _BALANCE = 5.0  # ratio of the residuals from which the penalty is changed
 
 
 @dataclass(frozen=True)
-class ForceProgram:
-    """Weights of one program."""
+class EstimatorOptions:
+    """Weights of an estimate."""
 
-    weight: float
-    """w, one over the variance of a displacement [1/m^2]."""
-    lasso: float = 0.0
-    """lambda [1/N]."""
-    smooth: float = 0.0
-    """s [1/N^2]."""
-    friction: float = np.inf
-    """Coefficient of the friction cone [-]; infinity for the half-space of inward forces."""
+    displacement_std: float = 5e-5
+    """Noise of a node's displacement, per component [m]; w = 1 / noise^2."""
+    force_scale: float = 0.05
+    """Scale of a node's force [N]; lambda is its inverse and kappa its inverse square."""
+    neighbour_scale: float = 0.2
+    """Expected difference of the forces on neighbouring nodes in contact [N], infinity for no smoothing; s is its
+    inverse square. `membrane` only."""
+    friction: float = 1.0
+    """Coefficient of the friction cone [-], infinity for the half-space of inward forces; `membrane` only."""
     tolerance: float = 1e-4
-    """Of the optimality conditions, relative [-]."""
+    """Of the program's optimality conditions, relative [-]."""
     iterations: int = 4000
-    """Largest number of iterations."""
+    """Largest number of iterations of the program."""
+
+    def __post_init__(self) -> None:
+        for name in ("displacement_std", "force_scale", "neighbour_scale", "friction", "tolerance"):
+            value = getattr(self, name)
+            if not 0.0 < value:
+                raise SensorError(f"dense force: {name} is {value!r}; it must be greater than 0.")
+        if self.iterations < 1:
+            raise SensorError(f"dense force: iterations is {self.iterations}; give at least 1.")
 
 
 @dataclass(frozen=True)
@@ -80,11 +89,11 @@ def project_cone(force: np.ndarray, inward: np.ndarray, friction: float) -> np.n
     return np.where(inside[..., None], force, np.where(polar[..., None], 0.0, edge))
 
 
-def prox(force: np.ndarray, step: float, program: ForceProgram, inward: np.ndarray) -> np.ndarray:
+def prox(force: np.ndarray, step: float, options: EstimatorOptions, inward: np.ndarray) -> np.ndarray:
     """argmin_f  |f - force|^2 / (2 step) + lambda |f| over the cone, node by node (n, 3) [N]."""
-    out = project_cone(force, inward, program.friction)
+    out = project_cone(force, inward, options.friction)
     size = np.linalg.norm(out, axis=-1, keepdims=True)
-    return out * np.maximum(1.0 - step * program.lasso / np.maximum(size, 1e-300), 0.0)
+    return out * np.maximum(1.0 - step / options.force_scale / np.maximum(size, 1e-300), 0.0)
 
 
 def roughness(edges: np.ndarray, nodes: int) -> sparse.csr_matrix:
@@ -96,12 +105,13 @@ def roughness(edges: np.ndarray, nodes: int) -> sparse.csr_matrix:
     return sparse.kron(graph, sparse.identity(3)).tocsr()
 
 
-def ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: float, kappa: float) -> Solution:
+def ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, options: EstimatorOptions) -> Solution:
     """The quadratic program for T right-hand sides, by its normal equations.
 
     Args:
-        k: K (3 n, 3 n) [N/m]. c: (3 n, T) [N]. d: (3 n, T) [m]. weight: w [1/m^2]. kappa: [1/N^2].
+        k: K (3 n, 3 n) [N/m]. c: (3 n, T) [N]. d: (3 n, T) [m]. options: weights.
     """
+    weight, kappa = options.displacement_std**-2, options.force_scale**-2
     pulled = kappa * k.T
     u = splu(sparse.csc_matrix(weight * sparse.identity(len(d)) + pulled @ k)).solve(weight * d - pulled @ c)
     f = k @ u + c
@@ -109,7 +119,7 @@ def ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: float, kap
     return Solution(u, f, np.linalg.norm(weight * (u - d) + pulled @ f, axis=0) / np.maximum(scale, 1e-300))
 
 
-def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, program: ForceProgram, *,
+def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, options: EstimatorOptions, *,
           inward: np.ndarray, edges: np.ndarray,
           start: tuple[np.ndarray, np.ndarray, float] | None = None) -> Solution:
     """Solve the program.
@@ -118,21 +128,15 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
         stiffness: K (3 n, 3 n) [N/m], free degrees of freedom only.
         offset: c (3 n,) [N].
         measured: d (3 n,) [m].
-        program: weights.
+        options: weights.
         inward: unit normals into the sensor (n, 3).
         edges: pairs of neighbours among the n nodes (e, 2).
         start: `Solution.start` of a similar program.
-
-    Raises:
-        SensorError: a number that is not finite.
     """
-    k, c, d, weight = sparse.csr_matrix(stiffness), offset, measured, program.weight
-    if not (np.isfinite(c).all() and np.isfinite(d).all() and np.isfinite(k.data).all()):
-        raise SensorError("force program: a stiffness, offset or measured displacement is not finite; leave out frames "
-                          "that were not read.")
+    k, c, d, weight = sparse.csr_matrix(stiffness), offset, measured, options.displacement_std**-2
     transposed = sparse.csr_matrix(k.T)
     gram = sparse.csc_matrix(transposed @ k)
-    pulled = sparse.csr_matrix(transposed @ (program.smooth * roughness(edges, len(d) // 3)))
+    pulled = sparse.csr_matrix(transposed @ (options.neighbour_scale**-2 * roughness(edges, len(d) // 3)))
     fixed = sparse.csc_matrix(weight * sparse.identity(len(d)) + pulled @ k)
     # The penalty balances the weight against the geometric mean of K^T K; the factor 100 takes the fewest iterations
     # on bubbles.
@@ -143,16 +147,16 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
     if start is not None:
         f, scaled, rho = start
     aim, factor, residual = weight * d - pulled @ c, None, np.inf
-    for iteration in range(1, program.iterations + 1):
+    for iteration in range(1, options.iterations + 1):
         if factor is None:
             factor = splu(sparse.csc_matrix(fixed + rho * gram))
         u = factor.solve(aim + rho * (transposed @ (f - scaled - c)))
         forward = k @ u + c
         mixed = _RELAXATION * forward + (1.0 - _RELAXATION) * f
         before = f
-        f = prox((mixed + scaled).reshape(-1, 3), 1.0 / rho, program, inward).ravel()
+        f = prox((mixed + scaled).reshape(-1, 3), 1.0 / rho, options, inward).ravel()
         scaled = scaled + mixed - f
-        if iteration % _CHECK and iteration < program.iterations:
+        if iteration % _CHECK and iteration < options.iterations:
             continue
         primal = float(np.linalg.norm(forward - f)) / raw
         pull, moved = rho * (transposed @ scaled), weight * (u - d)
@@ -160,7 +164,7 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
         dual = max(float(np.linalg.norm(moved + pulled @ forward + pull)),
                    rho * float(np.linalg.norm(transposed @ (f - before)))) / terms
         residual = max(primal, dual)
-        if residual < program.tolerance:
+        if residual < options.tolerance:
             break
         ratio = primal / max(dual, 1e-300)
         if not 1.0 / _BALANCE <= ratio <= _BALANCE and iteration % (5 * _CHECK) == 0:

@@ -117,7 +117,8 @@ def test_a_filler_that_dies_or_does_not_end_is_an_error(
         filler: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scan, "_FILLER", filler)
     with pytest.raises(MeshError, match=f"x.stl.*{words}"):
-        scan.ftetwild(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3))), 0.01, 0.01, Path("x.stl"))
+        scan.ftetwild(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3)), extents=np.ones(3)), 0.01,
+                      Path("x.stl"))
 
 
 @pytest.mark.slow

@@ -43,8 +43,8 @@ class Account:
     """Of scan and filling."""
     parts: tuple[int, int]
     """Of scan and filling; parts of a scan that overlap make one of the filling."""
-    distance: tuple[float, float]
-    """From the scan's surface to the filling's: root mean square and largest [m]."""
+    distance: float
+    """Largest distance of the scan's surface from the filling's [m]."""
     names: tuple[str, str] = ("scan", "filling")
     """Of the two that are compared, for people."""
 
@@ -52,28 +52,21 @@ class Account:
     def off(self) -> dict[str, float]:
         """Relative differences [-]: of the volume, of the box, and the largest distance over the box's diagonal."""
         scan, filling = self.box
-        return {"volume": self.volume[1] / self.volume[0] - 1.0,
-                "box": float(np.abs(filling / scan - 1.0).max()),
-                "distance": self.distance[1] / float(np.linalg.norm(scan))}
-
-    @property
-    def worst(self) -> float:
-        """The largest of the relative differences [-]."""
-        return max(abs(v) for v in self.off.values())
+        return {"volume": self.volume[1] / self.volume[0] - 1.0, "box": float(np.abs(filling / scan - 1.0).max()),
+                "distance": self.distance / float(np.linalg.norm(scan))}
 
     def sentence(self) -> str:
         """For people."""
         box = [" x ".join(f"{1e3 * e:.4g}" for e in edges) for edges in self.box]
-        off = self.off
-        scan, filling = self.names
+        (scan, filling), off = self.names, self.off
         text = (f"{filling.capitalize()} against {scan}: box {box[1]} for {box[0]} mm, volume "
                 f"{1e6 * self.volume[1]:.4g} for {1e6 * self.volume[0]:.4g} cm^3 ({100 * off['volume']:+.1f} %), "
                 f"cavities {self.cavities[1]} for {self.cavities[0]}, parts {self.parts[1]} for {self.parts[0]}, "
-                f"surfaces {1e3 * self.distance[0]:.2g} mm apart (rms), {1e3 * self.distance[1]:.2g} mm at most.")
-        told = ", ".join(f"{name} {100 * abs(value):.1f} %" for name, value in off.items() if abs(value) > TOLD)
-        if self.cavities[0] != self.cavities[1]:
-            told += f"{', ' if told else ''}cavities {self.cavities[1]} for {self.cavities[0]}"
-        return text + (f" The {filling} departs from the {scan} by more than {100 * TOLD:g} %: {told}." if told else "")
+                f"surfaces {1e3 * self.distance:.2g} mm apart at most.")
+        told = [f"{name} {100 * abs(value):.1f} %" for name, value in off.items() if abs(value) > TOLD]
+        told += [f"cavities {self.cavities[1]} for {self.cavities[0]}"] * (self.cavities[0] != self.cavities[1])
+        return text + (f" The {filling} departs from the {scan} by more than {100 * TOLD:g} %: {', '.join(told)}."
+                       if told else "")
 
 
 def inside(surface: Surface) -> Callable[[np.ndarray], np.ndarray]:
@@ -146,8 +139,8 @@ def of_tip(surface: Surface, extents: np.ndarray, spacing: float, coefficients: 
                    _apart(surface, distance), ("file", "distance grid"))
 
 
-def _apart(surface: Surface, distance: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-    """Distance of what ``distance`` belongs to from a surface: root mean square and largest [m]."""
+def _apart(surface: Surface, distance: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Largest distance of what ``distance`` belongs to from a surface [m]."""
     corners = surface.vertices[surface.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normal, axis=1)
@@ -162,8 +155,7 @@ def _apart(surface: Surface, distance: Callable[[np.ndarray], np.ndarray]) -> tu
         test = SurfaceDistance(surface.vertices, surface.faces)
         outer = (test(points + step) < 0.0) != (test(points - step) < 0.0)
         points = points[outer] if outer.any() else points
-    away = np.abs(distance(points))
-    return float(np.sqrt((away**2).mean())), float(away.max())
+    return float(np.abs(distance(points)).max())
 
 
 def refuse(found: Account, what: str, remedy: str) -> None:
@@ -172,7 +164,7 @@ def refuse(found: Account, what: str, remedy: str) -> None:
     Raises:
         MeshError: volume, box or distance differ by more than `REFUSED`.
     """
-    if found.worst > REFUSED:
+    if max(map(abs, found.off.values())) > REFUSED:
         raise MeshError(f"{what} so that it is within {100 * REFUSED:g} % of the {found.names[0]}. "
                         f"{found.sentence().split(' The ')[0]} {remedy} (e.g. in MeshLab).")
 

@@ -12,7 +12,7 @@ import codecs
 import operator
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ def parse(content: bytes, path: Path) -> Facets:
     """
     kind = path.suffix[1:].upper()
     try:
-        found = {"OBJ": _obj, "PLY": _ply, "STL": _stl, "OFF": _off}[kind](content, path)
+        found = {"OBJ": _obj, "PLY": _ply, "STL": _stl, "OFF": _off}[kind](content)
     except _Bad as problem:
         raise MeshError(f"mesh file '{path}' cannot be understood as {kind}: {problem}. Export it again.") from None
     except (ValueError, IndexError, KeyError, OverflowError, UnicodeDecodeError, MemoryError, TypeError) as problem:
@@ -65,8 +65,6 @@ class _Bad(Exception):
 
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf(?:inity)?)"
-_WRITTEN: dict[Any, re.Pattern[str]] = {float: re.compile(_NUMBER, re.ASCII | re.IGNORECASE),
-                                        int: re.compile(r"[-+]?\d+", re.ASCII)}
 _BREAKS = re.compile("[\0\v\f\x1c-\x1e\x85\u2028\u2029\ufeff]")
 """Characters at which some programs begin a new line, and others do not, or that only some see."""
 
@@ -85,32 +83,28 @@ def _lines(content: bytes) -> list[str]:
 
 
 def _number(word: str, line: int, kind: Callable[[str], Any]) -> Any:
-    if not _WRITTEN[kind].fullmatch(word):
-        raise _Bad(f"line {line} has '{word[:40]}' where {'an index' if kind is int else 'a number'} belongs")
-    return kind(word)
+    try:
+        if "_" not in word and word.isascii():
+            return kind(word)
+    except ValueError:
+        pass
+    raise _Bad(f"line {line} has '{word[:40]}' where {'an index' if kind is int else 'a number'} belongs")
 
 
-_OBJ_GOES_ON = re.compile(r"\s*(?:v|vt|vn|f|fo)\s([^#]*\s)?\\").fullmatch
-_OBJ_UNUSED = {"p", "l", "curv", "curv2", "surf"}
-_OBJ_KNOWN = {"v", "f", "fo", "vt", "vn", "vp", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "bevel",
-              "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step", "ctech",
-              "stech", "parm", "trim", "hole", "scrv", "sp", "con", "end"} | _OBJ_UNUSED
+_OBJ_UNUSED = {"usemtl", "vt", "p", "l", "curv", "curv2", "surf"}
+_OBJ_KNOWN = {"v", "f", "fo", "vn", "vp", "g", "o", "s", "mg", "mtllib", "usemap", "maplib", "bevel", "c_interp",
+              "d_interp", "lod", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step", "ctech", "stech", "parm",
+              "trim", "hole", "scrv", "sp", "con", "end"} | _OBJ_UNUSED
 
 
-def _obj(content: bytes, path: Path) -> Facets:
+def _obj(content: bytes) -> Facets:
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
-    materials: set[str] = set()
-    textured, others, statement = False, set[str](), ""
-    for number, line in enumerate([*_lines(content), ""], 1):
-        statement += line
-        if statement.endswith("\\"):
-            if not _OBJ_GOES_ON(statement):
-                raise _Bad(f"line {number} ends in a backslash, and programs differ on whether the next line belongs "
-                           "to it; that is known of a vertex or a face with a space before the backslash")
-            statement = statement[:-1]
-            continue
-        words, statement = statement.split("#", 1)[0].split(), ""
+    unused: set[str] = set()
+    for number, line in enumerate(_lines(content), 1):
+        if line.rstrip().endswith("\\"):
+            raise _Bad(f"line {number} ends in a backslash, and programs differ on whether the next line belongs to it")
+        words = line.split("#", 1)[0].split()
         if not words:
             continue
         if words[0] not in _OBJ_KNOWN:
@@ -126,26 +120,14 @@ def _obj(content: bytes, path: Path) -> Facets:
             if 0 in given or min(polygons[-1], default=0) < 0:
                 raise _Bad(f"line {number} names vertex {0 if 0 in given else min(given)}, and {len(vertices)} come "
                            "before it")
-        elif words[0] == "usemtl":
-            materials.add(" ".join(words[1:]))
-        textured = textured or words[0] == "vt"
-        others |= {words[0]} & _OBJ_UNUSED
+        unused |= {words[0]} & _OBJ_UNUSED
     points = np.array([v[:3] for v in vertices], float).reshape(-1, 3)
-    _check_indices(polygons, len(points))
     # x y z r g b, or x y z w r g b; a lone fourth number is the weight of a rational curve
     tail = [v[-3:] for v in vertices if len(v) in (6, 7)]
     colours = np.array(tail, float) if tail and len(tail) == len(vertices) else None
-    notes = []
-    if materials:
-        notes.append(f"The file's {len(materials)} materials ({', '.join(sorted(materials)[:3])}"
-                     f"{', ...' if len(materials) > 3 else ''}) are not used: a scan is one body of the scene's "
-                     "material and of one colour.")
-    elif textured:
-        notes.append("The file's texture coordinates are not used: a scan has one colour.")
-    if others:
-        notes.append(f"The file's points, lines and curved surfaces ({', '.join(sorted(others))}) are not used: a scan "
-                     f"is its faces.")
-    return Facets(points, _triangles(points, polygons), _unit(colours), tuple(notes))
+    notes = (f"The file's lines {', '.join(sorted(unused))} are not used: a scan is its faces, one body of the scene's "
+             f"material and of one colour.",) if unused else ()
+    return Facets(points, _triangles(points, polygons), _unit(colours), notes)
 
 
 # ---------------------------------------------------------------------------------------------- PLY
@@ -163,7 +145,7 @@ class _Element:
     properties: list[tuple[str, str, str | None]]  # name, type, type of the length of a list
 
 
-def _ply(content: bytes, path: Path) -> Facets:
+def _ply(content: bytes) -> Facets:
     content = content.removeprefix(codecs.BOM_UTF8)
     head = re.match(rb"ply[ \t]*(\r\n|\n|\r)", content)
     end = head and re.search(rb"(?:\r\n|[\r\n])end_header[ \t]*" + head[1], content)
@@ -204,14 +186,13 @@ def _ply(content: bytes, path: Path) -> Facets:
     points = np.stack([np.asarray(corner[axis], float) for axis in "xyz"], axis=1)
     polygons = next((v for k, v in rows.get("face", {}).items() if k in ("vertex_indices", "vertex_index")), [])
     polygons = [list(map(operator.index, p)) for p in polygons]
-    _check_indices(polygons, len(points))
     colours = None
-    names = next((n for n in (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"),
-                              ("r", "g", "b")) if set(n) <= set(corner)), None)
+    shades = next((n for n in (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"),
+                               ("r", "g", "b")) if set(n) <= set(corner)), None)
     notes = []
-    if names:
-        colours = _unit(np.stack([np.asarray(corner[n], float) for n in names], axis=1),
-                        whole=np.asarray(corner[names[0]]).dtype.kind in "iu")
+    if shades:
+        colours = _unit(np.stack([np.asarray(corner[n], float) for n in shades], axis=1),
+                        whole=np.asarray(corner[shades[0]]).dtype.kind in "iu")
     elif {"red", "green", "blue"} <= set(rows.get("face", {})):
         notes.append(_FACE_COLOURS)
     return Facets(points, _triangles(points, polygons), colours, tuple(notes))
@@ -260,7 +241,7 @@ _STL_FACET = re.compile(r"\s*facet\s+normal(?:\s+\S+){3}\s+outer\s+loop" + 3 * _
                         + r"\s+endloop\s+endfacet(?!\S)", re.ASCII)
 
 
-def _stl(content: bytes, path: Path) -> Facets:
+def _stl(content: bytes) -> Facets:
     # a binary file may begin with "solid", too: what tells is the count at byte 80, which fixes the file's length
     count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else -1
     text = (content.removeprefix(codecs.BOM_UTF8).lstrip()[:5].lower() == b"solid"
@@ -290,7 +271,7 @@ def _stl(content: bytes, path: Path) -> Facets:
     return Facets(points, np.arange(len(points)).reshape(-1, 3), notes=notes)
 
 
-def _off(content: bytes, path: Path) -> Facets:
+def _off(content: bytes) -> Facets:
     rows = [(line, words) for line, text in enumerate(_lines(content), 1) if (words := text.split("#", 1)[0].split())]
     if not rows or rows[0][1][0] not in ("OFF", "COFF"):
         raise _Bad("it does not begin with 'OFF' or 'COFF'")
@@ -308,23 +289,18 @@ def _off(content: bytes, path: Path) -> Facets:
             raise _Bad(f"a face announces {count} corners and has {len(words) - 1}")
         polygons.append([_number(w, line, int) for w in words[1:1 + count]])
         coloured |= len(words) > 1 + count
-    _check_indices(polygons, corners)
     return Facets(table[:, :3], _triangles(table, polygons), _unit(table[:, 3:6]), (_FACE_COLOURS,) * coloured)
 
 
 # ---------------------------------------------------------------------------------------------- polygons
 
 
-def _check_indices(polygons: list[list[int]], count: int) -> None:
-    for polygon in polygons:
-        if polygon and not (0 <= min(polygon) and max(polygon) < count):
-            wrong = min(polygon) if min(polygon) < 0 else max(polygon)
-            raise _Bad(f"a face names vertex {wrong}, counted from 0, and there are {count}")
-
-
 def _triangles(points: np.ndarray, polygons: list[list[int]]) -> np.ndarray:
-    out: list[Sequence[int]] = []
+    out: list[list[int]] = []
     for polygon in polygons:
+        if polygon and not (0 <= min(polygon) and max(polygon) < len(points)):
+            wrong = min(polygon) if min(polygon) < 0 else max(polygon)
+            raise _Bad(f"a face names vertex {wrong}, counted from 0, and there are {len(points)}")
         if len(polygon) == 3:
             out.append(polygon)
         elif len(polygon) > 3:
@@ -333,31 +309,23 @@ def _triangles(points: np.ndarray, polygons: list[list[int]]) -> np.ndarray:
 
 
 def _cut(at: np.ndarray, polygon: list[int]) -> list[list[int]]:
-    """Triangles of a polygon: a fan if it is convex, else its ears, cut off one by one (Meisters 1975)."""
+    """Triangles of a polygon: its ears, cut off one by one (Meisters 1975); a fan if it is convex."""
     normal = np.cross(at, np.roll(at, -1, axis=0)).sum(axis=0)  # Newell's
-    longest = float(np.linalg.norm(normal))
-    if not np.isfinite(longest) or longest == 0.0:
-        return [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, len(polygon) - 1)]
-    axis = int(np.abs(normal).argmax())
-    flat = np.delete(at, axis, axis=1) * (1.0 if (normal[axis] > 0) == (axis != 1) else [-1.0, 1.0])
+    across = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+    x, y = (at @ np.stack([across, np.cross(normal, across)], axis=1)).T.tolist()
 
     def turn(a: int, b: int, c: int) -> float:
-        u, v = flat[b] - flat[a], flat[c] - flat[a]
-        return float(u[0] * v[1] - u[1] * v[0])
+        return (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
 
-    ring = list(range(len(polygon)))
-    if all(turn(ring[k - 1], ring[k], ring[(k + 1) % len(ring)]) >= 0.0 for k in range(len(ring))):
-        return [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, len(polygon) - 1)]
-    out = []
+    def is_ear(k: int) -> bool:
+        a, b, c = ring[k - 1], ring[k], ring[(k + 1) % len(ring)]
+        return turn(a, b, c) > 0.0 and not any(min(turn(a, b, p), turn(b, c, p), turn(c, a, p)) >= 0.0
+                                               for p in ring if p not in (a, b, c))
+
+    ring, out = list(range(len(polygon))), []
     while len(ring) > 3:
-        for k in range(len(ring)):
-            a, b, c = ring[k - 1], ring[k], ring[(k + 1) % len(ring)]
-            if turn(a, b, c) > 0.0 and not any(
-                min(turn(a, b, p), turn(b, c, p), turn(c, a, p)) >= 0.0 for p in ring if p not in (a, b, c)
-            ):
-                break
-        else:
-            k = 0  # a polygon that crosses itself has no ear
+        # a polygon that crosses itself, or has no area, has no ear
+        k = next((k for k in (*range(1, len(ring)), 0) if is_ear(k)), 1)
         out.append([polygon[ring[k - 1]], polygon[ring[k]], polygon[ring[(k + 1) % len(ring)]]])
         del ring[k]
     return [*out, [polygon[r] for r in ring]]

@@ -15,11 +15,10 @@ them comes through their surroundings.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from vsfsim.core.solid import TET_FACES
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.mesh.validity import joined
 
 COMPACT = 40.0
 """Largest modulus of a part over that of its surroundings and over the cube of its slenderness [-]: 1,080 for a ball.
@@ -46,7 +45,10 @@ def limited(mesh: QuadraticMesh, young_modulus: np.ndarray) -> tuple[np.ndarray,
     out = young_modulus.copy()
     boundary = np.zeros(len(mesh.points), bool)
     boundary[mesh.surface_nodes()] = True
-    for part in _parts(mesh.tets[:, :4], stiff, len(mesh.points)):
+    which = np.flatnonzero(stiff)
+    # stiff tetrahedra that share a corner are one part
+    label = joined(mesh.tets[which, :4].reshape(-1, 1), np.repeat(np.arange(len(which)), 4), len(which))
+    for part in (which[label == k] for k in range(label.max() + 1)):
         nodes = np.zeros(len(mesh.points), bool)
         nodes[mesh.tets[part]] = True
         around = nodes[mesh.tets].any(axis=1)
@@ -64,15 +66,6 @@ def _surroundings(modulus: np.ndarray, volume: np.ndarray) -> float:
     order = np.argsort(modulus)
     share = np.cumsum(volume[order]) / volume.sum()
     return float(modulus[order][np.searchsorted(share, ENCLOSED)])
-
-
-def _parts(tets: np.ndarray, stiff: np.ndarray, nodes: int) -> list[np.ndarray]:
-    """The tetrahedra of each connected set of ``stiff`` ones (m,) bool, which share corners."""
-    which = np.flatnonzero(stiff)
-    rows, columns = np.repeat(np.arange(len(which)), 4), tets[which].ravel()
-    touches = sp.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(which), nodes))
-    count, label = connected_components(touches @ touches.T, directed=False)
-    return [which[label == k] for k in range(count)]
 
 
 def _slenderness(mesh: QuadraticMesh, part: np.ndarray) -> float:

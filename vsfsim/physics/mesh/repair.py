@@ -14,14 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.physics.mesh.formats import FORMATS, Facets, parse
-from vsfsim.physics.mesh.winding import winding_number
+from vsfsim.physics.mesh.surface_distance import winding_number
+from vsfsim.physics.mesh.validity import joined
 
 LARGEST = 5.0
 """Largest allowed edge of the bounding box [m]. Nothing that a robot arm touches is larger, so a file with a bounding
@@ -188,8 +187,7 @@ def _joined(vertices: np.ndarray, faces: np.ndarray, notes: list[str], path: Pat
     faces = same.reshape(-1)[faces]
     pairs = cKDTree(vertices).query_pairs(_WELD * float(np.ptp(vertices, axis=0).max()), output_type="ndarray")
     if len(pairs):
-        graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(vertices),) * 2)
-        _, group = connected_components(graph, directed=False)
+        group = joined(np.arange(pairs.size)[:, None] // 2, pairs.ravel(), len(vertices))
         _, first = np.unique(group, return_index=True)
         vertices, faces = vertices[first], group[faces]
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -303,9 +301,9 @@ def _by_nesting(vertices: np.ndarray, faces: np.ndarray,
                 notes: list[str]) -> tuple[np.ndarray, np.ndarray, int, int, bool]:
     """Parts wound by their nesting, loose debris left out: vertices, faces, cavities, solids, whether parts overlap."""
     adjacency = trimesh.Trimesh(vertices, faces, process=False).face_adjacency
-    graph = coo_matrix((np.ones(len(adjacency)), adjacency.T), shape=(len(faces),) * 2)
-    amount, part = connected_components(graph, directed=False)
-    members = [np.flatnonzero(part == p) for p in range(amount)] if amount < 2000 else [np.arange(len(faces))]
+    part = joined(np.arange(adjacency.size)[:, None] // 2, adjacency.ravel(), len(faces))
+    part = part if part.max() < 2000 else np.zeros_like(part)
+    members = [np.flatnonzero(part == p) for p in range(part.max() + 1)]
     volume = np.array([signed_volume(vertices, faces[m]) for m in members])
     spots = [vertices[np.unique(faces[m])] for m in members]
     spots = [s[::max(1, len(s) // 24)] for s in spots]

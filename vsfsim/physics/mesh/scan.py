@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -38,7 +39,7 @@ _MOST_TETS = 60_000  # tetrahedra of a lattice that is finer than asked for, at 
 _SHARP = np.radians(35.0)  # between the normals of two faces whose common edge the filling shall keep
 _DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL file has seven
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
-_RECIPE = 7
+_RECIPE = 8
 """Part of the cache key, to be raised when the repairs or the filling change."""
 
 # fTetWild runs in a process and a folder of its own: it leaves "__tracked_surface.stl" in the working directory, and
@@ -57,6 +58,13 @@ np.savez(sys.argv[2], vertices=vertices, tets=tets)
 """
 CPU_LIMIT = 60
 """Processor time after which the filler is stopped [s]; the load of the machine has no say."""
+
+
+class _Filling(NamedTuple):
+    vertices: np.ndarray
+    tets: np.ndarray
+    account: Account
+    notes: list[str]
 
 
 def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = None) -> Solid:
@@ -79,7 +87,7 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
     folder = disk_cache.folder() if cache is None else Path(cache)
     stored = folder / f"tets-{key[:32]}.npz"
     with disk_cache.locked(stored):
-        found = _read(stored)
+        found = disk_cache.read(stored)
         if found is None:
             surface = read_surface(shape)
             vertices, tets, shift, more = fill(surface, resolution, path)
@@ -88,9 +96,10 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
                      "notes": np.array([*surface.notes, *more], dtype=np.str_)}
             disk_cache.write(stored, **found)
             # On a file system without locks another worker may have been first; every worker then uses its file.
-            found = _read(stored) or found
-    vertices, tets, colour, notes = (found[name] for name in ("vertices", "tets", "colour", "notes"))
-    notes = [*map(str, notes), f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
+            found = disk_cache.read(stored) or found
+    vertices, tets, colour = (found[name] for name in ("vertices", "tets", "colour"))
+    notes = [*map(str, found["notes"]),
+             f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
     linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     look = Appearance(linear[None], ("plain",), np.ones(1), np.zeros(1)) if len(colour) else None
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes), appearance=look,
@@ -126,12 +135,11 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
     return vertices - shift, tets, shift, notes
 
 
-def _best(surface: Surface, volume: float, resolution: float,
-          path: Path) -> tuple[np.ndarray, np.ndarray, Account, list[str]]:
+def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Filling:
     """The coarsest lattice that is within 2 % of the surface, or else what comes closest."""
     within, (low, high) = inside(surface), (surface.vertices.min(axis=0), surface.vertices.max(axis=0))
     corners, edges = features(surface)
-    tried: list[tuple[np.ndarray, np.ndarray, Account, list[str]]] = []
+    tried: list[_Filling] = []
     problem = None
     for part in _FINER:
         size = part * resolution
@@ -140,43 +148,31 @@ def _best(surface: Surface, volume: float, resolution: float,
         vertices, tets = fill_lattice(within, low, high, size)
         if not len(tets):
             continue
-        vertices = pull_to_features(vertices, tets, corners, edges, CELL * size)
+        note = (f"Elements are {1e3 * size:.3g} mm instead of {1e3 * resolution:.3g} mm, so that the filling keeps the "
+                f"scan's volume and box.")
         try:
-            vertices, tets, notes = _one_body(vertices, tets, resolution, path)
+            tried.append(_filling(surface, volume, pull_to_features(vertices, tets, corners, edges, CELL * size), tets,
+                                  [note] * (part < 1.0), resolution, path))
         except MeshError as error:
             problem = problem or error
             continue
-        if part < 1.0:
-            notes.append(f"Elements are {1e3 * size:.3g} mm instead of {1e3 * resolution:.3g} mm, so that the filling "
-                         "keeps the scan's volume and box.")
-        tried.append((vertices, tets, account(surface, volume, vertices, tets), notes))
-        if _misses(tried[-1][2]) <= TOLD:
-            break
+        if _misses(tried[-1]) <= TOLD:
+            return tried[-1]
     if not tried and problem is not None and surface.parts > 1:
         raise problem  # of separate bodies
-    if not tried or min(_misses(one[2]) for one in tried) > _ENOUGH:
+    if not tried or min(map(_misses, tried)) > _ENOUGH:
         try:
-            tried.append(_tetwild(surface, volume, resolution, path))
+            tried.append(_filling(surface, volume, *ftetwild(surface, resolution, path), [
+                "Filled by fTetWild, because parts are thinner than a lattice of this resolution holds; its mesh "
+                "differs from run to run, and the first one is kept."], resolution, path))
         except MeshError as error:
             if not tried:
                 raise problem or error from error
-    return min(tried, key=lambda one: _misses(one[2]))
+    return min(tried, key=_misses)
 
 
-def _tetwild(surface: Surface, volume: float, resolution: float,
-             path: Path) -> tuple[np.ndarray, np.ndarray, Account, list[str]]:
-    envelope = _ENVELOPE * resolution / float(np.linalg.norm(surface.extents))
-    vertices, tets = ftetwild(surface, resolution, envelope, path)
-    volumes = tet_volumes(vertices, tets)
-    tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
-    vertices, tets, notes = _one_body(vertices, tets[np.abs(volumes) > 1e-9 * resolution**3], resolution, path)
-    notes.append("Filled by fTetWild, because parts are thinner than a lattice of this resolution holds; its mesh "
-                 "differs from run to run, and the first one is kept.")
-    return vertices, tets, account(surface, volume, vertices, tets), notes
-
-
-def ftetwild(surface: Surface, resolution: float, envelope: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3) [m] and tetrahedra (m, 4), of either orientation, inside a surface, by fTetWild (Hu et al. 2020)
+def ftetwild(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) [m] and positively oriented tetrahedra (m, 4) inside a surface, by fTetWild (Hu et al. 2020)
     through pytetwild, which takes a surface that crosses itself, and walls of any thickness.
 
     Its mesh differs from run to run, even with one thread: it is asked for where a regular lattice does not do, and
@@ -185,7 +181,6 @@ def ftetwild(surface: Surface, resolution: float, envelope: float, path: Path) -
     Args:
         surface: what is filled.
         resolution: edge length [m].
-        envelope: how far the surface may move, over its diagonal [-].
         path: of the mesh file, for messages.
 
     Raises:
@@ -197,7 +192,8 @@ def ftetwild(surface: Surface, resolution: float, envelope: float, path: Path) -
     with tempfile.TemporaryDirectory(prefix="vsfsim-fill-") as folder:
         given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
         np.savez(given, vertices=np.asarray(surface.vertices, np.float64), faces=np.asarray(surface.faces, np.int32),
-                 resolution=resolution, envelope=envelope, seconds=CPU_LIMIT)
+                 resolution=resolution, seconds=CPU_LIMIT,
+                 envelope=_ENVELOPE * resolution / float(np.linalg.norm(surface.extents)))
         filler = subprocess.run([sys.executable, "-c", _FILLER, str(given), str(made)], cwd=folder, text=True,
                                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, errors="replace")
         if filler.returncode != 0 or not made.exists():
@@ -206,38 +202,47 @@ def ftetwild(surface: Surface, resolution: float, envelope: float, path: Path) -
             raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: {said[-1]}. "
                             "Use a coarser resolution, or repair the mesh by hand (e.g. in MeshLab).")
         with np.load(made, allow_pickle=False) as data:
-            return data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
+            vertices, tets = data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
+    volumes = tet_volumes(vertices, tets)
+    tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
+    return vertices, tets[np.abs(volumes) > 1e-9 * resolution**3]
 
 
-def _misses(found: Account) -> float:
+def _misses(filling: _Filling) -> float:
     """What a finer lattice is tried for; corners that are cut by a part of an element are told, and no reason."""
+    found = filling.account
     lost = 1.0 if found.cavities[1] < found.cavities[0] and found.off["volume"] > TOLD else 0.0
     return max(abs(found.off["volume"]), found.off["box"], lost)
 
 
-def _one_body(vertices: np.ndarray, tets: np.ndarray, resolution: float,
-              path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """The largest body, with a clean boundary."""
-    notes = []
+def _filling(surface: Surface, volume: float, vertices: np.ndarray, tets: np.ndarray, notes: list[str],
+             resolution: float, path: Path) -> _Filling:
+    """The largest body, with a clean boundary, and its account.
+
+    Raises:
+        MeshError: there are several bodies, or the boundary touches itself.
+    """
     body = body_of_each_tet(tets)
     sizes = np.bincount(body, weights=tet_volumes(vertices, tets))
-    if (sizes > DEBRIS * sizes.max()).sum() > 1:
-        listing = ", ".join(f"{1e6 * v:.3g}" for v in np.sort(sizes)[::-1][:5])
-        raise MeshError(f"mesh file '{path}' holds {int((sizes > DEBRIS * sizes.max()).sum())} separate bodies "
-                        f"(volumes {listing} cm^3); an object is one body. Keep one, or join them.")
+    large = np.sort(sizes[sizes > DEBRIS * sizes.max()])[::-1]
+    if len(large) > 1:
+        raise MeshError(f"mesh file '{path}' holds {len(large)} separate bodies (volumes "
+                        f"{', '.join(f'{1e6 * v:.3g}' for v in large[:5])} cm^3); an object is one body. Keep one, or "
+                        f"join them.")
     if len(sizes) > 1:
-        notes.append(f"Dropped {len(sizes) - 1} loose pieces, {100 * (1 - sizes.max() / sizes.sum()):.2g} % of "
-                     "the volume.")
+        notes = [*notes, f"Dropped {len(sizes) - 1} loose pieces, {100 * (1 - sizes.max() / sizes.sum()):.2g} % of the "
+                 f"volume."]
         tets = tets[body == sizes.argmax()]
     kept = drop_pinches(vertices, tets)
     if kept is None:
         raise MeshError(f"mesh file '{path}': its surface touches itself in so many places at resolution "
                         f"{resolution:g} m that no clean boundary is left; use a finer resolution.")
     if len(kept) < len(tets):
-        notes.append(f"Removed {len(tets) - len(kept)} tetrahedra where the surface touched itself at a point "
-                     "or an edge.")
+        notes = [*notes, f"Removed {len(tets) - len(kept)} tetrahedra where the surface touched itself at a point or "
+                 f"an edge."]
     used, tets = np.unique(kept, return_inverse=True)
-    return vertices[used], tets.reshape(-1, 4), notes
+    vertices, tets = vertices[used], tets.reshape(-1, 4)
+    return _Filling(vertices, tets, account(surface, volume, vertices, tets), notes)
 
 
 def features(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
@@ -265,11 +270,3 @@ def features(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
 def _digest(vertices: np.ndarray, tets: np.ndarray) -> str:
     """sha256 of corners to a nanometre and tetrahedra, hexadecimal; processors differ in the last bits."""
     return hashlib.sha256(np.round(1e9 * vertices).astype("<i8").tobytes() + tets.astype("<i8").tobytes()).hexdigest()
-
-
-# ---------------------------------------------------------------------------------------------- the cache
-
-
-def _read(path: Path) -> dict[str, np.ndarray] | None:
-    found = disk_cache.read(path)
-    return found if found and {"vertices", "tets", "surface", "faces", "colour", "notes"} <= set(found) else None

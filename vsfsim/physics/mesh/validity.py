@@ -107,26 +107,30 @@ def _place(points: np.ndarray) -> str:
     return f"[{', '.join(f'{v:.4g}' for v in np.round(points.mean(axis=0), 9) + 0.0)}] m"
 
 
+def joined(keys: np.ndarray, owner: np.ndarray, count: int) -> np.ndarray:
+    """Number of the group of each of ``count`` things (count,), which equal rows of ``keys`` (k, c) join.
+
+    Args:
+        owner: the thing that each row belongs to (k,).
+    """
+    order = np.lexsort(keys.T)
+    number = np.empty(len(keys), np.int64)
+    number[order] = np.cumsum(np.r_[0, (keys[order][1:] != keys[order][:-1]).any(axis=1)][:len(keys)])
+    size = count + len(keys)
+    graph = coo_matrix((np.ones(len(keys)), (owner, count + number)), shape=(size, size))
+    return connected_components(graph, directed=False)[1][:count]
+
+
 def body_of_each_tet(tets: np.ndarray) -> np.ndarray:
     """Number of the body each tetrahedron belongs to (m,); bodies are joined through faces."""
-    key = np.sort(tets[:, TET_FACES].reshape(-1, 3), axis=1)
-    order = np.lexsort(key.T)
-    same = (key[order][1:] == key[order][:-1]).all(axis=1)
-    owner = np.repeat(np.arange(len(tets)), 4)[order]
-    one, two = owner[:-1][same], owner[1:][same]
-    graph = coo_matrix((np.ones(len(one)), (one, two)), shape=(len(tets), len(tets)))
-    return connected_components(graph, directed=False)[1]
+    return joined(np.sort(tets[:, TET_FACES].reshape(-1, 3), axis=1), np.repeat(np.arange(len(tets)), 4), len(tets))
 
 
 def shells(faces: np.ndarray) -> list[np.ndarray]:
     """Triangles (f, 3) of a closed boundary, parted into those that edges join."""
     edge = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edge.T)
-    same = (edge[order][1:] == edge[order][:-1]).all(axis=1)
-    owner = order // 3
-    graph = coo_matrix((np.ones(int(same.sum())), (owner[:-1][same], owner[1:][same])), shape=(len(faces),) * 2)
-    amount, part = connected_components(graph, directed=False)
-    return [faces[part == p] for p in range(amount)]
+    part = joined(edge, np.repeat(np.arange(len(faces)), 3), len(faces))
+    return [faces[part == p] for p in range(part.max() + 1)]
 
 
 def pinched_vertices(tets: np.ndarray) -> np.ndarray:
@@ -136,19 +140,12 @@ def pinched_vertices(tets: np.ndarray) -> np.ndarray:
     """
     faces, _ = boundary_faces(tets)
     # A corner (face f at vertex v) is next to the corner of v in the face across each edge of f at v.
-    corner = np.arange(faces.size)
     vertex = faces.reshape(-1)
-    after, before = np.roll(faces, -1, axis=1).reshape(-1), np.roll(faces, 1, axis=1).reshape(-1)
-    edge = np.concatenate([np.stack([vertex, after], 1), np.stack([vertex, before], 1)])
-    both = np.concatenate([corner, corner])
-    order = np.lexsort(edge.T)
-    same = (edge[order][1:] == edge[order][:-1]).all(axis=1)
-    one, two = both[order][:-1][same], both[order][1:][same]
-    graph = coo_matrix((np.ones(len(one)), (one, two)), shape=(faces.size, faces.size))
-    fan = connected_components(graph, directed=False)[1]
+    edge = np.concatenate([np.stack([vertex, np.roll(faces, shift, axis=1).reshape(-1)], axis=1) for shift in (-1, 1)])
+    fan = joined(edge, np.tile(np.arange(faces.size), 2), faces.size)
     fans = np.bincount(np.unique(np.stack([vertex, fan], 1), axis=0)[:, 0])
-    crowded = order[:-2][same[:-1] & same[1:]] if len(order) > 2 else order[:0]
-    return np.union1d(np.flatnonzero(fans > 1), edge[crowded].reshape(-1))
+    ends, count = np.unique(edge, axis=0, return_counts=True)
+    return np.union1d(np.flatnonzero(fans > 1), ends[count > 2].reshape(-1))
 
 
 def drop_pinches(vertices: np.ndarray, tets: np.ndarray, *, rounds: int = 20) -> np.ndarray | None:

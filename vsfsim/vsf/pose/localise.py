@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from trimesh.registration import procrustes
 
 from vsfsim.core.errors import VsfError
-from vsfsim.physics.mesh.winding import winding_number
+from vsfsim.physics.mesh.surface_distance import winding_number
 
 TRIES = 40
 """Registrations of the papers' procedure, of which the best is kept."""
