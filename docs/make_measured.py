@@ -75,16 +75,14 @@ def study(name: str, size: str = "mini") -> str:
 
 def claims() -> str:
     """The table of `vsfsim papers claims` from the results that ship, and what experiments say."""
-    from papers.claims import HEAD, RULE, cells, conclusions, counts, superseded
-    from papers.decide import HOLDS
-    from papers.verdicts import all_verdicts
+    from papers.claims import HEAD, HOLDS, RULE, all_verdicts, cells, conclusions, counts, superseded
 
     found = all_verdicts(boards=BOARDS, made=False)
     numbered = list(enumerate(found, start=1))
     tables = []
-    for task in dict.fromkeys(v.claim.task for v in found):
+    for task in dict.fromkeys(v.task for v in found):
         rows = [[f"**{cell}**" if cell == HOLDS else cell for cell in cells(k, v)]
-                for k, v in numbered if v.claim.task == task]
+                for k, v in numbered if v.task == task]
         tables.append(f"## On `{task}`\n\n" + piped(list(HEAD), rows))
     lines = [f"- {line}." for line in conclusions(found)]
     notes = [f"- {line}" for line in superseded(found)] + [f"- {k}: {v.claim.note}." for k, v in numbered

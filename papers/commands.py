@@ -73,13 +73,10 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         report(f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
                f"without --shard scores them.", {"shard": list(fan.shard)}, json)
         return
-    pages, numbers = [], []
     boards: dict = {}
-    for one in known:
-        found = stored(one, size, boards=boards)
-        pages.append(tables.text(one, size, found, boards))
-        numbers.append(tables.table(one, size, found))
-    report("\n\n".join(pages), numbers[0] if len(numbers) == 1 else numbers, json)
+    found = [(one, size, stored(one, size, boards=boards)) for one in known]
+    numbers = [tables.table(*one) for one in found]
+    report("\n\n".join(tables.text(*one, boards) for one in found), numbers[0] if len(numbers) == 1 else numbers, json)
     if failed:
         reasons: dict[str, list[str]] = {}
         for name, message in failed:
@@ -99,10 +96,10 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
     commands behind it; of a claim that does not hold, experiments say what is at fault.
     """
     from papers import claims as judged
-    from papers.verdicts import all_verdicts
+    from papers.study import SIZES
     from vsfsim.bench.commands.presets import PRESETS
 
     check_choice("--preset", preset, PRESETS)
-    check_choice("--size", size or "mini", ("mini", "standard"))
-    verdicts = all_verdicts(size, preset=preset)
+    check_choice("--size", size or "mini", SIZES)
+    verdicts = judged.all_verdicts(size, preset=preset)
     report(judged.text(verdicts), judged.table(verdicts), json)

@@ -22,7 +22,7 @@ from scipy import stats
 
 from vsfsim.bench.board.compare import FEWEST_OBJECTS, ByObject, paired
 
-HOLDS, FAILS, UNTOLD, NONE = "holds", "does not hold", "cannot be told", ""
+HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
 
 LEVEL = 0.05
 """Probability of one or more wrong answers among all claims."""
@@ -100,7 +100,7 @@ class Answers:
     direction: str
     """`HOLDS`, `FAILS` or `UNTOLD`."""
     size: str
-    """The same; `NONE` where the paper prints no figures, or claims equality."""
+    """The same; "" where the paper prints no figures, or claims equality."""
     chance: tuple[float, float]
     """Probabilities of both, corrected by Holm's method."""
 
@@ -145,7 +145,7 @@ def answers(asked: Sequence[Question]) -> list[Answers]:
     for one, row in zip(asked, tests, strict=True):
         told = [(UNTOLD if p > LEVEL else HOLDS if own else FAILS, p) for (_, own), p in zip(row, chance)]
         (direction, p), (size, q) = [*told, *[(UNTOLD, 1.0)] * (2 - len(told))]
-        out.append(Answers(direction, size if one.has_size else NONE, (p, q)))
+        out.append(Answers(direction, size if one.has_size else "", (p, q)))
     return out
 
 

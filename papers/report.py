@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from papers.results import Found, differences
 from papers.study import Study
-from vsfsim.bench.board.compare import Paired, interval, paired
-from vsfsim.bench.leaderboard import Board, unit_of
+from vsfsim.bench.board.compare import ByObject, Paired, interval, paired
+from vsfsim.bench.leaderboard import Board, interval_text, unit_of
 from vsfsim.core.text_table import text_table
 
 RANKING = "5"
@@ -25,52 +26,53 @@ def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]
     """
     rows = []
     for variant in study.variants:
-        one, base = found.get(variant.name), found.get(study.baseline)
-        values, apart = {}, {}
-        for shot in labels(study, found) if one is not None else ():
-            assert one is not None
-            mine = one.values(study.metric, shot)
-            if mine:
-                mean, error = interval(mine)
-                values[shot] = {"mean": mean, "error": error if error == error else None, "objects": len(mine)}
-                if base is not None and base is not one:
-                    d = paired(mine, base.values(study.metric, shot))
-                    apart[shot] = {"mean": d.mean, "error": d.error, "objects": d.objects} if d.objects > 1 else None
+        one, (values, apart) = found.get(variant.name), _measured(study, found, variant.name)
+        means = {shot: (*interval(of), len(of)) for shot, of in values.items()}
         rows.append({"variant": variant.name, "method": variant.method, "preset": variant.preset,
-                     "parameters": dict(variant.set), "values": values, "difference": apart,
-                     "paper": dict(variant.paper),
+                     "parameters": dict(variant.set), "paper": dict(variant.paper),
+                     "values": {shot: {"mean": mean, "error": error if error == error else None, "objects": objects}
+                                for shot, (mean, error, objects) in means.items()},
+                     "difference": {shot: asdict(d) for shot, d in apart.items()},
                      "file": str(one.path) if one is not None else None,
                      "task": one.result.task if one is not None else None})
     return {"study": study.name, "title": study.title, "source": study.source, "metric": study.metric, "size": size,
             "baseline": study.baseline, "paper_unit": study.unit, "variants": rows}
 
 
+def _measured(study: Study, found: Mapping[str, Found], name: str) -> tuple[dict[str, ByObject], dict[str, Paired]]:
+    """By shot, the values of a variant by object and, where two or more are in common, its difference from the
+    baseline."""
+    one, base = found.get(name), found.get(study.baseline)
+    values = {shot: one.values(study.metric, shot) for shot in labels(study, found)} if one is not None else {}
+    apart = {shot: paired(mine, base.values(study.metric, shot)) for shot, mine in values.items()
+             } if base is not None and base is not one else {}
+    return ({shot: mine for shot, mine in values.items() if mine},
+            {shot: difference for shot, difference in apart.items() if difference.objects > 1})
+
+
 def labels(study: Study, found: Mapping[str, Found]) -> list[str]:
     """Shots that some result has, in order; where the study says which it asks, no others."""
     asked = {*map(str, study.shots), "all"}
-    every = list(dict.fromkeys(shot for one in found.values() for shot in one.result.shots
-                               if not study.shots or shot in asked))
+    every = {shot for one in found.values() for shot in one.result.shots if not study.shots or shot in asked}
     return sorted(every, key=lambda shot: (shot == "all", int(shot) if shot != "all" else 0))
 
 
 def cells(study: Study, found: Mapping[str, Found]) -> tuple[list[str], list[list[str]]]:
     """Head and rows of the table: values, differences from the baseline, the paper's figures."""
-    data, shots = table(study, "", found), labels(study, found)
-    base = study.baseline
-    compared = [s for s in shots if any(row["difference"].get(s) for row in data["variants"])]
+    shots, measured = labels(study, found), {v.name: _measured(study, found, v.name) for v in study.variants}
+    compared = [shot for shot in shots if any(shot in apart for _, apart in measured.values())]
     compared = list(dict.fromkeys([*compared[:1], *([RANKING] if RANKING in compared else compared[-1:])]))
     said = list(dict.fromkeys(shot for v in study.variants for shot in v.paper))
-    head = ["variant", *(f"{s}-shot" for s in shots), *(f"minus {base}, {s}-shot" for s in compared),
-            *(f"paper, {s}-shot [{study.unit}]" for s in said)]
+    head = ["variant", *(f"{shot}-shot" for shot in shots),
+            *(f"minus {study.baseline}, {shot}-shot" for shot in compared),
+            *(f"paper, {shot}-shot [{study.unit}]" for shot in said)]
     rows = []
-    for row in data["variants"]:
-        paper = [_paper(row["paper"].get(shot)) for shot in said]
-        if row["file"] is None:
-            rows.append([row["variant"], *("missing" if k == 0 else "" for k in range(len(shots) + len(compared))),
-                         *paper])
-            continue
-        rows.append([row["variant"], *(_value(row["values"].get(s)) for s in shots),
-                     *(_difference(row["difference"].get(s)) for s in compared), *paper])
+    for v in study.variants:
+        values, apart = measured[v.name]
+        ours = [*(interval_text(values[shot]) if shot in values else "" for shot in shots),
+                *(_difference(apart[shot]) if shot in apart else "" for shot in compared)]
+        rows.append([v.name, *(ours if v.name in found else ["missing", *ours[1:]][:len(ours)]),
+                     *(_paper(v.paper.get(shot)) for shot in said)])
     return head, rows
 
 
@@ -86,44 +88,30 @@ def title(study: Study, size: str, found: Mapping[str, Found]) -> str:
 
 def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, Board] | None = None) -> str:
     """The study for a terminal; ``boards`` as of `papers.results.stored`."""
-    lines = [f"{study.name}: {study.title} ({study.source})"]
-    head, rows = cells(study, found)
-    lines += [title(study, size, found), "", text_table(head, rows)]
-    lines += on_other_data(found, {} if boards is None else boards)
+    lines = [f"{study.name}: {study.title} ({study.source})", title(study, size, found), "",
+             text_table(*cells(study, found)), *on_other_data(found, {} if boards is None else boards)]
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
         lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name} --size {size}` makes them"]
-    if study.note:
-        lines += ["", study.note]
-    return "\n".join(lines)
+    return "\n".join(lines + (["", study.note] if study.note else []))
 
 
 def on_other_data(found: Mapping[str, Found], boards: dict[str, Board]) -> list[str]:
     """A line for earlier rows, one for the variants that were made on other data than the first one, and one for those
     that were made on the same data, made again; ``boards`` as of `papers.results.stored`."""
-    earlier = ", ".join(f"'{name}'" for name, one in found.items() if not one.stands)
-    lines = {f"earlier rows, of a method or a scorer that is gone: {earlier}; no claim rests on them": earlier}
     odd, first = differences(found, boards) if len(found) > 1 else {}, next(iter(found), "")
-    other, again = (", ".join(f"'{name}'" for name in odd if odd[name] is kind) for kind in (True, False))
-    lines |= {f"made on other data than '{first}': {other}; make them again": other,
-              f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}
+    earlier, other, again = (", ".join(f"'{name}'" for name in names) for names in (
+        [name for name, one in found.items() if not one.stands], [name for name in odd if odd[name]],
+        [name for name in odd if not odd[name]]))
+    lines = {f"earlier rows, of a method or a scorer that is gone: {earlier}; no claim rests on them": earlier,
+             f"made on other data than '{first}': {other}; make them again": other,
+             f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}
     return [line for line, names in lines.items() if names]
 
 
-def _value(value: Mapping[str, Any] | None) -> str:
-    if value is None:
-        return ""
-    return f"{value['mean']:.3f}" + (f" ± {value['error']:.3f}" if value["error"] is not None else "")
-
-
-def _difference(value: Mapping[str, Any] | None) -> str:
-    if value is None:
-        return ""
-    d = Paired(value["mean"], value["error"], value["objects"])
+def _difference(d: Paired) -> str:
     return f"{d.mean:+.3f} ± {d.error:.3f}{' *' if d.told_apart else ''}"
 
 
 def _paper(value: float | tuple[float, float] | None) -> str:
-    if value is None:
-        return ""
-    return " ± ".join(f"{v:.2f}" for v in (value if isinstance(value, tuple) else (value,)))
+    return "" if value is None else " ± ".join(f"{v:.2f}" for v in (value if isinstance(value, tuple) else (value,)))

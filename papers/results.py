@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,12 @@ from pathlib import Path
 from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
-from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed, row_sha256
-from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
+from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed
+from vsfsim.bench.board.shipped import Shipped, read_rows, row_sha256, write_rows
 from vsfsim.bench.commands.presets import on_device
 from vsfsim.bench.evaluate import Row, make
 from vsfsim.bench.result import Result, readings_apart
-from vsfsim.bench.task import Task, load_task
+from vsfsim.bench.task import Protocol, Task, load_task
 from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
@@ -34,7 +35,9 @@ class Found:
     """Its result."""
     path: Path
     """Its file."""
-    objects: frozenset[str] | None
+    protocol: Protocol
+    """Of its task, with the study's shots and runs."""
+    objects: frozenset[str] | None = None
     """Names of the objects that count, None for all."""
     stands: bool = True
     """It is no earlier row (`vsfsim.bench.board.named.EARLIER`), on which no claim rests."""
@@ -62,30 +65,31 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
     """
     out = {}
     boards = {} if boards is None else boards
-    roots, read = ([MADE] if made else []) + [folder("leaderboard")], dict[Path, list[Shipped]]()
+    read = functools.cache(read_rows)
     for variant in variants if variants is not None else study.variants:
         if not study.has(variant, size):
             continue
         task = study.task_of(variant, size)
-        found = _row(variant, task, boards, made) if study.is_row(variant) else _file(study, variant, task, roots, read)
-        if found is not None:
-            out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task), found[2])
+        if study.is_row(variant):
+            known = [(row.path, row.result, row.rank is not None) for row in board_of(task.name, boards, made).rows
+                     if (row.rank is not None or row.mark == EARLIER)
+                     and (row.result.method, row.result.preset) == (variant.method, variant.preset)]
+        else:
+            known = [(path, result, of == MADE or row_sha256(result) in listed())
+                     for of in [MADE] * made + [folder("leaderboard")]
+                     for path, result in _of_study(of / "studies", task.name, f"{study.stem(variant)}.json", read)
+                     if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels]
+        if known:
+            path, result, stands = known[0]
+            out[variant.name] = Found(variant, result, path, task.protocol, _counted(study, variant, task), stands)
     return out
 
 
-def _file(study: Study, variant: Variant, task: Task, roots: Sequence[Path],
-          read: dict[Path, list[Shipped]]) -> tuple[Path, Result, bool] | None:
-    name = f"{study.stem(variant)}.json"
-    for root in roots:
-        board = root / "studies" / f"{task.name}.json"
-        path = root / "studies" / task.name / name
-        if board not in read:
-            read[board] = read_rows(board)
-        found = [Result.load(path)] if path.is_file() else [row.result for row in read[board] if row.name == name]
-        for result in found:
-            if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels:
-                return path, result, root == MADE or row_sha256(result) in listed()
-    return None
+def _of_study(of: Path, task: str, name: str, read: Callable[[Path], list[Shipped]]) -> list[tuple[Path, Result]]:
+    """The results of a name in a folder of studies: a file made here, or rows that ship."""
+    path = of / task / name
+    return [(path, Result.load(path))] if path.is_file() else [
+        (path, row.result) for row in read(of / f"{task}.json") if row.name == name]
 
 
 def ship(task: str, out: Path) -> None:
@@ -119,20 +123,13 @@ def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True)
     return boards[task]
 
 
-def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board],
-         made: bool) -> tuple[Path, Result, bool] | None:
-    return next(((row.path, row.result, row.rank is not None) for row in board_of(task.name, boards, made).rows
-                 if (row.rank is not None or row.mark == EARLIER) and (
-                     row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
-
-
 def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | None:
     """Names of the objects of the variant's class."""
     if not variant.only:
         return None
     models = models_of(scenes()[task.dataset.scene].read_text(encoding="utf-8"))
     return frozenset(f"{task.dataset.scene}-{k:04d}" for k in range(task.dataset.objects)
-                     if models and study.classes.get(models[k % len(models)]) == variant.only)
+                     if models and study.class_of.get(models[k % len(models)]) == variant.only)
 
 
 def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Row:
@@ -145,18 +142,13 @@ def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> R
         VsfsimError: the dataset is missing, with the command that makes it, or does not fit.
     """
     task = study.task_of(variant, size)
-    row = study.is_row(variant)
-    if row:
+    if study.is_row(variant):
         task = load_task(task.name)  # without the study's shots and runs
-    dataset = study.dataset_of(variant, task)
     choice = on_device(study.choice(variant, task), device, task.observation.name)
-    training = study.training(variant, task, size)
-    if row:
-        path = MADE / task.name / f"{choice.stem}.json"
-    else:
-        path = MADE / "studies" / task.name / f"{study.stem(variant)}.json"
-    return Row.at(path, choice.method, task, dataset, parameters=choice.parameters, preset=choice.preset,
-                  training=training)
+    path = MADE / task.name / f"{choice.stem}.json" if study.is_row(variant) else (
+        MADE / "studies" / task.name / f"{study.stem(variant)}.json")
+    return Row.at(path, choice.method, task, study.dataset_of(variant, task), parameters=choice.parameters,
+                  preset=choice.preset, training=study.training(variant, task, size))
 
 
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
@@ -203,13 +195,12 @@ def differences(found: Mapping[str, Found], boards: dict[str, leaderboard.Board]
     Args:
         found: results by variant. boards: as of `stored`; others are added.
     """
-    out = {}
-    first, *others = found.items()
-    for name, one in others:
-        apart = readings_apart(one.result.readings, first[1].result.readings)
+    out, first = {}, next(iter(found.values())).result
+    for name, one in found.items():
+        apart = readings_apart(one.result.readings, first.readings)
         if apart is not None and apart > SAME_READINGS:
             out[name] = not _ranked_data(one.result.task, boards).issuperset(
-                (one.result.dataset_sha256, first[1].result.dataset_sha256))
+                (one.result.dataset_sha256, first.dataset_sha256))
     return out
 
 

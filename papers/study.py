@@ -22,13 +22,14 @@ from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.task import DatasetWanted, Task, load_task, open_dataset
 from vsfsim.bench.trials.training import RULES, Extra, Training
-from vsfsim.bench.typed_table import Count, Positive, Share, one_of, typed
+from vsfsim.bench.typed_table import Count, Positive, Share, T, one_of, typed
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
 from vsfsim.core.table import parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 
-SIZES = ("mini", "standard")
+SIZES = ("standard", "superseded", "mini")
+"""Of tasks, in the order in which a claim takes the first that has results."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Asked:
     """``[[claim]]`` or ``[[experiment]]`` on one, which two variants decide."""
 
     text: str
-    """In our words; of an experiment the key of the claim."""
+    """In our words; of an experiment the key of its claim."""
     better: tuple[str, str]
     """Variant and shot that are claimed to be better."""
     worse: tuple[str, str]
@@ -99,10 +100,14 @@ class Asked:
     """The claim is that they cannot be told apart."""
     note: str = ""
     """What is different here, or of an experiment what it changes."""
+    key: str = ""
+    """By which experiments name the claim; default: the study's name, a slash and the text."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Head:
+class Study:
+    """One study: the keys of its file."""
+
     title: str
     """One line."""
     source: str
@@ -127,33 +132,23 @@ class _Head:
     """Datasets other than the tasks', by name: fields of `DatasetWanted` over those of the task, in a table a size."""
     note: str = ""
     """What is different here."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _File(_Head):
-    variant: list[dict[str, Any]]
-    settings: dict[str, Any] = field(default_factory=dict)
-    """Of all variants."""
-    classes: dict[str, list[str]] = field(default_factory=dict)
-    """Models of each class."""
-    claim: list[dict[str, Any]] = field(default_factory=list)
-    experiment: list[dict[str, Any]] = field(default_factory=list)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Study(_Head):
-    """One study."""
-
-    name: str
+    name: str = ""
     """Of its file."""
-    variants: tuple[Variant, ...]
+    variants: tuple[Variant, ...] = ()
     """In order."""
-    classes: Mapping[str, str]
-    """Class of each model."""
-    claims: tuple[Asked, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Of all variants."""
+    classes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Models of each class."""
+    claims: tuple[Asked, ...] = ()
     """Of the paper."""
-    experiments: tuple[Asked, ...]
+    experiments: tuple[Asked, ...] = ()
     """On claims that do not hold: each asks the same of other data."""
+
+    @property
+    def class_of(self) -> dict[str, str]:
+        """Class of each model."""
+        return {model: name for name, models in self.classes.items() for model in models}
 
     def variant(self, name: str) -> Variant:
         """Raises:
@@ -263,7 +258,7 @@ class Study(_Head):
             of = dataclasses.replace(of, dataset=self.wanted(pool.data, size, task))
             extra.append(Extra(of, open_dataset(of), pool.objects, pool.first))
         return Training(variant.train, variant.share_of_objects, variant.share_of_touches, variant.train_views,
-                        variant.test_views, self.classes, tuple(extra))
+                        variant.test_views, self.class_of, tuple(extra))
 
 
 def studies() -> dict[str, Path]:
@@ -286,16 +281,14 @@ def load_study(name: str) -> Study:
 
 def parse_study(text: str, path: Path) -> Study:
     """Like `load_study`, from text; ``path`` names it in messages."""
-    file = typed(parse_toml(text, path, "study", TaskError), _File, str(path))
-    one_of(file.metric, METRICS, f"{path}: metric")
-    variants = tuple(typed({**file.settings, **row}, Variant, f"{path} [[variant]] {k + 1}")
-                     for k, row in enumerate(file.variant))
-    claims, experiments = (tuple(typed({"metric": file.metric, **row}, Asked, f"{path} [[{kind}]] {k + 1}")
-                                 for k, row in enumerate(rows))
-                           for kind, rows in (("claim", file.claim), ("experiment", file.experiment)))
-    study = Study(name=path.stem, variants=variants, claims=claims, experiments=experiments,
-                  classes={model: kind for kind, models in file.classes.items() for model in models},
-                  **{key.name: getattr(file, key.name) for key in dataclasses.fields(_Head)})
+    given, where = parse_toml(text, path, "study", TaskError), str(path)
+    rows = {key: given.pop(key, []) for key in ("variant", "claim", "experiment")}
+    head = typed(given, Study, where)
+    one_of(head.metric, METRICS, f"{path}: metric")
+    variants = _records(rows["variant"], Variant, head.settings, f"{path} [[variant]]")
+    claims, experiments = (_records(rows[kind], Asked, {"metric": head.metric}, f"{path} [[{kind}]]")
+                           for kind in ("claim", "experiment"))
+    study = dataclasses.replace(head, name=path.stem, variants=variants, claims=claims, experiments=experiments)
     if len({v.name for v in variants}) < max(len(variants), 2):
         raise TaskError(f"{path}: a study compares two or more [[variant]] with different names; it has "
                         f"{', '.join(v.name for v in variants) or 'none'}.")
@@ -313,3 +306,11 @@ def parse_study(text: str, path: Path) -> Study:
     for size in study.tasks:
         one_of(size, SIZES, f"{path}: a size of tasks")
     return study
+
+
+def _records(rows: Any, kind: type[T], over: Mapping[str, Any], where: str) -> tuple[T, ...]:
+    """Tables of a list as records, each over some settings."""
+    if not isinstance(rows, list):
+        raise TaskError(f"{where} is {rows!r}; it must be a list of tables.")
+    return tuple(typed({**over, **row} if isinstance(row, dict) else row, kind, f"{where} {k}")
+                 for k, row in enumerate(rows, start=1))

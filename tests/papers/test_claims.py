@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from papers.claims import SIZES, Claim, Side, claims_of, decided, judge, text
+from papers import claims
+from papers.claims import PLAIN, text, values_of, verdicts
 from papers.decide import FAILS, HOLDS, UNTOLD, Difference, Question, Values, answers, holm
-from papers.figures import TABLES, TEXTS, figure, printed, said
-from papers.study import load_study, studies
-from vsfsim.bench.leaderboard import Board, Row
-from vsfsim.bench.observations import OBSERVATIONS
+from papers.figures import TABLES, TEXTS, figure, said
+from papers.results import Found
+from papers.study import Asked, Study, Variant, load_study, studies
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 from vsfsim.core import shelf
@@ -24,24 +24,27 @@ from vsfsim.core.errors import TaskError
 TASK = "fewshot-shoes-v2-mini-v3"
 
 
-def row(method, values, preset="tuned"):
-    """A ranked row whose objects have these ratios at 0 touches."""
+def row(method, values, metric="rmse_ratio"):
+    """A result whose objects have these values at 0 touches."""
+    objects = {f"o{k}": v for k, v in enumerate(values)}
     result = Result(task=TASK, task_sha256="", dataset_sha256="", dataset_made_by={}, method=method, entry="",
                     parameters={}, observation="normal-force", unit="N", shots=("0",), seeds=(0,), scores={},
-                    queries={}, timing={}, peak_memory_mib=0.0, machine={}, made_by={}, versions={}, preset=preset)
-    objects = {"0": {f"o{k}": v for k, v in enumerate(values)}}
-    return Row(1, "", result, {}, Path(f"{method}.json"), False, objects)
+                    queries={}, timing={}, peak_memory_mib=0.0, machine={}, made_by={}, versions={},
+                    values={metric: {"0": objects}})
+    return Found(Variant(method, method), result, Path(f"{method}.json"), load_task(TASK).protocol)
 
 
-def verdict(better, worse, figures=(), **given):
-    claim = Claim("a claim", "a paper", figures, TASK, Side("a", "0"), Side("b", "0"), **given)
-    rows = [r for r in (better, worse) if r is not None]
-    board = Board(load_task(TASK), "", False, 0.0, tuple(rows))
-    return decided(judge([claim], {TASK: board}))[0]
+@pytest.fixture
+def verdict(monkeypatch):
+    def verdict(better, worse, figures=(), **given):
+        asked = Asked("a claim", ("a", "0"), ("b", "0"), given.pop("metric", "rmse_ratio"), "a paper", figures, **given)
+        study = Study(title="toy", source="", tasks={"mini": TASK}, name="toy", claims=(asked,))
+        monkeypatch.setattr(claims, "stored", lambda *_: {one.variant.name: one for one in (better, worse) if one})
+        (found,) = verdicts([study], "mini")
+        return dataclasses.replace(found, answers=answers([found.question])[0])
 
-
-def direction(*given, **more):
-    return verdict(*given, **more).answers.direction
+    verdict.direction = lambda *given, **more: verdict(*given, **more).answers.direction
+    return verdict
 
 
 LEVEL = [0.4, 0.9, 0.6, 1.2, 0.7]
@@ -50,24 +53,27 @@ MIXED = [v + 0.3 * (-1) ** k for k, v in enumerate(LEVEL)]
 NEARLY = [v + 0.03 * (-1) ** k for k, v in enumerate(LEVEL)]
 
 
-def test_a_claim_is_decided_object_by_object():
-    assert direction(row("a", LESS), row("b", LEVEL)) == HOLDS
-    assert direction(row("a", LEVEL), row("b", LESS)) == FAILS
-    assert direction(row("a", MIXED), row("b", LEVEL)) == UNTOLD
-    assert direction(row("a", LEVEL[:2]), row("b", [v + 1.0 for v in LEVEL[:2]])) == UNTOLD, "two objects"
+def test_a_claim_is_decided_object_by_object(verdict):
+    assert verdict.direction(row("a", LESS), row("b", LEVEL)) == HOLDS
+    assert verdict.direction(row("a", LEVEL), row("b", LESS)) == FAILS
+    assert verdict.direction(row("a", MIXED), row("b", LEVEL)) == UNTOLD
+    assert verdict.direction(row("a", LEVEL[:2]), row("b", [v + 1.0 for v in LEVEL[:2]])) == UNTOLD, "two objects"
+    # an angle is a share of objects
+    assert verdict.direction(row("a", []), row("b", []), metric="rotation_error") == UNTOLD
+    assert values_of(row("a", [14.0, 170.0], "rotation_error"), "rotation_error", "0").objects == {"o0": 1.0, "o1": 0.0}
 
 
-def test_more_data_prove_equality_or_refute_it():
+def test_more_data_prove_equality_or_refute_it(verdict):
     """A difference that is told and smaller than the margin is equality; one beyond the margin is none."""
     small = [v - 0.02 - 0.001 * k for k, v in enumerate(LEVEL)]
-    assert direction(row("a", small), row("b", LEVEL)) == HOLDS, "told apart"
-    assert direction(row("a", small), row("b", LEVEL), equal=True) == HOLDS, "by less than 15 %"
-    assert direction(row("a", NEARLY), row("b", LEVEL), equal=True) == HOLDS
-    assert direction(row("a", MIXED), row("b", LEVEL), equal=True) == UNTOLD, "too wide to tell"
-    assert direction(row("a", [v - 0.3 for v in LEVEL]), row("b", LEVEL), equal=True) == FAILS
+    assert verdict.direction(row("a", small), row("b", LEVEL)) == HOLDS, "told apart"
+    assert verdict.direction(row("a", small), row("b", LEVEL), equal=True) == HOLDS, "by less than 15 %"
+    assert verdict.direction(row("a", NEARLY), row("b", LEVEL), equal=True) == HOLDS
+    assert verdict.direction(row("a", MIXED), row("b", LEVEL), equal=True) == UNTOLD, "too wide to tell"
+    assert verdict.direction(row("a", [v - 0.3 for v in LEVEL]), row("b", LEVEL), equal=True) == FAILS
 
 
-def test_the_size_is_held_against_half_of_the_papers():
+def test_the_size_is_held_against_half_of_the_papers(verdict):
     much, little = ("SBML 2/broad/0", "SBML 3/HE/0"), ("SBML 2/broad/0", "SBML 2/average/0")  # 24 % and 10 %
     tenth = [0.9 * v - 0.001 * k for k, v in enumerate([1.0] * 5)]
     assert verdict(row("a", tenth), row("b", [1.0] * 5), little).answers.size == HOLDS
@@ -103,46 +109,20 @@ def test_all_claims_are_one_family():
     assert answers([asked] + 50 * [missing])[0].direction == HOLDS, "what was not tested costs nothing"
 
 
-def test_an_angle_is_a_share_of_objects():
-    found = verdict(row("a", []), row("b", []), metric="rotation_error")
-    assert found.answers.direction == UNTOLD
-    from papers.claims import values_of
-
-    some = values_of(row("a", []).result, load_task(TASK).protocol, "rotation_error", "all", {"x": 14.0, "y": 170.0})
-    assert some.objects == {"x": 1.0, "y": 0.0}
-
-
-def test_a_missing_result_is_named_with_its_command():
+def test_a_missing_result_is_named_with_its_command(verdict):
     found = verdict(row("a", LEVEL), None)
     assert found.answers.direction == UNTOLD and found.difference is None
-    assert found.commands == (f"vsfsim evaluate --method b --preset tuned --task {TASK}",)
+    assert found.command == "vsfsim papers study toy --size mini"
     assert "Of 1 claims 0 hold, 0 do not hold, and 1 cannot be told." in text([found])
-    assert f"  {found.commands[0]}  # claims 1" in text([found])
-    other = verdict(row("a", LEVEL), row("b", LEVEL, preset="paper"))
-    assert other.answers.direction == UNTOLD, "another preset is another row"
-    plain = verdict(row("a", [v - 0.1 for v in LEVEL]), row("b", LEVEL, preset=""))
-    assert plain.answers.direction == HOLDS and "(a.json)" in plain.commands[0]
-    assert f"Claims 1 were measured on {TASK}, which {load_task(TASK).superseded_by} supersedes." in text([plain])
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_every_claim_asks_a_task_and_methods_that_there_are(size):
-    from vsfsim.core.shelf import methods
-
-    for claim in claims_of(size):
-        task = load_task(claim.task)
-        for side in (claim.better, claim.worse):
-            assert side.method in methods(), claim.text
-            assert side.shot in task.protocol.labels or size == "mini", claim.text
-        assert claim.metric == "rmse_ratio" or claim.metric == task.primary or claim.note
-        assert task.observation.name in OBSERVATIONS
+    assert f"  {found.command}  # claims 1" in text([found])
+    both = verdict(row("a", [v - 0.1 for v in LEVEL]), row("b", LEVEL))
+    assert both.answers.direction == HOLDS and "(a.json, b.json)" in both.command
+    assert f"Claims 1 were measured on {TASK}, which {load_task(TASK).superseded_by} supersedes." in text([both])
 
 
 def test_every_figure_is_a_cell_of_the_table():
     """Those of claims by name; those that studies and tasks repeat are compared."""
-    asked = [(c.figures, c.words) for size in SIZES for c in claims_of(size)]
-    asked += [(one.figures, one.words) for name in studies() for one in load_study(name).claims]
-    for figures, words in asked:
+    for figures, words in [(one.figures, one.words) for name in studies() for one in load_study(name).claims]:
         assert len(figures) == 2 if figures else re.fullmatch(r"\w+, no number", words)
         said(figures, words)
     cells = {number for table in TABLES.values() for column in table.columns.values() for number in column}
@@ -177,6 +157,14 @@ def test_the_table_is_what_the_papers_print():
         assert all(f"-shot {value:.2f}" in text for value in table.alone.values())
 
 
+def printed(table):
+    """All numbers of a table's columns in the order of the paper's text."""
+    columns, count = list(table.columns.values()), len(table.rows)
+    parts = {"columns": [(0, count)], "halves": [(0, 2), (2, count)], "rows": [(k, k + 1) for k in range(count)]}
+    cells = [cell for first, end in parts[table.printed] for column in columns for cell in column[first:end]]
+    return [number for cell in cells for number in (cell if isinstance(cell, tuple) else (cell,))]
+
+
 def as_run(numbers):
     return " " + " ".join(f"{x:.3f}" for x in numbers) + " "
 
@@ -184,7 +172,7 @@ def as_run(numbers):
 def test_the_command_prints_every_claim(vsfsim, tmp_path):
     found = vsfsim("papers", "claims", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
-    asked = claims_of() + [a for name in studies() for a in load_study(name).claims]
-    assert f"{len(asked)} claims" in found.stdout
+    asked = [a for name in studies() for a in load_study(name).claims]
+    assert f"{len(asked)} claims" in found.stdout and set(PLAIN) < set(studies())
     wrong = vsfsim("papers", "claims", "--preset", "best", cwd=tmp_path)
     assert wrong.returncode == 2 and "--preset is 'best'" in wrong.stderr

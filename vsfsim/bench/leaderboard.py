@@ -11,6 +11,7 @@ from typing import Any
 
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import shipped_record
+from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
 from vsfsim.bench.board.named import (
     CEILING,
@@ -19,18 +20,14 @@ from vsfsim.bench.board.named import (
     LIST,
     Entry,
     absent,
-    claimed,
     command_of,
     contradicts,
-    far_apart,
-    is_ceiling,
     is_same,
     listed,
-    row_sha256,
     write_list,
 )
-from vsfsim.bench.board.shipped import Shipped, read_rows, write_rows
-from vsfsim.bench.metrics import METRICS, Answer, Score
+from vsfsim.bench.board.shipped import Shipped, read_rows, row_sha256, write_rows
+from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result, machine
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
@@ -101,68 +98,53 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     Raises:
         TaskError: a file is not a result, or is a result of another task.
     """
-    board = folder("leaderboard") / f"{task.name}.json"
-    packed = [(board / one.name, one) for one in read_rows(board)]
-    shipped = sorted((folder("leaderboard") / task.name).glob("*.json"))
-    files = list(shipped)
-    for path in paths:
-        if not path.exists():
-            raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
-        files += sorted(path.glob("*.json")) if path.is_dir() else [path]
-    results = [(path, Result.load(path)) for path in dict.fromkeys(files)]
-    told = [(path, one.result) for path, one in packed] + results
-    for path, result in told:
+    board, own = folder("leaderboard") / f"{task.name}.json", folder("leaderboard") / task.name
+    packed = {board / one.name: one for one in read_rows(board)}
+    given = sorted(own.glob("*.json")) + [file for path in paths for file in _files(path)]
+    told = {path: one.result for path, one in packed.items()} | {path: Result.load(path) for path in given}
+    for path, result in told.items():
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
-    record = shipped_record(task)
+    record, entries, shot = shipped_record(task), listed(), task.ranking_shot
     reference = record.dataset_sha256 if record is not None else task.dataset.sha256 or _most(
-        [r for path, r in told if path in shipped or r.values], task) or _most([r for _, r in results], task)
-    known = next((r.readings for _, r in told if r.dataset_sha256 == reference and r.readings), {})
+        [r for path, r in told.items() if path.parent == own or r.values], task) or _most(told.values(), task)
+    known = next((r.readings for r in told.values() if r.dataset_sha256 == reference and r.readings), {})
     good: list[Row] = []
     odd: list[Row] = []
-    kept, entries, shot = dict(packed), listed(), task.ranking_shot
-    for path, result in told:
-        entry, here = None, path not in kept and path not in shipped
-        if path in kept:  # looked at when it was packed
-            scores, mark, other = result.scores, kept[path].mark, kept[path].other_bits
-            entry = entries.get(row_sha256(result))
-            if result.task_sha256 != task.sha256:
-                mark = "other text of the task"
-            elif entry is None:
-                mark = EARLIER
-        else:
-            admission = admit(result, task, record)
-            scores, other = admission.scores, result.dataset_sha256 != reference
-            entry = None if here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
-            mark = admission.reason or (far_apart(result, known) if other and record is None else "") or (
-                CLAIMED if entry is None and claimed(result, task) else CEILING if is_ceiling(result) else "")
+    for path, result in told.items():
+        here = path not in packed and path.parent != own
+        found = admit(result, task, record, reference, known, entries, made_here=here, packed=packed.get(path))
         # a shipped result that was made again here, to the same numbers, is one row
-        rows = odd if mark else good
-        if not mark:  # an earlier row that comes out again needs no row of its own
+        rows = odd if found.mark else good
+        if not found.mark:  # an earlier row that comes out again needs no row of its own
             odd = [row for row in odd if row.mark != EARLIER or not is_same(result, row.result)]
         same = next((k for k, before in enumerate(rows) if is_same(result, before.result)), None)
         if same is None:
-            objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
-                       } if task.protocol.folds and mark in ("", CEILING, EARLIER) else {}
-            row = Row(None, mark, result, scores, path, other and not mark, objects, "made here" if here else "shipped",
-                      "open" if entry is None else entry.evidence)
-            if entry is None and not mark and any(
-                    one.origin != "made here" and contradicts(result, one.result, task, (
-                        row.objects.get(shot, {}), one.objects.get(shot, {}))) for one in good):
+            objects = {label: by_object(result, task.primary, label) for label in result.shots
+                       } if task.protocol.folds and found.mark in ("", CEILING, EARLIER) else {}
+            row = Row(None, found.mark, result, found.scores, path, found.other_bits and not found.mark, objects,
+                      "made here" if here else "shipped", found.evidence)
+            if not found.listed and not found.mark and any(one.origin != "made here" and contradicts(
+                    result, one.result, task, (objects.get(shot, {}), one.objects.get(shot, {}))) for one in good):
                 row, rows = dataclasses.replace(row, mark=CLAIMED, other_bits=False), odd
             rows.append(row)
         elif here and rows[same].origin == "shipped":
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
-    good.sort(key=lambda row: (sign * row.scores[task.primary][task.ranking_shot].mean, row.result.method))
-    ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if task.protocol.folds else range(
-        1, len(good) + 1)
+    good.sort(key=lambda row: (sign * row.scores[task.primary][shot].mean, row.result.method))
+    ranks = joined_ranks([row.objects[shot] for row in good]) if task.protocol.folds else range(1, len(good) + 1)
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
     again = record.again.touches if record is not None and record.again is not None else 0.0
     return Board(task, reference, record is not None, again, (*ranked, *odd), record.unresolved if record else None)
 
 
-def _most(results: list[Result], task: Task) -> str:
+def _files(path: Path) -> list[Path]:
+    if not path.exists():
+        raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
+    return sorted(path.glob("*.json")) if path.is_dir() else [path]
+
+
+def _most(results: Iterable[Result], task: Task) -> str:
     """The dataset of most results of this very task, "" if there is none."""
     counts = Counter(result.dataset_sha256 for result in results if result.task_sha256 == task.sha256)
     return max(sorted(counts), key=counts.__getitem__, default="")
@@ -221,26 +203,17 @@ def table(board: Board) -> dict[str, Any]:
 def text(board: Board) -> str:
     """The board for a terminal; its last column says which results shipped and which were made here."""
     head, rows = cells(board)
-    head, rows = [*head, "result"], [[*cells, row.origin] for cells, row in zip(rows, board.rows, strict=True)]
-    lines = [_title(board), "", text_table(head, rows)]
-    lines += footnotes(board)
-    paper = published(board)
-    if paper:
-        lines += ["", "From the literature (not comparable: other data or another quantity, see the unit):",
-                  text_table(paper[0], paper[1:])]
-    return "\n".join(lines)
+    return _filled("board.txt", board, head, [[*cells, row.origin] for cells, row in zip(rows, board.rows)], plain)
 
 
 def markdown(board: Board) -> str:
     """The board as a page."""
-    head, rows = cells(board, escaped)
-    lines = [f"# {board.task.name}", "", board.task.description, "", _title(board), "", *_piped([head, *rows])]
-    lines += ["", *footnotes(board, escaped)]
-    paper = published(board)
-    if paper:
-        lines += ["", "From the literature, as context only (not comparable: other data or another quantity, "
-                      "see the unit):", "", *_piped(paper)]
-    return "\n".join(lines).rstrip() + "\n"
+    return _filled("board.md", board, *cells(board, escaped), escaped) + "\n"
+
+
+def _filled(template: str, board: Board, head: list[str], rows: list[list[str]], shown: Callable[[str], str]) -> str:
+    return filled(template, task=board.task, unit=unit_of(board.task.primary, board.task.observation.unit), head=head,
+                  rows=rows, notes=footnotes(board, shown), paper=published(board)).rstrip()
 
 
 def score_table(result: Result, metric: str) -> str:
@@ -264,16 +237,6 @@ def unit_of(metric: str, of_reading: str) -> str:
     """Of a metric, "" for a pure number and for one that this version does not know."""
     unit = METRICS[metric].unit if metric in METRICS else ""
     return of_reading if unit is None else unit
-
-
-def _title(board: Board) -> str:
-    task = board.task
-    unit = unit_of(task.primary, task.observation.unit) or "-"
-    what = f"{'of' if task.metric.answer is Answer.READINGS else 'from'} {task.observation.name}"
-    better = "higher" if task.metric.higher_is_better else "lower"
-    spread = "standard error over objects" if task.protocol.folds else "std over seeds"
-    return (f"{task.primary} {what} [{unit}], mean ± {spread}, {better} is better; ranked at "
-            f"{task.ranking_shot}-shot")
 
 
 def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
@@ -316,43 +279,11 @@ def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> floa
 
 def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     """What its columns and signs say, and which rows are not ranked or absent; operands as of `cells`."""
-    task, rows, marks = board.task, board.rows, {row.mark for row in board.rows}
-    lines = list(dict.fromkeys(f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in rows
-                               if row.mark not in ("", EARLIER)))
-    if task.superseded_by:
-        lines.append(f"superseded by {task.superseded_by}: the rows that ship were made on data of an earlier vsfsim, "
-                     f"and compare with one another only; a dataset made today may differ")
-    if task.protocol.folds and rows:
-        lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
-                     f"errors")
-    if possible(board):
-        lines.append(f"of possible: (1 - e) / (1 - ceiling) of the mean error e at {task.ranking_shot}-shot; 0 "
-                     f"predicts zero, 1 is the true object asked again")
-    if rows:
-        lines.append("evidence, by the list of the repository (leaderboard/evidence.json): open, made once; sealed, "
-                     "scored on readings that only the maintainers have; verified, made again by them to the same "
-                     "numbers")
-    if any(row.other_bits for row in rows):
-        lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
-            f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
-    verdict = "are scored" if task.protocol.unresolved == "scored" else "are left out"
-    if board.unresolved is None:
-        lines.append(f"frames whose contact the mesh does not resolve {verdict}; their share was not measured")
-    else:
-        frames, odd, share = board.unresolved
-        lines.append(f"{odd} of {frames} contact frames of the query touches ({odd / max(frames, 1):.0%}) are not "
-                     f"resolved by the mesh; they carry {share:.0%} of the squared force and {verdict}")
-    if EARLIER in marks:
-        lines.append(f"† {EARLIER}; not ranked, and no claim rests on it")
-    lines += [f"no row of {names}: {reason}" for names, reason in absent(task.name).items()]
-    if rows and not board.has_record:
-        lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
-    if not rows:
-        lines.append(f"no results yet; `vsfsim evaluate --method NAME --task {task.name} --out FILE` makes one")
-    elif any("stiffness_spearman" in row.scores for row in rows):
-        lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {task.ranking_shot}-shot with the "
-                     f"true probe stiffness where touched")
-    return lines
+    odd = dict.fromkeys(f"{shown(row.result.method)}: {shown(row.mark)}" for row in board.rows
+                        if row.mark not in ("", EARLIER))
+    return filled("notes.txt", board=board, task=board.task, odd=odd, possible=possible(board), earlier=EARLIER,
+                  absent=absent(board.task.name), apart=f"{TOLD_APART:g}",
+                  correlated=any("stiffness_spearman" in row.scores for row in board.rows)).splitlines()
 
 
 def published(board: Board) -> list[list[str]]:
@@ -387,8 +318,3 @@ def _pair(value: float | tuple[float, float] | None, zero: float | None) -> str:
 
 def _mean(value: float | tuple[float, float]) -> float:
     return value[0] if isinstance(value, tuple) else value
-
-
-def _piped(rows: list[list[str]]) -> list[str]:
-    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-    return [lines[0], "|" + "---|" * len(rows[0]), *lines[1:]]

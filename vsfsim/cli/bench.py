@@ -214,7 +214,7 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
     \b
       vsfsim score predictions.npz --task fewshot-shoes-v3-mini-v1 --name mine
     """
-    from vsfsim.bench.board.named import row_sha256
+    from vsfsim.bench.board.shipped import row_sha256
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import score_predictions
     from vsfsim.bench.sealed import check_commitment, receipt

@@ -14,7 +14,7 @@ from vsfsim.bench import leaderboard
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import named
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.board.shipped import read_rows, row_sha256
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
@@ -159,7 +159,7 @@ def test_every_listed_row_ships_and_is_as_it_was_listed():
     there = {}
     for path in sorted(shelf.folder("leaderboard").rglob("*.json")):
         if path.name != named.LIST and path.parent.name != "audits":
-            there |= {named.row_sha256(one.result): one.result for one in read_rows(path)}
+            there |= {row_sha256(one.result): one.result for one in read_rows(path)}
     entries = named.listed()
     assert entries and entries.keys() <= there.keys()
     for sha256, entry in entries.items():

@@ -12,6 +12,7 @@ record (`Again`); a dataset is the task's if it differs no more than that.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import shlex
 from collections import Counter
@@ -21,6 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Entry, Record
+from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, claimed, far_apart, is_ceiling
+from vsfsim.bench.board.named import Entry as Listed
+from vsfsim.bench.board.shipped import Shipped, row_sha256
 from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import as_rows
@@ -28,6 +32,7 @@ from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 
+OTHER_TEXT = "other text of the task"
 ROUNDING = 1e-6
 """Relative difference up to which a stored score is the one that its rows give; sums are stored to 16 digits."""
 _UNDERFLOW = float(np.finfo(np.float32).tiny)  # sums of smaller squares are stored as 0
@@ -37,34 +42,53 @@ _UNDERFLOW = float(np.finfo(np.float32).tiny)  # sums of smaller squares are sto
 class Admission:
     """What the board thinks of a result."""
 
-    reason: str
+    mark: str
     """Why it is not ranked, or ""."""
     scores: Mapping[str, Mapping[str, Score]]
     """By metric and shot, computed from its rows."""
-    same_bits: bool
-    """Its dataset has the very bits of the task's record."""
+    other_bits: bool
+    """Its dataset is not the board's to the bit."""
+    listed: bool
+    """It is on the repository's list of rows."""
+    evidence: str
+    """What that list says that it rests on; "open" where it is not listed."""
 
 
-def admit(result: Result, task: Task, record: Record | None) -> Admission:
-    """Look at a result before it is ranked.
+def admit(result: Result, task: Task, record: Record | None, reference: str, known: Mapping[str, list],
+          entries: Mapping[str, Listed], *, made_here: bool, packed: Shipped | None = None) -> Admission:
+    """Look at a result before it is ranked: is it of the task, are its data the task's, are its scores those of its
+    rows, and is it of the method whose name it has?
 
     Args:
         result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that the
-        board compares the results with one another.
+        board compares the results with one another. reference: sha256 of the board's dataset. known: readings of that
+        dataset, {} where they are not known. entries: the repository's list. made_here: it does not ship, so that it is
+        on no list. packed: the row that ships packed, of which its data were looked at when it was packed.
     """
-    try:
-        scores = result.computed()
-    except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return Admission("its rows cannot be scored", {}, False)
-    same_bits = record is not None and result.dataset_sha256 == record.dataset_sha256
-    reason = (_other_task(result, task) or _wrong_rows(result, task, record) or _wrong_scores(result, scores)
-              or _wrong_primary(task, scores) or ("" if same_bits else _other_data(result, record)))
-    return Admission(reason, scores, same_bits)
+    if packed is not None:
+        scores, other, reason = result.scores, packed.other_bits, packed.mark
+        if result.task_sha256 != task.sha256:
+            reason = OTHER_TEXT
+    else:
+        try:
+            scores, other = result.computed(), result.dataset_sha256 != reference
+        except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
+            return Admission("its rows cannot be scored", {}, True, False, "open")
+        reason = (_other_task(result, task) or _wrong_rows(result, task, record) or _wrong_scores(result, scores)
+                  or ("" if task.ranking_shot in scores.get(task.primary, {}) else
+                      f"no {task.primary} at {task.ranking_shot}-shot")
+                  or (_other_data(result, record, known) if other else ""))
+    entry = None if made_here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
+    if packed is not None and entry is None and reason != OTHER_TEXT:
+        reason = EARLIER
+    elif packed is None and not reason:
+        reason = CLAIMED if entry is None and claimed(result, task) else CEILING if is_ceiling(result) else ""
+    return Admission(reason, scores, other, entry is not None, "open" if entry is None else entry.evidence)
 
 
 def _other_task(result: Result, task: Task) -> str:
     if result.task_sha256 != task.sha256:
-        return "other text of the task"
+        return OTHER_TEXT
     if any(name and shlex.quote(name) != name for name in (result.method, result.preset, *result.parameters)):
         return "a name of it means something to a shell: give letters, digits and . _ - : +"
     if result.study:
@@ -115,20 +139,17 @@ def _wrong_scores(result: Result, scores: Mapping[str, Mapping[str, Score]]) -> 
     return ""
 
 
-def _wrong_primary(task: Task, scores: Mapping[str, Mapping[str, Score]]) -> str:
-    return "" if task.ranking_shot in scores.get(task.primary, {}) else f"no {task.primary} at {task.ranking_shot}-shot"
-
-
-def _other_data(result: Result, record: Record | None) -> str:
+def _other_data(result: Result, record: Record | None, known: Mapping[str, list]) -> str:
+    """Why the data are other ones than the board's: by their fingerprints where the task has a record, else by their
+    readings."""
     if record is None:
-        return ""
+        return far_apart(result, known)
     if not result.data:
         return f"other dataset ({result.dataset_sha256[:12]}), of which nothing is known"
     try:
-        found = Record.read(result.data, "data")
+        odd = differences(Record.read(result.data, "data"), record)
     except TaskError:
         return "its fingerprints of the dataset cannot be read"
-    odd = differences(found, record)
     return f"other dataset ({result.dataset_sha256[:12]}): {'; '.join(odd)}" if odd else ""
 
 

@@ -19,7 +19,8 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from vsfsim.core.plain_text import plain
+from vsfsim.core.plain_text import markdown, plain
+from vsfsim.core.text_table import text_table
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
 """Of lines (Okabe and Ito 2008, which people with colour blindness tell apart)."""
@@ -33,17 +34,31 @@ _PAGES = Path(__file__).parent / "pages"
 
 @functools.cache
 def _environment() -> Environment:
-    out = Environment(loader=FileSystemLoader(_PAGES), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-                      lstrip_blocks=True, finalize=lambda value: plain(value) if type(value) is str else value)
+    out = Environment(loader=FileSystemLoader(_PAGES), autoescape=lambda name: str(name).endswith((".html", ".svg")),
+                      undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+                      finalize=lambda value: plain(value) if type(value) is str else value)
     script = (_PAGES / "table.js").read_text(encoding="utf-8")
     out.globals |= {"style": Markup((_PAGES / "style.css").read_text(encoding="utf-8")), "script": Markup(script),
+                    "text_table": lambda *given: Markup(text_table(*given)), "piped": _piped,
                     "digest": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}
+    out.filters["escaped"] = markdown
     return out
 
 
 def render(template: str, **given: Any) -> Markup:
     """A template of the folder `pages`, filled; texts are escaped and made `plain`."""
     return Markup(_environment().get_template(template).render(**given))
+
+
+def filled(template: str, **given: Any) -> str:
+    """A text of the folder `pages` for a terminal or in Markdown, filled; texts are made `plain`, and not escaped."""
+    return str(render(template, **given))
+
+
+def _piped(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (head, *rows)]
+    return Markup("\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]))
 
 
 @dataclass(frozen=True)

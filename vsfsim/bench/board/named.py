@@ -10,7 +10,6 @@ method or a scorer that is gone.
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 import math
 import shlex
@@ -21,7 +20,6 @@ from typing import Annotated, Literal
 import msgspec
 
 from vsfsim.bench.board.compare import ByObject, paired
-from vsfsim.bench.board.shipped import shipped_form
 from vsfsim.bench.commands.presets import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
 from vsfsim.bench.metrics import Answer, metrics_of
@@ -51,7 +49,7 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     """What the repository knows of a row that ships."""
 
     sha256: _Sha256
-    """Of the row (`row_sha256`)."""
+    """Of the row (`vsfsim.bench.board.shipped.row_sha256`)."""
     task: str
     method: str
     evidence: Literal["open", "sealed", "verified"]
@@ -68,11 +66,6 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     def __post_init__(self) -> None:
         if self.evidence == "sealed" and None in (self.commitment, self.receipt):
             raise ValueError("a sealed row needs the commitment of its set and the receipt of `vsfsim score --sealed`")
-
-
-def row_sha256(result: Result) -> str:
-    """sha256 of all that a row says, its values and scores rounded as they ship."""
-    return hashlib.sha256(json.dumps(shipped_form(result), sort_keys=True, default=str).encode()).hexdigest()
 
 
 def listed() -> dict[str, Entry]:

@@ -8,6 +8,7 @@ stiffness; query readings and probed points, which rows share, are there once. V
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -83,13 +84,14 @@ def read_rows(path: Path) -> list[Shipped]:
                         f"file.") from error
 
 
-def shipped_form(result: Result) -> dict[str, Any]:
-    """What a row says, as it ships: its fields as JSON values, the value of each object in single precision, scores of
-    nine digits."""
-    told = {key: value for key, value in result.summary().items() if key not in _RAW}
+def row_sha256(result: Result) -> str:
+    """sha256 of all that a row says, as it ships: its fields as JSON values, the value of each object in single
+    precision, scores of nine digits."""
     values = {metric: {shot: {name: _single(value) for name, value in of.items() if math.isfinite(value)}
                        for shot, of in by_shot.items()} for metric, by_shot in _values(result).items()}
-    return {**told, "values": values, "scores": _scores(result)}
+    told = {key: value for key, value in result.summary().items() if key not in _RAW}
+    form = {**told, "values": values, "scores": _scores(result)}
+    return hashlib.sha256(json.dumps(form, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _scores(result: Result) -> dict[str, dict[str, list[float]]]:
