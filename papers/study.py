@@ -20,12 +20,11 @@ from papers.figures import figure
 from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.task import DatasetWanted, Task, load_task, open_dataset
+from vsfsim.bench.task import DatasetWanted, Task, load_task, one_of, open_dataset, typed
 from vsfsim.bench.trials.training import RULES, Extra, Training
-from vsfsim.bench.typed_table import Count, Positive, Share, T, one_of, typed
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
-from vsfsim.core.table import parse_toml, read_text
+from vsfsim.core.table import Count, Positive, Share, T, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 
 SIZES = ("standard", "superseded", "mini")

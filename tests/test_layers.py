@@ -55,7 +55,7 @@ PHYSICS = ({"laws", "elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"b
 """Folders of `vsfsim/physics`: one imports those of its own row and of the rows before."""
 
 HEAVY = {
-    "core": {"numpy", "scipy", "filelock"},
+    "core": {"numpy", "scipy", "filelock", "msgspec"},
     "data": {"numpy", "h5py", "filelock"},
     "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},

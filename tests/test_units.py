@@ -39,7 +39,7 @@ def fields_of(node: ast.ClassDef) -> list[Field]:
             continue
         literal = (following.value.value if isinstance(following, ast.Expr)
                    and isinstance(following.value, ast.Constant) else None)
-        rows = [call for call in ast.walk(statement.annotation) if isinstance(call, ast.Call)]
+        rows = [call for call in ast.walk(statement.annotation) if isinstance(call, ast.Call) and len(call.args) == 4]
         if rows:
             _, dims, unit, sentence = (ast.literal_eval(value) for value in rows[0].args)
             literal = f"{sentence} ({', '.join(dims.split())},) [{unit}]"

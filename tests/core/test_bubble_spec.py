@@ -33,16 +33,16 @@ def test_every_key_is_read():
 
 @pytest.mark.parametrize(("sensor", "message"), [
     ('shape = { sphere = 1 }', r"\[sensor\]: unknown key 'shape'"),
-                                                 ('kind = "buble"', r"kind is 'buble'\. Did you mean 'bubble'\?"),
+    ('kind = "buble"', r"kind is 'buble'\. Did you mean 'bubble'\?"),
     ("nodes = 390", "kind is missing"), ('kind = "bubble"\nguage_pressure = 1', "Did you mean 'gauge_pressure'"),
     ('kind = "bubble"\nsemi_axes = [0.04, 0.05]', "the first not the smaller"),
-                                                 ('kind = "bubble"\nsemi_axes = [0.5, 0.04]', "at most ten times"),
+    ('kind = "bubble"\nsemi_axes = [0.5, 0.04]', "at most ten times"),
     ('kind = "bubble"\nnodes = 99', "whole number from 100 to 20000"),
-                                                 ('kind = "bubble"\nnodes = 20001', "whole number from 100 to 20000"),
+    ('kind = "bubble"\nnodes = 20001', "whole number from 100 to 20000"),
     ('kind = "bubble"\npre_stretch = 0.9', "pre_stretch is 0.9"), ('kind = "bubble"\ngamma = 0.9', "gamma is 0.9"),
     ('kind = "bubble"\nsealed = 1', "it must be true"), ('kind = "bubble"\nthickness = 0.01', "thickness is 0.01"),
     ('kind = "bubble"\ngauge_pressure = 0', "gauge_pressure is 0"),
-                                                 ('kind = "bubble"\nyoung_modulus = nan', "young_modulus is nan"),
+    ('kind = "bubble"\nyoung_modulus = nan', "young_modulus is nan"),
 ])
 def test_mistakes_are_refused(sensor, message):
     with pytest.raises(SceneError, match=message):
@@ -63,5 +63,5 @@ def test_the_camera_inside_is_on_or_has_two_numbers_of_pixels():
     assert scene('kind = "bubble"\ncamera = true').sensor.camera == (640, 480)
     assert scene('kind = "bubble"\ncamera = [8, 4096]').sensor.camera == (8, 4096)
     for wrong in ("[7, 240]", "[320, 4097]", "[320]", "[320.0, 240]", "[true, 240]", '"large"'):
-        with pytest.raises(SceneError, match="camera is"):
+        with pytest.raises(SceneError, match=r"camera(\[\d\])? is"):
             scene(f'kind = "bubble"\ncamera = {wrong}')

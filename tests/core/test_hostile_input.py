@@ -7,7 +7,6 @@ import pytest
 
 from vsfsim.core import shelf
 from vsfsim.core.errors import SceneError, VsfsimError
-from vsfsim.core.shape import parse_object_shape, parse_probe_shape
 from vsfsim.core.table import parse_toml
 
 
@@ -15,13 +14,6 @@ from vsfsim.core.table import parse_toml
 def test_deep_tables_are_refused(text: str) -> None:
     with pytest.raises(SceneError, match=r"more than 50 deep|not valid TOML"):
         parse_toml(text, Path("deep.toml"), "scene", SceneError)
-
-
-@pytest.mark.parametrize("table", [{"box": [1e-9, 0.1, 0.1]}, {"sphere": 1e-9}, {"cylinder": [0.1, 1e-8]}])
-def test_lengths_have_a_lower_limit(table: dict) -> None:
-    for parse in (parse_object_shape, parse_probe_shape):
-        with pytest.raises(SceneError, match="at least 1e-05"):
-            parse(table, "s.toml")
 
 
 @pytest.mark.parametrize(("name", "ask"), [("scenes", shelf.scenes), ("tasks", shelf.tasks),

@@ -61,22 +61,29 @@ LOAD_CELL = '''
 """A flat load cell behind a rigid probe: it reads the force along its axis in steps, up to its range."""
 
 import dataclasses
+from typing import Annotated
 
 import numpy as np
 
 import cell_reading  # noqa: F401  (its row of the schema)
 from vsfsim.core.errors import SceneError
-from vsfsim.core.table import Table
+from vsfsim.core.table import between, typed
 from vsfsim.generate.effectors.probe import Probe
 from vsfsim.generate.press_result import Column, Curves
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    range: Annotated[float, between(0.1, 1e4, "N")] = 50.0
+    step: Annotated[float, between(1e-6, 10.0, "N")] = 0.01
 
 
 class LoadCell(Probe):
     table = "sensor"
 
     def settings(self, scene):
-        table = Table(scene.effector_table, f"{scene.source} [sensor]", ("kind", "range", "step"))
-        return table.number("range", 50.0, 0.1, 1e4, "N"), table.number("step", 0.01, 1e-6, 10.0, "N")
+        table = typed(scene.effector_table, Cell, f"{scene.source} [sensor]", also=("kind",))
+        return table.range, table.step
 
     def check(self, scene, tier):
         self.settings(scene)

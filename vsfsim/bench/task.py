@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,12 +15,15 @@ import msgspec
 from vsfsim.bench.metrics import METRICS, Metric
 from vsfsim.bench.noise import NOISE_KINDS, Noise
 from vsfsim.bench.observations import Observation, observation
-from vsfsim.bench.typed_table import Count, Positive, one_of, typed
+from vsfsim.core import table
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean
 from vsfsim.core.shelf import datasets, find_task
-from vsfsim.core.table import parse_toml, read_text
+from vsfsim.core.table import Count, Positive, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
+
+typed, one_of = partial(table.typed, error=TaskError), partial(table.one_of, error=TaskError)
+"""Of a task or a study: what is wrong with its file is a `TaskError`."""
 
 ALL = "all"
 """The shot that means every touch which is not a query."""

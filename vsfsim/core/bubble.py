@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.rigid import MAX_FRICTION
+import msgspec
+
+from vsfsim.core.errors import SceneError
 from vsfsim.core.shelf import effectors
-from vsfsim.core.table import Table, flag, integer, number, read, vector
+from vsfsim.core.table import Finite, Friction, between, one_of, typed
 
 NODES = 1493  # the read-out mesh of 390 nodes with every triangle cut in four
 ATMOSPHERE = 101325.0  # [Pa]
 CAMERA = (640, 480)  # the real one's picture [px]
+Pixels = Annotated[int, between(8, 4096, whole=True)]
 
 
 @dataclass(frozen=True)
@@ -26,37 +27,48 @@ class Bubble:
     out of the dome.
     """
 
-    semi_axes: tuple[float, float] = vector((0.05725, 0.040), 2)
+    semi_axes: Annotated[tuple[Finite, Finite], msgspec.Meta(description="2 numbers")] = (0.05725, 0.040)
     """Of the clamped, planar rim, long and short (2,) [m]."""
-    young_modulus: float = number(1.36e6, 1e3, 1e10, "Pa")
+    young_modulus: Annotated[float, between(1e3, 1e10, "Pa")] = 1.36e6
     """Of the rubber [Pa]."""
-    thickness: float = 0.0005
+    thickness: Annotated[float, between(1e-5, 1.0, "m")] = 0.0005
     """Before stretching [m]. Only the product E h matters, except for bending."""
-    pre_stretch: float = number(1.10, 1.0, 3.0)
+    pre_stretch: Annotated[float, between(1.0, 3.0)] = 1.10
     """Of the flat membrane when it was clamped, over its own length [-]."""
-    gauge_pressure: float = number(7820.0, 1.0, 1e8, "Pa")
+    gauge_pressure: Annotated[float, between(1.0, 1e8, "Pa")] = 7820.0
     """Of the free dome [Pa]."""
-    gas_volume: float = number(150e-6, 1e-12, 10.0, "m^3")
+    gas_volume: Annotated[float, between(1e-12, 10.0, "m^3")] = 150e-6
     """Volume of the enclosed air, dome and chamber together, with the dome free [m^3]."""
-    chamber: float = number(0.0, 0.0, 1.0, "m")
+    chamber: Annotated[float, between(0.0, 1.0, "m")] = 0.0
     """Depth of the chamber behind the plane of the rim, at whose rigid floor membrane and obstacles end [m]."""
-    gamma: float = number(1.4, 1.0, 1.67)
+    gamma: Annotated[float, between(1.0, 1.67)] = 1.4
     """Exponent of p V^gamma, from 1 (isothermal) to 1.4 (adiabatic) [-]."""
-    ambient_pressure: float = number(ATMOSPHERE, 0.0, 1e8, "Pa")
+    ambient_pressure: Annotated[float, between(0.0, 1e8, "Pa")] = ATMOSPHERE
     """Absolute, outside [Pa]."""
-    sealed: bool = flag(True)
+    sealed: bool = True
     """Whether the air is enclosed; if not, a supply keeps the gauge pressure."""
-    nodes: int = integer(NODES, 100, 20_000)
+    nodes: Annotated[int, between(100, 20_000, whole=True)] = NODES
     """Number of nodes of the mesh."""
-    contact_edge: float | None = number(None, 1e-4, 0.1, "m")
+    contact_edge: Annotated[float, between(1e-4, 0.1, "m")] | None = None
     """Longest edge of the triangles where a rigid body touches, for which the mesh is refined there [m]; None: a
     third of the radius of balls and capsules, and three fifths of the membrane's edges under bodies with edges."""
-    friction: float = number(2.0, 0.0, MAX_FRICTION)
+    friction: Friction = 2.0
     """Coulomb coefficient against what it touches [-]."""
-    fine: bool = flag(False)
+    fine: bool = False
     """Whether a dataset also keeps the mesh of ``nodes`` nodes that was solved, beside the read-out mesh."""
-    camera: tuple[int, int] | None = None
+    camera: Annotated[tuple[Pixels, Pixels], msgspec.Meta(description=(
+        f"true (pictures of {CAMERA[0]} x {CAMERA[1]} pixels from inside the bubble), false, or [width, height] from "
+        f"8 to 4096 pixels"))] | None = None
     """Width and height of the pictures of the skin from inside that a dataset keeps (2,) [px]; None for none."""
+
+    def __post_init__(self) -> None:
+        long, short = self.semi_axes
+        if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:
+            raise ValueError(f"semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the first "
+                             f"not the smaller, and at most ten times the second")
+        if self.thickness > 0.1 * short:
+            raise ValueError(f"thickness is {self.thickness}; it must be at most {0.1 * short:g} m, a tenth of the "
+                             f"short semi-axis")
 
     @property
     def modulus(self) -> float:
@@ -76,10 +88,8 @@ def sensor_kind(node: Any, path: Path) -> str:
         SceneError: there is no effector of that name.
     """
     kind = node.get("kind", "bubble") if isinstance(node, Mapping) else "bubble"
-    allowed = [name for name in effectors() if name not in ("probe", "arm")]  # those have tables of their own
-    if kind not in allowed:
-        raise SceneError(f"{path} [sensor]: kind is {kind!r}. {did_you_mean(str(kind), allowed)}")
-    return kind
+    # probe and arm have tables of their own
+    return one_of(kind, [name for name in effectors() if name not in ("probe", "arm")], f"{path} [sensor]: kind")
 
 
 def parse_sensor(node: Any, path: Path) -> Bubble:
@@ -89,24 +99,9 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
         SceneError: an unknown key, or a value that is not allowed.
     """
     where = f"{path} [sensor]"
-    if not isinstance(node, Mapping):
-        raise SceneError(f"{where} is {node!r}; it must be a table, e.g. kind = \"bubble\".")
-    found = read(Bubble, node, where, ("kind", "thickness", "camera"))
+    if isinstance(node, Mapping) and isinstance(node.get("camera"), bool):
+        node = {**node, "camera": CAMERA if node["camera"] else None}
+    found = typed(node, Bubble, where, also=("kind",))
     if "kind" not in node:
         raise SceneError(f"{where}: kind is missing; write kind = \"bubble\".")
-    long, short = found.semi_axes
-    if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:
-        raise SceneError(f"{where}: semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the "
-                         f"first not the smaller, and at most ten times the second.")
-    thickness = Table(node, where, tuple(node)).number("thickness", found.thickness, 1e-5, 0.1 * short, "m")
-    return dataclasses.replace(found, thickness=thickness, camera=_camera(node.get("camera", False), where))
-
-
-def _camera(value: Any, where: str) -> tuple[int, int] | None:
-    if isinstance(value, bool):
-        return CAMERA if value else None
-    if (not isinstance(value, list) or len(value) != 2
-            or any(isinstance(v, bool) or not isinstance(v, int) or not 8 <= v <= 4096 for v in value)):
-        raise SceneError(f"{where}: camera is {value!r}; it must be true (pictures of {CAMERA[0]} x {CAMERA[1]} pixels "
-                         f"from inside the bubble), false, or [width, height] from 8 to 4096 pixels.")
-    return int(value[0]), int(value[1])
+    return found

@@ -3,13 +3,15 @@ a method needs no robot simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, unknown_key
+from vsfsim.core.errors import SceneError
+from vsfsim.core.table import check_keys, typed, value
+
+Row = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -33,16 +35,22 @@ class Chain:
     As a "probe" of a dataset it is what touched the object; ``q`` of a touch gives the joint angles.
     """
 
-    base: tuple[tuple[float, ...], ...]
+    base: tuple[Row, Row, Row]
     """Pose of the first link in the world, 3 rows of 4 [m]."""
-    positions: tuple[tuple[float, ...], ...]
+    positions: tuple[tuple[float, float, float], ...]
     """Of each link in its parent's frame (L, 3) [m]."""
-    quaternions: tuple[tuple[float, ...], ...]
+    quaternions: tuple[Row, ...]
     """Of each link in its parent's frame, w x y z (L, 4) [-]."""
     joints: tuple[int, ...]
     """Number of the joint that turns each link, -1 for none (L,)."""
     capsules: tuple[ChainCapsule, ...]
     """K of them."""
+
+    def __post_init__(self) -> None:
+        if (not len(self.positions) == len(self.quaternions) == len(self.joints)
+                or any(not 0 <= c.link < len(self.joints) for c in self.capsules)):
+            raise ValueError(f"it has {len(self.positions)} positions, {len(self.quaternions)} quaternions and "
+                             f"{len(self.joints)} joints; they must be as many, and capsules be on links of them")
 
     @property
     def dof(self) -> int:
@@ -110,23 +118,7 @@ def read_chain(table: Any, where: str) -> Chain:
     Raises:
         SceneError: a key is missing or unknown, or a list has another length.
     """
-    keys = ("base", "positions", "quaternions", "joints", "capsules")
-    if not isinstance(table, Mapping):
-        raise SceneError(f"{where}: chain is {table!r}; it must be a table.")
-    for key in table:
-        if key not in keys:
-            raise SceneError(unknown_key(f"{where} chain", key, keys))
-    try:
-        base, positions, quaternions = (tuple(tuple(float(v) for v in row) for row in table[key]) for key in keys[:3])
-        joints = tuple(int(j) for j in table["joints"])
-        capsules = tuple(ChainCapsule(int(c[0]), (float(c[1]), float(c[2]), float(c[3])),
-                                      (float(c[4]), float(c[5]), float(c[6])), float(c[7]))
-                         for c in table["capsules"])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise SceneError(f"{where}: the chain cannot be read ({error!r}); it is a table of {', '.join(keys)}, as "
-                         f"`vsfsim generate` writes it.") from error
-    if (not len(positions) == len(quaternions) == len(joints) or len(base) != 3
-        or any(not 0 <= c.link < len(joints) for c in capsules)):
-        raise SceneError(f"{where}: the chain has {len(positions)} positions, {len(quaternions)} quaternions and "
-                         f"{len(joints)} joints; they must be as many, and capsules be on links of them.")
-    return Chain(base, positions, quaternions, joints, capsules)
+    rows = value(check_keys(table, f"{where} chain", [field.name for field in fields(Chain)]).get("capsules"),
+                 list[tuple[int, *7 * [float]]], f"{where} chain: capsules")  # type: ignore[misc]
+    return typed(table, Chain, f"{where} chain", also=("capsules",), capsules=tuple(
+        ChainCapsule(row[0], row[1:4], row[4:7], row[7]) for row in rows))

@@ -3,14 +3,13 @@ no simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, unknown_key
+from vsfsim.core.table import Count, Vector, typed
 
 _DIGITS = 9  # of a stored coordinate in metres: a nanometre
 _CELLS = 8  # along each side, in which triangles are looked up
@@ -24,10 +23,15 @@ class Dome:
     it is what touched the object; ``node_position`` of a touch gives the dented skin.
     """
 
-    vertices: tuple[tuple[float, float, float], ...]
+    vertices: tuple[Vector, ...]
     """Of the read-out mesh, N of (x, y, z) [m]."""
-    triangles: tuple[tuple[int, int, int], ...]
+    triangles: tuple[tuple[Count, Count, Count], ...]
     """Wound outwards, F of three vertices."""
+
+    def __post_init__(self) -> None:
+        if not self.triangles or max(map(max, self.triangles)) >= len(self.vertices):
+            raise ValueError(f"it has {len(self.vertices)} vertices and {len(self.triangles)} triangles; give "
+                             f"triangles, of three vertices each that are there")
 
     @classmethod
     def of(cls, vertices: np.ndarray, triangles: np.ndarray) -> Dome:
@@ -123,19 +127,4 @@ def read_dome(table: Any, where: str) -> Dome:
     Raises:
         SceneError: a key is missing or unknown, or a list has another form.
     """
-    keys = ("vertices", "triangles")
-    if not isinstance(table, Mapping):
-        raise SceneError(f"{where}: dome is {table!r}; it must be a table.")
-    for key in table:
-        if key not in keys:
-            raise SceneError(unknown_key(f"{where} dome", key, keys))
-    try:
-        vertices, triangles = np.array(table["vertices"], float), np.array(table["triangles"], int)
-    except (KeyError, TypeError, ValueError) as error:
-        raise SceneError(f"{where}: the dome cannot be read ({error!r}); it is a table of {', '.join(keys)}, as "
-                         f"`vsfsim generate` writes it.") from error
-    shaped = all(array.ndim == 2 and array.shape[1] == 3 for array in (vertices, triangles)) and len(triangles) > 0
-    if not shaped or not np.isfinite(vertices).all() or not 0 <= triangles.min() <= triangles.max() < len(vertices):
-        raise SceneError(f"{where}: the dome has vertices {vertices.shape} and triangles {triangles.shape}; give "
-                         f"finite (N, 3) in metres and (F, 3) that name them.")
-    return Dome.of(vertices, triangles)
+    return typed(table, Dome, f"{where} dome")

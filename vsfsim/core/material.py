@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from vsfsim.core import signed_distance
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.shape import Box, Sphere
+from vsfsim.core.table import Finite, Rows, typed, value
 
-_INCLUSIONS = {"sphere": ("x", "y", "z", "radius"), "box": ("x0", "y0", "z0", "x1", "y1", "z1"),
-               "capsule": ("x0", "y0", "z0", "x1", "y1", "z1", "radius")}
+Modulus = Annotated[float, msgspec.Meta(ge=1.0, le=1e13, description=(
+    "a Young's modulus, a positive number of pascals, 1 to 1e13 (rubber is about 1e6)"))]
+Radius = Annotated[float, msgspec.Meta(gt=0.0, lt=1e300)]
+
+
+def _numbers(names: str, *types: Any) -> Any:
+    return Annotated[tuple[types], msgspec.Meta(  # type: ignore[valid-type]
+        description=f"[{names}] in metres, finite numbers in the object's frame, a radius greater than 0")]
+
+
+_INCLUSIONS = {"sphere": _numbers("x, y, z, radius", *3 * [Finite], Radius),
+               "box": _numbers("x0, y0, z0, x1, y1, z1", *6 * [Finite]),
+               "capsule": _numbers("x0, y0, z0, x1, y1, z1, radius", *6 * [Finite], Radius)}
 
 
 @dataclass(frozen=True)
@@ -25,7 +37,7 @@ class Inclusion:
     """"sphere", "box" or "capsule"."""
     numbers: tuple[float, ...]
     """In the object's frame [m]: sphere centre and radius; box corners; capsule ends and radius."""
-    young_modulus: float
+    young_modulus: Modulus
     """Inside [Pa]."""
 
     @property
@@ -50,9 +62,9 @@ class Inclusion:
 class MaterialField:
     """Truth of a scene: E(x) [Pa], from a base value, named regions and inclusions (the last one wins)."""
 
-    base: float | None
+    base: Modulus | None = None
     """Modulus outside regions and inclusions [Pa], or None if the regions give it."""
-    regions: Mapping[str, float]
+    regions: Mapping[str, Modulus] = field(default_factory=dict)
     """Modulus by region name [Pa]."""
     inclusions: tuple[Inclusion, ...] = ()
     """In order."""
@@ -99,18 +111,6 @@ class MaterialField:
         return out
 
 
-def modulus(value: Any, where: str) -> float:
-    """A Young's modulus [Pa], refused unless it is a number in 1e0 .. 1e13.
-
-    Raises:
-        SceneError: with the value and the range.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1.0 <= float(value) <= 1e13:
-        raise SceneError(f"{where} is {value!r}; a Young's modulus is a positive number of pascals, 1 to 1e13 (rubber "
-                         f"is about 1e6).")
-    return float(value)
-
-
 def parse_material(table: Any, where: str) -> MaterialField:
     """The field from ``young_modulus`` of a scene: a number, or base / regions / inclusions.
 
@@ -118,43 +118,22 @@ def parse_material(table: Any, where: str) -> MaterialField:
         SceneError: an unknown key, a modulus that is not positive, or an inclusion of the wrong form.
     """
     if table is None:
-        return MaterialField(None, {})
+        return MaterialField()
     if not isinstance(table, Mapping):
-        return MaterialField(modulus(table, f"{where}: young_modulus"), {})
-    for key in table:
-        if key not in ("base", "regions", "inclusions"):
-            raise SceneError(unknown_key(f"{where} young_modulus", key, ("base", "regions", "inclusions")))
-    base = table.get("base")
-    regions = table.get("regions", {})
-    if not isinstance(regions, Mapping):
-        raise SceneError(f"{where}: young_modulus.regions is {regions!r}; give a table of region = pascals.")
-    given = table.get("inclusions", [])
-    if not isinstance(given, (list, tuple)):
-        raise SceneError(f"{where}: young_modulus.inclusions is {given!r}; give a list, e.g. "
-                         f"[{{ sphere = [x, y, z, r], value = 1e7 }}].")
-    parts = []
-    for i, part in enumerate(given):
-        spot = f"{where}: young_modulus.inclusions[{i}]"
-        if not isinstance(part, Mapping):
-            raise SceneError(f"{spot} is {part!r}; give e.g. {{ sphere = [x, y, z, r], value = 1e7 }}.")
-        kinds = [k for k in part if k != "value"]
-        if len(kinds) != 1 or kinds[0] not in _INCLUSIONS or "value" not in part:
-            raise SceneError(f"{spot} has keys {', '.join(part)}; give `value` and one of {', '.join(_INCLUSIONS)}.")
-        kind = kinds[0]
-        names = _INCLUSIONS[kind]
-        numbers = part[kind]
-        if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names) or any(
-            isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in numbers
-        ):
-            raise SceneError(f"{spot}: {kind} is {numbers!r}; give [{', '.join(names)}] in metres, finite numbers in "
-                             f"the object's frame.")
-        if names[-1] == "radius" and numbers[-1] <= 0:
-            raise SceneError(f"{spot}: the radius is {numbers[-1]!r}; it must be greater than 0.")
-        parts.append(Inclusion(kind, tuple(float(v) for v in numbers), modulus(part["value"], f"{spot}: value")))
-    if base is None and not regions and parts:
+        return MaterialField(value(table, Modulus, f"{where}: young_modulus"))
+    place = f"{where} young_modulus"
+    parts = tuple(_inclusion(part, f"{place} inclusions[{k}]")
+                  for k, part in enumerate(value(table.get("inclusions", []), Rows, f"{place}: inclusions")))
+    found = typed(table, MaterialField, place, also=("inclusions",), inclusions=parts)
+    if found.base is None and not found.regions and parts:
         raise SceneError(f"{where}: young_modulus has inclusions but no base; give base = pascals.")
-    return MaterialField(
-        None if base is None else modulus(base, f"{where}: young_modulus.base"),
-        {str(k): modulus(v, f"{where}: young_modulus.regions.{k}") for k, v in regions.items()},
-        tuple(parts),
-    )
+    return found
+
+
+def _inclusion(part: Any, where: str) -> Inclusion:
+    kinds = [key for key in part if key != "value"] if isinstance(part, Mapping) else []
+    if len(kinds) != 1 or kinds[0] not in _INCLUSIONS or "value" not in part:
+        raise SceneError(f"{where} is {part!r}; give `value` and one of {', '.join(_INCLUSIONS)}, e.g. "
+                         f"{{ sphere = [x, y, z, r], value = 1e7 }}.")
+    return Inclusion(kinds[0], value(part[kinds[0]], _INCLUSIONS[kinds[0]], f"{where}: {kinds[0]}"),
+                     value(part["value"], Modulus, f"{where}: value"))

@@ -7,16 +7,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import MeshFile, ProbeShape, Sphere, parse_probe_shape
-from vsfsim.core.table import Table, integer, numbers, read, whole
+from vsfsim.core.table import Friction, Rows, Vector, between, check_keys, typed, value
 
-Vector = tuple[float, float, float]
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 MAX_BODIES = 64  # probe, parts and obstacles together; every contact point is compared with each of them
-MAX_FRICTION = 10.0
+Frames = Annotated[int, between(1, 10_000, whole=True)]
+Points = Annotated[tuple[Vector, ...], msgspec.Meta(
+    min_length=2, max_length=10_000, description="2 to 10000 points, e.g. [[0, 0, 0.07], [0, 0, 0.065]]")]
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,9 @@ class RigidBody:
     """Of the body."""
     position: Vector
     """Of its origin (3,) [m]."""
-    rotation: Vector
+    rotation: Vector = ORIGIN
     """Rotation vector (3,) [rad]."""
-    friction: float | None
+    friction: Friction | None = None
     """Coulomb coefficient against the object [-], or None for that of the object."""
 
 
@@ -42,9 +45,9 @@ class PressSpec:
     """Corner points (k >= 2, 3) [m], world; straight in between."""
     frames: tuple[int, ...]
     """Equilibria on each of the k - 1 parts, the last of them at its end; the first point itself is no frame."""
-    hold: int = integer(0, 0, 10_000)
+    hold: Annotated[int, between(0, 10_000, whole=True)] = 0
     """Frames that stay at the last point."""
-    retract: int = integer(0, 0, 10_000)
+    retract: Annotated[int, between(0, 10_000, whole=True)] = 0
     """Frames on the way back along the path."""
     rotation: tuple[Vector, ...] | None = None
     """Rotation vectors (k, 3) [rad] of the probe in the world at the corner points, between two of them the shortest
@@ -73,107 +76,85 @@ def beside(shape: ProbeShape, path: Path) -> ProbeShape:
     return shape
 
 
-def parse_probe(node: Any, path: Path) -> tuple[ProbeShape, tuple[RigidBody, ...]]:
-    """Shape and parts of ``[probe]``; a ball of 20 mm radius where there is no such table."""
-    where = f"{path} [probe]"
-    if node is None:
-        return Sphere(0.02), ()
-    t = Table(node, where, ("shape", "parts", "mount_stiffness"))
-    if isinstance(t.table.get("shape"), Mapping) and "chain" in t.table["shape"]:
-        raise SceneError(f"{where}: a chain is no probe of a scene; write [arm].")
-    if isinstance(t.table.get("shape"), Mapping) and "dome" in t.table["shape"]:
-        raise SceneError(f"{where}: a dome is no probe of a scene; write [sensor].")
-    shape = beside(parse_probe_shape(t.table.get("shape"), where), path)
-    return shape, tuple(_body(row, path, f"{path} [[probe.parts]] {i + 1}", "offset") for i,
-                        row in enumerate(t.rows("parts")))
-
-
-def parse_mount(tree: Mapping[str, Any], path: Path) -> float | None:
-    """``mount_stiffness`` of ``[probe]`` [N/m], or None for a rigid mount.
+def parse_probe(node: Any, path: Path, *, touches: bool) -> tuple[ProbeShape, tuple[RigidBody, ...], float | None]:
+    """Shape, parts and stiffness of the mount [N/m] of ``[probe]``; a ball of 20 mm radius on a rigid mount, which has
+    None, where there is no such table. ``touches``: whether the scene makes touches of a dataset.
 
     Raises:
-        SceneError: not a stiffness, or the scene makes no touches of a dataset with it.
+        SceneError: an unknown key, a value that is not allowed, or a mount that nothing uses.
     """
-    node = tree.get("probe")
-    if not isinstance(node, Mapping) or "mount_stiffness" not in node:
-        return None
-    if "touches" not in tree:
-        raise SceneError(f"{path} [probe]: mount_stiffness is {node['mount_stiffness']!r}, but there is no [touches]; "
-                         f"a [press] moves the probe itself. Take mount_stiffness out.")
-    return Table(node, f"{path} [probe]", tuple(node)).number("mount_stiffness", 0.0, 1.0, 1e9, "N/m")
+    where = f"{path} [probe]"
+    if node is None:
+        return Sphere(0.02), (), None
+    table = check_keys(node, where, ("shape", "parts", "mount_stiffness"))
+    shape = table.get("shape")
+    for key, instead in (("chain", "[arm]"), ("dome", "[sensor]")):
+        if isinstance(shape, Mapping) and key in shape:
+            raise SceneError(f"{where}: a {key} is no probe of a scene; write {instead}.")
+    mount = table.get("mount_stiffness")
+    if mount is not None and not touches:
+        raise SceneError(f"{where}: mount_stiffness is {mount!r}, but there is no [touches]; a [press] moves the probe "
+                         f"itself. Take mount_stiffness out.")
+    stiffness = value(mount, Annotated[float, between(1.0, 1e9, "N/m")] | None, f"{where}: mount_stiffness")
+    return (beside(parse_probe_shape(shape, where), path),
+            parse_bodies(table.get("parts", []), path, "probe.parts", "offset"), stiffness)
 
 
-def parse_obstacles(node: Any, path: Path) -> tuple[RigidBody, ...]:
-    """The ``[[obstacles]]``."""
-    if not isinstance(node, list):
-        raise SceneError(f"{path}: obstacles is {node!r}; it must be a list of tables: write [[obstacles]] for each.")
-    return tuple(_body(row, path, f"{path} [[obstacles]] {i + 1}", "pose") for i, row in enumerate(node))
+def parse_bodies(node: Any, path: Path, name: str, place: str) -> tuple[RigidBody, ...]:
+    """The bodies of a list of tables, ``[[name]]``, each at its ``place``."""
+    out = []
+    for k, row in enumerate(value(node, Rows, f"{path}: {name}"), start=1):
+        where, own = f"{path} [[{name}]] {k}", ("shape", place, "rotation")
+        table = check_keys(row, where, (*own, "friction"))
+        shape = beside(parse_probe_shape(table.get("shape"), where), path)
+        out.append(typed(row, RigidBody, where, also=own, shape=shape,
+                         position=value(table.get(place), Vector, f"{where}: {place}"),
+                         rotation=_turn(f"{where}: rotation", table.get("rotation", ORIGIN))))
+    return tuple(out)
 
 
-def _body(node: Any, path: Path, where: str, place: str) -> RigidBody:
-    t = Table(node, where, ("shape", place, "rotation", "friction"))
-    shape = beside(parse_probe_shape(t.table.get("shape"), where), path)
-    if place not in t.table:
-        raise SceneError(f"{where}: {place} is missing; give where its origin is, {place} = [x, y, z] in metres"
-                         f"{', in the frame of the probe.' if place == 'offset' else ', in the world.'}")
-    friction = t.number("friction", 0.0, 0.0, MAX_FRICTION) if "friction" in t.table else None
-    return RigidBody(shape, t.vector(place, None), _turn(where, "rotation", t.table.get("rotation", ORIGIN)), friction)
-
-
-def _turn(where: str, key: str, value: Any) -> Vector:
-    vector = numbers(where, key, value, 3)
+def _turn(place: str, given: Any) -> Vector:
+    vector: Vector = value(given, Vector, place)
     angle = math.sqrt(sum(v * v for v in vector))
     if angle > 2.0 * math.pi + 1e-9:
-        raise SceneError(f"{where}: {key} is {list(vector)}, a turn of {angle:.4g} rad; it is a rotation vector (axis "
-                         f"times angle in radians, "
-                         "e.g. [0, 0, 1.5708] for a quarter turn about z), of 2 pi at most.")
+        raise SceneError(f"{place} is {list(vector)}, a turn of {angle:.4g} rad; it is a rotation vector (axis times "
+                         f"angle in radians, e.g. [0, 0, 1.5708] for a quarter turn about z), of 2 pi at most.")
     return vector
 
 
 def parse_press(node: Any, path: Path) -> PressSpec:
     """``[press]``: ``from`` and ``to``, or ``path``; see `PressSpec`."""
-    where = f"{path} [press]"
-    own = ("from", "to", "path", "rotation", "frames")
-    t = Table(node, where, (*own, "hold", "retract"))
-    if "path" in t.table:
-        for key in ("from", "to"):
-            if key in t.table:
-                raise SceneError(f"{where}: there is a path, and {key}; give either path = [[x, y, z], ..] or "
-                                 f"from and to.")
-        rows = t.table["path"]
-        if not isinstance(rows, list) or len(rows) < 2 or len(rows) > 10_000:
-            raise SceneError(f"{where}: path is {rows!r}; give 2 to 10000 points, e.g. path = [[0, 0, 0.07], [0, 0, "
-                             f"0.065], [0.01, 0, 0.065]].")
-        points = tuple(numbers(where, f"path[{i}]", row, 3) for i, row in enumerate(rows))
+    where, own = f"{path} [press]", ("from", "to", "path", "rotation", "frames")
+    table = check_keys(node, where, (*own, "hold", "retract"))
+    if "path" in table and table.keys() & {"from", "to"}:
+        raise SceneError(f"{where}: there is a path, and from or to; give either path = [[x, y, z], ..] or from and "
+                         f"to.")
+    points: tuple[Vector, ...]
+    if "path" in table:
+        points = value(table["path"], Points, f"{where}: path")
+        names = [f"path[{i}]" for i in range(len(points))]
     else:
-        points = (t.vector("from", None), t.vector("to", None))
-    rotation = _rotations(where, t.table, len(points))
+        names = ["from", "to"]
+        points = tuple(value(table.get(name), Vector, f"{where}: {name}") for name in names)
+    rotation = _rotations(f"{where}: rotation", table.get("rotation"), len(points))
     for i, (a, b) in enumerate(itertools.pairwise(points)):
-        turned = rotation is not None and rotation[i] != rotation[i + 1]
-        if a == b and not turned:
-            what = f"path[{i}] and path[{i + 1}]" if "path" in t.table else "from and to"
-            raise SceneError(f"{where}: {what} are both {list(a)}; the probe must move.")
-    if rotation is None and points[0] == points[1]:
-        raise SceneError(f"{where}: the path begins on the spot, so the probe has no direction to point to; "
-                         f"give rotation.")
-    frames = t.table.get("frames", 10)
-    if isinstance(frames, list):
-        if len(frames) != len(points) - 1:
-            raise SceneError(f"{where}: frames has {len(frames)} numbers, but the path has {len(points) - 1} parts; "
-                             f"give one number a part, or one for all.")
-        counts = tuple(whole(where, f"frames[{i}]", n, 1, 10_000) for i, n in enumerate(frames))
-    else:
-        counts = (whole(where, "frames", frames, 1, 10_000),) * (len(points) - 1)
-    return read(PressSpec, node, where, own, path=points, frames=counts, rotation=rotation)
+        if a == b and (rotation is None or rotation[i] == rotation[i + 1]):
+            raise SceneError(f"{where}: {names[i]} and {names[i + 1]} are both {list(a)}; the probe must move.")
+    frames = table.get("frames", 10)
+    counts = value(frames, list[Frames] | Frames, f"{where}: frames")
+    if isinstance(frames, list) and len(frames) != len(points) - 1:
+        raise SceneError(f"{where}: frames has {len(frames)} numbers, but the path has {len(points) - 1} parts; give "
+                         f"one number a part, or one for all.")
+    return typed(node, PressSpec, where, also=own, path=points, rotation=rotation,
+                 frames=tuple(counts) if isinstance(frames, list) else (counts,) * (len(points) - 1))
 
 
-def _rotations(where: str, table: Mapping[str, Any], points: int) -> tuple[Vector, ...] | None:
-    if "rotation" not in table:
+def _rotations(place: str, given: Any, points: int) -> tuple[Vector, ...] | None:
+    if given is None:
         return None
-    value = table["rotation"]
-    if not isinstance(value, list) or not value or not isinstance(value[0], list):
-        return (_turn(where, "rotation", value),) * points
-    if len(value) != points:
-        raise SceneError(f"{where}: rotation has {len(value)} rotation vectors, but the path has {points} points; give "
-                         f"one a point, or a single one for all.")
-    return tuple(_turn(where, f"rotation[{i}]", row) for i, row in enumerate(value))
+    if not isinstance(given, list) or not given or not isinstance(given[0], list):
+        return (_turn(place, given),) * points
+    if len(given) != points:
+        raise SceneError(f"{place} has {len(given)} rotation vectors, but the path has {points} points; give one a "
+                         f"point, or a single one for all.")
+    return tuple(_turn(f"{place}[{i}]", row) for i, row in enumerate(given))

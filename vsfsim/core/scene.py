@@ -8,27 +8,28 @@ seed and the object's number.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
+import msgspec
 import numpy as np
 
-from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
-from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_mount, parse_obstacles, parse_press, parse_probe
+from vsfsim.core.errors import SceneError
+from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_bodies, parse_press, parse_probe
 from vsfsim.core.scene_tables.camera import CameraSpec, parse_camera
-from vsfsim.core.scene_tables.dataset import DatasetSpec, TouchSpec, parse_dataset, parse_touches
-from vsfsim.core.scene_tables.distribution import ends, sample
+from vsfsim.core.scene_tables.dataset import ArmSpec, DatasetSpec, TouchSpec, parse_dataset, parse_touches
 from vsfsim.core.scene_tables.object import ObjectSpec, parse_object
 from vsfsim.core.shape import MeshFile, ProbeShape
-from vsfsim.core.table import Table, parse_toml, read, read_text
+from vsfsim.core.table import Vector, check_keys, ends, parse_toml, read_text, sample, typed, value
 
-NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
+Need = Literal["normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling"]
+NEEDS: tuple[str, ...] = get_args(Need)
 """Words that a scene's ``needs`` may hold."""
-ALLOWED = ("unused-part", "no-contact", "out-of-reach", "own-weight")
+Needs = Annotated[tuple[Need, ...], msgspec.Meta(description=f"a list of words from {', '.join(NEEDS)}")]
+Allowed = Literal["unused-part", "no-contact", "out-of-reach", "own-weight"]
 """Words that a scene's ``allow`` may hold."""
 
 
@@ -75,7 +76,7 @@ class Scene:
     """The table of the effector as it is written, e.g. [sensor] or [arm]; an effector that has no parser of its own in
     `vsfsim.core` reads its settings from it."""
     allow: tuple[str, ...] = ()
-    """What is meant although it has no effect, of `ALLOWED`."""
+    """What is meant although it has no effect, of `Allowed`."""
 
     @property
     def required_sensor(self) -> Bubble:
@@ -207,8 +208,8 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
 
 
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
-    top = Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
-                                  "obstacles", "press", "touches", "camera", "dataset", "arm", "allow"))
+    check_keys(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor", "obstacles",
+                                 "press", "touches", "camera", "dataset", "arm", "allow"))
     if "sensor" in tree and "arm" in tree:
         raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led "
                          f"along straight lines, or by an arm without one. Take one of them out.")
@@ -228,50 +229,34 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
                              f"'{effector}'. Take {key} out.")
     for key in ("tilt", "depth_range", "approach_range"):
         if "arm" in tree and touches.get(key):
-            raise SceneError(f"{path} [touches]: {key} is {tree['touches'][key]!r}, but the scene has an [arm]; it is "
-                             f"for a [probe] or a [sensor], and an arm draws its own directions. Take {key} out.")
+            raise SceneError(f"{path} [touches]: {key} is {touches[key]!r}, but the scene has an [arm]; it is for a "
+                             f"[probe] or a [sensor], and an arm draws its own directions. Take {key} out.")
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")
-    needs = _words(tree, "needs", ["normal-force"], NEEDS, path)
-    probe, parts = parse_probe(tree.get("probe"), path)
-    obstacles = parse_obstacles(tree.get("obstacles", []), path)
-    if 1 + len(parts) + len(obstacles) > MAX_BODIES:
-        raise SceneError(f"{path}: probe, parts and obstacles are {1 + len(parts) + len(obstacles)} rigid bodies; "
-                         f"{MAX_BODIES} are allowed. Join some into one mesh.")
+    probe, parts, mount = parse_probe(tree.get("probe"), path, touches="touches" in tree)
+    obstacles = parse_bodies(tree.get("obstacles", []), path, "obstacles", "pose")
+    if (bodies := 1 + len(parts) + len(obstacles)) > MAX_BODIES:
+        raise SceneError(f"{path}: probe, parts and obstacles are {bodies} rigid bodies; {MAX_BODIES} are allowed. "
+                         f"Join some into one mesh.")
     if "touches" in tree and (parts or obstacles or isinstance(probe, MeshFile)):
         what = "a mesh as its probe" if isinstance(probe, MeshFile) else "[[probe.parts]]" if parts else "[[obstacles]]"
         raise SceneError(f"{path} [touches]: the touches of a dataset are made with one simple probe, which a method "
                          f"can read from it; this scene has {what}. Use it with [press], or take it out.")
+
+    def table(name: str, parse: Callable[[Any, Path], Any]) -> Any:
+        return parse(tree[name], path) if name in tree else None
+
     return Scene(
         name=str(tree.get("name", path.stem)),
-        needs=needs,
-        gravity=top.vector("gravity", (0.0, 0.0, 0.0)),
-        object=parse_object(tree["object"], path) if "object" in tree else None,
-        probe=probe,
-        parts=parts,
-        obstacles=obstacles,
-        press=parse_press(tree["press"], path) if "press" in tree else None,
-        touches=parse_touches(tree["touches"], path) if "touches" in tree else None,
-        camera=parse_camera(tree.get("camera", {}), path),
-        dataset=parse_dataset(tree["dataset"], path) if "dataset" in tree else None,
-        source=path,
-        given=frozenset(tree),
-        sensor=sensor,
-        arm=read(ArmSpec, tree["arm"], f"{path} [arm]") if "arm" in tree else None,
-        effector=effector,
-        mount_stiffness=parse_mount(tree, path),
+        needs=value(tree.get("needs", ["normal-force"]), Needs, f"{path}: needs"),
+        gravity=value(tree.get("gravity", [0.0, 0.0, 0.0]), Vector, f"{path}: gravity"),
+        object=table("object", parse_object), probe=probe, parts=parts, obstacles=obstacles,
+        press=table("press", parse_press), touches=table("touches", parse_touches),
+        camera=parse_camera(tree.get("camera", {}), path), dataset=table("dataset", parse_dataset), source=path,
+        given=frozenset(tree), sensor=sensor,
+        arm=typed(tree["arm"], ArmSpec, f"{path} [arm]") if "arm" in tree else None,
+        effector=effector, mount_stiffness=mount,
         effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),
-        allow=_words(tree, "allow", [], ALLOWED, path),
+        allow=value(tree.get("allow", []), tuple[Allowed, ...], f"{path}: allow"),
     )
-
-
-def _words(tree: Mapping[str, Any], key: str, default: list[str], allowed: tuple[str, ...],
-           path: Path) -> tuple[str, ...]:
-    given = tree.get(key, default)
-    if not isinstance(given, list):
-        raise SceneError(f"{path}: {key} is {given!r}; it must be a list of words from {', '.join(allowed)}.")
-    for word in given:
-        if word not in allowed:
-            raise SceneError(f"{path}: {key} names '{word}'. {did_you_mean(str(word), allowed)}")
-    return tuple(given)

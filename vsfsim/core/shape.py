@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from vsfsim.core.chain import Chain, read_chain
 from vsfsim.core.dome import Dome, read_dome
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.table import check_keys, typed
+
+LEAST = 1e-5
+"""Least length of a shape [m]: under it an elastic continuum is no model of the matter, and a slip of units the
+usual cause."""
+Length = Annotated[float, msgspec.Meta(ge=LEAST, lt=1e3, description=f"a length in metres, greater than 0 (at least "
+                                                                     f"{LEAST:g}, and under 1000)")]
+Scale = Annotated[float, msgspec.Meta(gt=0.0, lt=1e3, description="a length in metres, greater than 0 (under 1000)")]
 
 
 @dataclass(frozen=True)
 class Box:
     """A block; its local origin is the centre of its base."""
 
-    size: tuple[float, float, float]
+    size: Annotated[tuple[Length, Length, Length], msgspec.Meta(description="[x, y, z], lengths in metres")]
     """Edge lengths (3,) [m]."""
 
 
@@ -23,7 +33,7 @@ class Box:
 class Sphere:
     """A ball. As an object its origin is its lowest point; as a probe, its centre."""
 
-    radius: float
+    radius: Length
     """Of the ball [m]."""
 
 
@@ -31,9 +41,9 @@ class Sphere:
 class Cylinder:
     """A cylinder along +z. As an object its origin is the centre of its base; as a probe, its centre."""
 
-    radius: float
+    radius: Length
     """Of the section [m]."""
-    height: float
+    height: Length
     """Along +z [m]."""
 
 
@@ -41,9 +51,9 @@ class Cylinder:
 class Rod:
     """A slender round bar along +x; its origin is the lowest point of its end at x = 0."""
 
-    length: float
+    length: Length
     """Along +x [m]."""
-    radius: float
+    radius: Length
     """Of the section [m]."""
 
 
@@ -51,9 +61,9 @@ class Rod:
 class Capsule:
     """A probe: a cylinder along +z with half-spheres on both ends; its origin is its centre."""
 
-    radius: float
+    radius: Length
     """Of the section [m]."""
-    length: float
+    length: Length
     """Distance between the centres of the half-spheres [m]."""
 
 
@@ -72,11 +82,11 @@ class MeshFile:
 
     path: str
     """The file, relative to the scene file."""
-    scale: float | None = None
+    scale: Scale | None = None
     """Metres per unit of the file [m], or None to decide from the size: a bounding box over 5 units is read as
     millimetres, with a note."""
-    up: str = "z"
-    """Axis of the file that points up, one of `UP`; it becomes z."""
+    up: Literal["x", "y", "z"] = "z"
+    """Axis of the file that points up, which becomes z."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +102,9 @@ class Family:
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
 ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile | Chain | Dome
 
-UP = ("x", "y", "z")
-"""Axes of a mesh file that may point up."""
-_SIZES: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "box": (lambda *size: Box(size), ("x", "y", "z")), "sphere": (Sphere, ("radius",)),
-    "cylinder": (Cylinder, ("radius", "height")), "rod": (Rod, ("length", "radius")),
-    "capsule": (Capsule, ("radius", "length"))}
-"""What a shape of this name is made by, and of which lengths."""
+_KINDS: dict[str, Any] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "rod": Rod, "capsule": Capsule,
+                          "plane": Plane}
+"""The shapes that are given by numbers, in the order of their fields."""
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 
@@ -115,20 +121,6 @@ def extent(shape: Box | Sphere | Cylinder | Rod) -> tuple[float, float, float]:
         case Rod(length, radius):
             return (length, 2 * radius, 2 * radius)
     raise AssertionError(shape)
-
-
-LEAST = 1e-5
-"""Least length of a shape [m]: under it an elastic continuum is no model of the matter, and a slip of units the
-usual cause."""
-
-
-def _length(where: str, name: str, value: Any, least: float = LEAST) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < float(value) < 1e3:
-        raise SceneError(f"{where}: {name} is {value!r}; it must be a length in metres, greater than 0 (and under "
-                         f"1000).")
-    if value < least:
-        raise SceneError(f"{where}: {name} is {value!r}; it must be a length in metres, at least {least:g}.")
-    return float(value)
 
 
 def parse_object_shape(table: Any, where: str) -> ObjectShape:
@@ -158,34 +150,22 @@ def _shape(table: Any, where: str, allowed: tuple[str, ...], example: str) -> An
     if not isinstance(table, Mapping) or not table:
         raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(allowed)}, e.g. {{ {example} }}.")
     if "mesh" in table:
-        return _mesh(table, where)
+        check_keys(table, f"{where} shape", ("mesh", "scale", "up"))
+        if not isinstance(table["mesh"], str) or not table["mesh"]:
+            raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY, STL or OFF file, "
+                             f"relative to the scene file.")
+        return typed(table, MeshFile, where, also=("mesh",), path=table["mesh"])
     for key in table:
         if key not in allowed:
             raise SceneError(f"{where}: unknown shape '{key}'. {did_you_mean(key, allowed)}")
     if len(table) != 1:
         raise SceneError(f"{where}: a shape has one kind, this one has {len(table)}: {', '.join(table)}.")
-    ((key, value),) = table.items()
-    if key == "plane":
-        return Plane()
-    make, names = _SIZES[key]
-    given = [value] if len(names) == 1 else value
-    if not isinstance(given, (list, tuple)) or len(given) != len(names):
-        raise SceneError(f"{where}: {key} is {value!r}; give [{', '.join(names)}] in metres.")
-    return make(*(_length(where, f"{key} {name}", v) for name, v in zip(names, given, strict=True)))
-
-
-def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
-    for key in table:
-        if key not in ("mesh", "scale", "up"):
-            raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale", "up")))
-    if not isinstance(table["mesh"], str) or not table["mesh"]:
-        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY, STL or OFF file, relative "
-                         f"to the scene file.")
-    scale, up = table.get("scale"), table.get("up", "z")
-    if up not in UP:
-        raise SceneError(f"{where}: up is {up!r}; it is the axis of the mesh file that points up, one of "
-                         f"{', '.join(UP)}.")
-    return MeshFile(table["mesh"], None if scale is None else _length(where, "scale", scale, 0.0), up)
+    ((key, given),) = table.items()
+    names = [field.name for field in fields(_KINDS[key])]
+    sizes = [given] if len(names) == 1 else given if names else []
+    if not isinstance(sizes, (list, tuple)) or len(sizes) != len(names):
+        raise SceneError(f"{where}: {key} is {given!r}; give [{', '.join(names)}] in metres.")
+    return typed(dict(zip(names, sizes, strict=True)), _KINDS[key], f"{where} {key}")
 
 
 def parse_probe_shapes(tables: Any, where: str) -> tuple[ProbeShape, ...]:
@@ -205,12 +185,11 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
     match shape:
         case Plane():
             return {"plane": True}
-        case Chain():
-            return {"chain": shape.table()}
-        case Dome():
-            return {"dome": shape.table()}
+        case Chain() | Dome():
+            return {type(shape).__name__.lower(): shape.table()}
         case MeshFile(path, scale, up):
             return {"mesh": path, **({} if scale is None else {"scale": scale}), **({} if up == "z" else {"up": up})}
-    name = type(shape).__name__.lower()
-    sizes = [*shape.size] if isinstance(shape, Box) else [getattr(shape, key) for key in _SIZES[name][1]]
-    return {name: sizes if len(sizes) > 1 else sizes[0]}
+        case Box(size):
+            return {"box": [*size]}
+    sizes = [getattr(shape, field.name) for field in fields(shape)]
+    return {type(shape).__name__.lower(): sizes if len(sizes) > 1 else sizes[0]}

@@ -1,31 +1,38 @@
-"""The reader of TOML files: scenes and tasks. A table knows its place in the file, for the messages.
-
-What a key may hold can stand beside the field of the dataclass that it becomes::
+"""The reader of TOML files, scenes and tasks: the fields of a dataclass are the keys of its table, and their types say
+what is allowed::
 
     @dataclass(frozen=True)
     class Arm:
-        tool: str = word("flange", "punyo")
-        yaw: float = number(0.0, -6.3, 6.3, "rad")
+        tool: Literal["flange", "punyo"] = "flange"
+        yaw: Annotated[float, between(-6.3, 6.3, "rad")] = 0.0
 
-    read(Arm, {"yaw": 1.0}, "scene.toml [arm]")
+    typed({"yaw": 1.0}, Arm, "scene.toml [arm]")
+
+Any value of a scene may be a distribution, ``{ uniform = [a, b] }``, ``{ loguniform = [a, b] }``,
+``{ choice = [..] }`` or ``{ each = [..] }``. Of ``each``, object number k of a dataset takes entry k, and the list
+begins again after its end.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
 
 from vsfsim.core.errors import SceneError, VsfsimError, did_you_mean, unknown_key
 from vsfsim.core.plain_text import plain
 
 LARGEST_FILE = 4 << 20
 """A TOML file with more bytes is not read."""
-
-
 DEEPEST = 50
 """Levels of tables and lists that a TOML file may have."""
 
@@ -68,129 +75,174 @@ def _deeper(tree: Any, levels: int) -> bool:
     return bool(row)
 
 
-class Table:
-    """A table and its place.
-
-    A reader without a default needs its key.
-
-    Args:
-        table: the parsed TOML.
-        where: file and section, for the messages.
-        allowed: its keys.
-
-    Raises:
-        SceneError: not a table, or an unknown key; every reader below, on a value that is missing or not allowed.
-    """
-
-    def __init__(self, table: Any, where: str, allowed: tuple[str, ...]):
-        if not isinstance(table, Mapping):
-            raise SceneError(f"{where} is {table!r}; it must be a table.")
-        for key in table:
-            if key not in allowed:
-                raise SceneError(unknown_key(where, key, allowed))
-        self.table, self.where = table, where
-
-    def flag(self, key: str, default: bool | None = None) -> bool:
-        """True or false."""
-        value = self._value(key, default)
-        if not isinstance(value, bool):
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be true or false.")
-        return value
-
-    def number(self, key: str, default: float | None, low: float, high: float, unit: str = "") -> float:
-        """A number from ``low`` to ``high``."""
-        value = self._value(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to "
-                             f"{high:g}{' ' + unit if unit else ''}.")
-        return float(value)
-
-    def count(self, key: str, default: int | None, low: int, high: int) -> int:
-        """A whole number from ``low`` to ``high``."""
-        return whole(self.where, key, self._value(key, default), low, high)
-
-    def vector(self, key: str, default: tuple[float, ...] | None, size: int = 3) -> Any:
-        """``size`` finite numbers, a tuple of that length."""
-        return numbers(self.where, key, self.table.get(key, default), size)
-
-    def word(self, key: str, default: str, allowed: tuple[str, ...]) -> str:
-        """One of ``allowed``."""
-        value = self.table.get(key, default)
-        if value not in allowed:
-            raise SceneError(f"{self.where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
-        return value
-
-    def rows(self, key: str) -> list[Any]:
-        """A list, or none; e.g. of the tables that ``[[key]]`` gives."""
-        value = self.table.get(key, [])
-        if not isinstance(value, list):
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a list of tables: write "
-                             f"[[{key}]] for each.")
-        return value
-
-    def _value(self, key: str, default: Any) -> Any:
-        if default is None and key not in self.table:
-            raise SceneError(f"{self.where}: '{key}' is missing.")
-        return self.table.get(key, default)
+def between(low: float, high: float, unit: str = "", *, whole: bool = False) -> msgspec.Meta:
+    """Of a field: a number from ``low`` to ``high``."""
+    return msgspec.Meta(ge=low, le=high, description=f"a {'whole ' * whole}number from {low:{'' if whole else 'g'}} "
+                                                     f"to {high:{'' if whole else 'g'}}{' ' * bool(unit)}{unit}")
 
 
-def whole(where: str, key: str, value: Any, low: int, high: int) -> int:
-    """``value`` if it is a whole number from ``low`` to ``high``."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise SceneError(f"{where}: {key} is {value!r}; it must be a whole number from {low} to {high}.")
-    return value
+T = TypeVar("T")
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Positive = Annotated[int, msgspec.Meta(ge=1)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300, description="a finite number")]
+Vector = Annotated[tuple[Finite, Finite, Finite], msgspec.Meta(description="3 numbers")]
+Angle = Annotated[float, between(-2 * math.pi, 2 * math.pi, "rad")]
+Rows = Annotated[list[Any], msgspec.Meta(description="a list of tables, each under its own [[...]]")]
+Friction = Annotated[float, between(0.0, 10.0)]
+
+_WORDS = {"int": "a whole number", "float": "a number", "str": "text", "bool": "true or false", "array": "a list",
+          "object": "a table", "null": "nothing"}
 
 
-def numbers(where: str, key: str, value: Any, size: int) -> Any:
-    """``value`` as a tuple of floats if it is ``size`` finite numbers."""
-    if not isinstance(value, (list, tuple)) or len(value) != size or any(
-        isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in value
-    ):
-        raise SceneError(f"{where}: {key} is {value!r}; it must be {size} numbers.")
-    return tuple(float(v) for v in value)
-
-
-def number(default: float | None, low: float, high: float, unit: str = "") -> Any:
-    """The field of a number from ``low`` to ``high``."""
-    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.number(key, None, low, high, unit)})
-
-
-def integer(default: int, low: int, high: int) -> Any:
-    """The field of a whole number from ``low`` to ``high``."""
-    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.count(key, None, low, high)})
-
-
-def flag(default: bool) -> Any:
-    """The field of true or false."""
-    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.flag(key)})
-
-
-def word(default: str, *others: str) -> Any:
-    """The field of one of some words."""
-    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.word(key, default, (default, *others))})
-
-
-def vector(default: tuple[float, ...], size: int = 3) -> Any:
-    """The field of ``size`` numbers."""
-    return dataclasses.field(default=default, metadata={"get": lambda t, key: t.vector(key, None, size)})
-
-
-Row = TypeVar("Row")
-
-
-def read(cls: type[Row], node: Any, where: str, more: tuple[str, ...] = (), **given: Any) -> Row:
-    """The dataclass that a table describes; a key that is not there leaves the field's default.
+def typed(table: Any, kind: type[T], where: str, *, also: tuple[str, ...] = (),
+          error: type[VsfsimError] = SceneError, **given: Any) -> T:
+    """A table as a record of a dataclass, whose fields are the keys; a key that is not there leaves its default.
 
     Args:
-        cls: its fields made by `number`, `integer`, `flag`, `word` and `vector` are keys of the table.
-        node: the parsed TOML.
-        where: file and section, for the messages.
-        more: further keys that the table may have, which are read elsewhere.
-        given: other fields.
+        table: the parsed TOML. kind: the class; its types say what is allowed (`between`, `msgspec.Meta`), and its
+        ``__post_init__`` may raise ValueError. where: file and section, for the messages. also: keys that are allowed
+        and read elsewhere. error: the class of the errors. given: values of fields that are no keys, or of keys in
+        ``also``.
 
     Raises:
-        SceneError: not a table, an unknown key, or a value that is not allowed.
+        VsfsimError: of class ``error``; it is no table, a key is unknown or missing, or a value is not allowed.
     """
-    known = {f.name: f.metadata["get"] for f in dataclasses.fields(cls) if f.metadata}  # type: ignore[arg-type]
-    t = Table(node, where, (*known, *more))
-    return cls(**{key: get(t, key) for key, get in known.items() if key in t.table}, **given)
+    fields = {f.name: f for f in dataclasses.fields(kind) if f.name not in given}  # type: ignore[arg-type]
+    check_keys(table, where, (*fields, *also), error)
+    for key, one in fields.items():
+        if key not in table and one.default is one.default_factory is dataclasses.MISSING:
+            raise error(f"{where}: '{key}' is missing.")
+    values = {key: value(table[key], _hints(kind)[key], f"{where}: {key}", error) for key in fields if key in table}
+    try:
+        return kind(**values, **given)
+    except ValueError as problem:  # what the class itself says
+        raise error(f"{where}: {problem}.") from problem
+
+
+def check_keys(table: Any, where: str, allowed: Collection[str],
+               error: type[VsfsimError] = SceneError) -> Mapping[str, Any]:
+    """``table`` if it is one and has only ``allowed`` keys.
+
+    Raises:
+        VsfsimError: of class ``error``; it is none, or has another key.
+    """
+    if not isinstance(table, Mapping):
+        raise error(f"{where} is {table!r}; it must be a table.")
+    for key in table:
+        if key not in allowed:
+            raise error(unknown_key(where, key, allowed))
+    return table
+
+
+@functools.cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
+
+
+def value(given: Any, hint: Any, place: str, error: type[VsfsimError] = SceneError) -> Any:
+    """One value of a table as a type; ``place`` begins the message.
+
+    Raises:
+        VsfsimError: of class ``error``; it is not of the type.
+    """
+    try:
+        return msgspec.convert(given, hint)
+    except msgspec.ValidationError as problem:
+        members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        bare = [getattr(one, "__origin__", one) if hasattr(one, "__metadata__") else one for one in members]
+        for key, item, kind in (found for one in bare for found in _items(given, one)):
+            value(item, kind, f"{place}{key}", error)
+        words = [word for one in bare if get_origin(one) is Literal for word in get_args(one)]
+        if words and given not in words and isinstance(given, str):
+            raise error(f"{place} is {given!r}. {did_you_mean(given, words)}") from problem
+        said = re.sub(r"`([\w| ]+)`", lambda found: " or ".join(
+            _WORDS.get(word, word) for word in found[1].split(" | ")), str(problem).removeprefix("Expected "))
+        rules = [meta.description for one in members for meta in getattr(one, "__metadata__", ()) if meta.description]
+        rule = rules[0] if rules else said.partition(", got")[0].partition(" - at `$")[0]
+        raise error(f"{place} is {'missing' if given is None else repr(given)}; it must be {rule}.") from problem
+
+
+def _items(given: Any, kind: Any) -> Iterator[tuple[str, Any, Any]]:
+    """The items of a list or a table, each with its place and the type that ``kind`` asks of it."""
+    asked, origin = get_args(kind), get_origin(kind)
+    if isinstance(given, (list, tuple)) and origin in (list, tuple):
+        for k, item in enumerate(given):
+            yield f"[{k}]", item, asked[k] if k < len(asked) and asked[k] is not ... else asked[0]
+    elif isinstance(given, Mapping) and origin in (dict, Mapping):
+        for key, item in given.items():
+            yield f".{key}", item, asked[1]
+
+
+def one_of(given: str, allowed: Any, what: str, error: type[VsfsimError] = SceneError) -> str:
+    """``given`` if it is one of ``allowed``; ``what`` begins the message.
+
+    Raises:
+        VsfsimError: of class ``error``; it is not.
+    """
+    if given not in allowed:
+        raise error(f"{what} is {given!r}. {did_you_mean(str(given), allowed)}")
+    return given
+
+
+_DISTRIBUTIONS = ("uniform", "loguniform", "choice", "each")
+
+
+def sample(tree: Any, rng: np.random.Generator, *, number: int = 0) -> Any:
+    """The tree with every distribution drawn, in the order of the file; a choice may hold distributions itself.
+
+    Args:
+        tree: the parsed scene.
+        rng: random stream.
+        number: of the object in its dataset, from 0.
+    """
+    if _is_distribution(tree):
+        kind, args = next(iter(tree.items()))
+        if kind == "each":
+            drawn = args[number % len(args)]
+        elif kind == "choice":
+            drawn = args[int(rng.integers(len(args)))]
+        elif kind == "uniform":
+            drawn = float(rng.uniform(args[0], args[1]))
+        else:
+            drawn = float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
+        return sample(drawn, rng, number=number)
+    if isinstance(tree, Mapping):
+        return {key: sample(value, rng, number=number) for key, value in tree.items()}
+    return [sample(value, rng, number=number) for value in tree] if isinstance(tree, list) else tree
+
+
+def _is_distribution(node: Any) -> bool:
+    return isinstance(node, Mapping) and len(node) == 1 and next(iter(node)) in _DISTRIBUTIONS
+
+
+def ends(node: Any, where: str) -> list:
+    """Trees without distributions in which every end of every distribution, nested ones too, occurs at least once.
+
+    Raises:
+        SceneError: a distribution without numbers, or with its ends in the wrong order; ``where`` begins the message.
+    """
+    if _is_distribution(node):
+        ((kind, args),) = node.items()
+        _check_distribution(kind, args, f"{where}: distribution {{ {kind} = {args!r} }}:")
+        return [end for value in args for end in ends(value, where)]
+    if not isinstance(node, (Mapping, list)):
+        return [node]
+    named = node.items() if isinstance(node, Mapping) else enumerate(node)
+    inner = {key: ends(value, f"{where}: {key}") for key, value in named}
+    rows = [{key: some[i % len(some)] for key, some in inner.items()}
+            for i in range(max((len(some) for some in inner.values()), default=1))]
+    return rows if isinstance(node, Mapping) else [list(row.values()) for row in rows]
+
+
+def _check_distribution(kind: str, args: Any, where: str) -> None:
+    if not isinstance(args, list) or not args:
+        raise SceneError(f"{where} give a list, e.g. {{ uniform = [0.1, 0.2] }}.")
+    if kind in ("choice", "each"):
+        return
+    try:
+        low, high = msgspec.convert(args, tuple[Finite, Finite])
+    except msgspec.ValidationError as error:
+        raise SceneError(f"{where} give two finite numbers [low, high].") from error
+    if low > high or (kind == "loguniform" and low <= 0):
+        raise SceneError(f"{where} it must satisfy {'0 < ' * (kind == 'loguniform')}low <= high.")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.table import integer, number, read, word
+from vsfsim.core.table import Angle, between, typed
 
 
 @dataclass(frozen=True)
@@ -51,25 +50,28 @@ DEPTH_CAMERAS: dict[str, DepthCamera] = {
 """Cameras that ``model`` in ``[camera]`` may name."""
 
 
+Pixels = Annotated[int, between(8, 8192, whole=True)]
+
+
 @dataclass(frozen=True)
 class CameraSpec:
     """``[camera]``: a pinhole camera that looks at the object."""
 
-    width: int = integer(640, 8, 8192)
+    width: Pixels = 640
     """Of the picture [px]."""
-    height: int = integer(480, 8, 8192)
+    height: Pixels = 480
     """Of the picture [px]."""
-    fov: float = number(0.8, 0.05, 2.8, "rad")
+    fov: Annotated[float, between(0.05, 2.8, "rad")] = 0.8
     """Vertical field of view [rad]."""
-    distance: float = number(0.6, 0.01, 100.0, "m")
+    distance: Annotated[float, between(0.01, 100.0, "m")] = 0.6
     """To the look-at point [m]."""
-    azimuth: float = number(0.9, -2 * math.pi, 2 * math.pi, "rad")
+    azimuth: Angle = 0.9
     """Direction from the object to the camera, about +z from +x [rad]."""
-    elevation: float = number(0.7, -1.55, 1.55, "rad")
+    elevation: Annotated[float, between(-1.55, 1.55, "rad")] = 0.7
     """Direction from the object to the camera, above the horizontal plane [rad]."""
-    noise: str = word("none", "kinect")
+    noise: Literal["none", "kinect"] = "none"
     """Of its depth, "none" or "kinect" (`vsfsim.sensing.camera`)."""
-    model: str = word("", *DEPTH_CAMERAS)
+    model: Literal["", "azure-kinect", "l515"] = ""
     """Key of `DEPTH_CAMERAS`, whose picture and depth errors it has; "" for an ideal camera."""
 
 
@@ -79,12 +81,11 @@ def parse_camera(node: Any, path: Path) -> CameraSpec:
     Raises:
         SceneError: an unknown key, or a value that is not allowed.
     """
-    found = read(CameraSpec, node, f"{path} [camera]")
+    found = typed(node, CameraSpec, f"{path} [camera]")
     if not found.model:
         return found
     if "noise" in node:
         raise SceneError(f"{path} [camera]: there is a model, '{found.model}', which has its own errors of depth, and "
                          f"a noise; take one of them out.")
     usual = DEPTH_CAMERAS[found.model]
-    return dataclasses.replace(found, **{key: getattr(usual, key) for key in ("width", "height", "fov")
-                                         if key not in node})
+    return replace(found, **{key: getattr(usual, key) for key in ("width", "height", "fov") if key not in node})

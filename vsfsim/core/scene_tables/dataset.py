@@ -1,56 +1,65 @@
-"""``[touches]`` and ``[dataset]``: how many objects, views and touches a dataset has, and how touches are made."""
+"""What makes a dataset: how many objects, views and touches it has (``[dataset]``), how touches are made
+(``[touches]``) and by which arm (``[arm]``)."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
 from vsfsim.core.chain import Chain
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import MeshFile, ProbeShape, parse_probe_shape
-from vsfsim.core.table import Table, flag, integer, number, read
+from vsfsim.core.table import Angle, Count, Finite, Rows, Vector, between, check_keys, typed, value
 
 STEEPEST = 0.87
 """Height of a visible unit normal, up to which a surface can be pressed from the side: 60 degrees above the level."""
+Range = Annotated[tuple[Finite, Finite], msgspec.Meta(description="2 numbers")]
 
 
 @dataclass(frozen=True)
 class TouchSpec:
     """``[touches]``: how the touches of a dataset are drawn on the visible cloud."""
 
-    count: int = integer(10, 1, 10_000)
+    count: Annotated[int, between(1, 10_000, whole=True)] = 10
     """Touches of a view."""
-    depth: float = number(0.01, 1e-5, 0.5, "m")
+    depth: Annotated[float, between(1e-5, 0.5, "m")] = 0.01
     """Travel of the probe past first contact [m]."""
-    approach: float = number(0.01, 1e-4, 0.5, "m")
+    approach: Annotated[float, between(1e-4, 0.5, "m")] = 0.01
     """Clearance between the probe and the target point at the start [m]."""
-    force_limit: float = number(30.0, 1e-3, 1e6, "N")
+    force_limit: Annotated[float, between(1e-3, 1e6, "N")] = 30.0
     """The press stops before the linear response of the rest state passes this force [N]; that of a bubble, before a
     flat rigid wall would."""
     frames: tuple[int, int, int, int] = (2, 6, 1, 3)
     """Readings in each phase: (free, in, hold, out)."""
-    tilt: float = number(0.0, 0.0, 1.2, "rad")
+    tilt: Annotated[float, between(0.0, 1.2, "rad")] = 0.0
     """Half angle of the cone about the visible normal from which the direction of a press is drawn, so that a sensor's
     flanks touch, too [rad]; 0 for the normal itself."""
-    depth_range: tuple[float, float] | None = None
+    depth_range: Range | None = None
     """Bounds that each touch's own depth is drawn from [m]; None: every touch has ``depth``."""
-    approach_range: tuple[float, float] | None = None
+    approach_range: Range | None = None
     """Bounds that each touch's own approach is drawn from [m]; None: every touch has ``approach``."""
-    plan: bool = flag(False)
+    plan: bool = False
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
-    level: bool = flag(False)
+    level: bool = False
     """Press from the side: along the level part of minus the visible normal. A target whose normal is steeper than
     `STEEPEST` is drawn again."""
     other: tuple[tuple[ProbeShape | None, TouchSpec], ...] = ()
     """``[[touches.other]]``: presses of other kinds, each with its shape (None for the scene's probe) and how it is
     drawn. Every second touch is one of them, in turn."""
+
+    def __post_init__(self) -> None:
+        for key, least in (("depth_range", 1e-5), ("approach_range", 1e-4)):
+            low, high = getattr(self, key) or (least, least)
+            if not least <= low <= high <= 0.5:
+                raise ValueError(f"{key} is [{low:g}, {high:g}]; it must satisfy {least:g} <= low <= high <= 0.5 "
+                                 f"(metres)")
 
     def kind(self, touch: int) -> int:
         """What touch number ``touch`` is: 0 for the scene's own press, k for the k-th of ``other``."""
@@ -69,12 +78,49 @@ class TouchSpec:
 class DatasetSpec:
     """``[dataset]``."""
 
-    objects: int
+    objects: Annotated[int, between(1, 100_000, whole=True)] = 6
     """Number of objects."""
-    views: int
+    views: Annotated[int, between(1, 1000, whole=True)] = 1
     """Views of each."""
-    splits: Mapping[str, int]
+    splits: Annotated[Mapping[str, Count], msgspec.Meta(
+        description="the number of objects of each, e.g. { train = 4, test = 2 }")] = field(default_factory=dict)
     """Number of objects by split name, in order."""
+
+    def __post_init__(self) -> None:
+        if self.splits and sum(self.splits.values()) != self.objects:
+            raise ValueError(f"splits add up to {sum(self.splits.values())}, but there are {self.objects} objects; "
+                             f"make them equal")
+
+
+@dataclass(frozen=True)
+class ArmSpec:
+    """``[arm]``: the arm that touches: where it stands, and how it goes about it."""
+
+    model: Literal["gen3"] = "gen3"
+    """The one arm that there is."""
+    punyo: bool = False
+    """Whether it carries a Punyo."""
+    base: Vector = (-0.65, 0.0, 0.0)
+    """Of its foot (3,) [m]."""
+    yaw: Angle = 0.0
+    """Rotation about +z [rad]."""
+    mode: Literal["kinematic"] = "kinematic"
+    """Its torques are J^T f."""
+    clearance: Annotated[float, between(0.0, 0.2, "m")] = 0.01
+    """Least gap to the plant at the start of a touch, and to its pot all the way [m]."""
+    at_limit: Literal["end", "return"] = "end"
+    """What a touch does before its force limit: "end" with the readings made so far, or "return", a guarded move
+    that slows down, goes back and keeps its number of readings."""
+    sweep: Annotated[float, between(0.0, 1.2, "rad")] = 1.0
+    """Largest angle between the line of motion and the tool's own axis in half of the touches [rad]; in the others, and
+    with 0 in all, the tool moves along its axis."""
+    reject_below: Annotated[float, between(0.0, 50.0, "N m")] = 0.0
+    """A plant is drawn again if a push at the middle of its visible parts would give joint torques whose norm is below
+    this [N m]; 0 for never."""
+
+
+_FRAMES = {"free": (2, 1), "in": (6, 1), "hold": (1, 0), "out": (3, 0)}
+"""Default and least number of readings of each phase."""
 
 
 def parse_touches(node: Any, path: Path) -> TouchSpec:
@@ -83,23 +129,25 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
     Raises:
         SceneError: an unknown key, or a value that is not allowed.
     """
-    where, more = f"{path} [touches]", ("frames", "depth_range", "approach_range", "other")
-    found = read(TouchSpec, node, where, more)
-    t, f = Table(node, where, tuple(node)), Table(node.get("frames", {}), f"{where} frames",
-                                                  ("free", "in", "hold", "out"))
-    depth, approach = _range(t, "depth", 1e-5), _range(t, "approach", 1e-4)
-    return dataclasses.replace(
-        found, depth=depth[1] if depth else found.depth, approach=approach[1] if approach else found.approach,
-        depth_range=depth, approach_range=approach,
-        frames=(f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
-                f.count("out", 3, 0, 1000)),
-        other=tuple(_other(node, row, f"{path} [[touches.other]] {k}", path)
-                    for k, row in enumerate(t.rows("other"), start=1)))
+    where = f"{path} [touches]"
+    written = check_keys(node, where, [field.name for field in fields(TouchSpec)])
+    frames = check_keys(written.get("frames", {}), f"{where} frames", _FRAMES)
+    for key in ("depth", "approach"):
+        if key in written and f"{key}_range" in written:
+            raise SceneError(f"{where}: {key} gives one value for all touches, and {key}_range bounds that each touch "
+                             f"draws its own from; give one of them.")
+    found = typed(node, TouchSpec, where, also=("frames", "other"), frames=tuple(
+        value(frames.get(key, usual), Annotated[int, between(least, 1000, whole=True)], f"{where} frames: {key}")
+        for key, (usual, least) in _FRAMES.items()), other=tuple(
+        _other(node, row, f"{path} [[touches.other]] {k}", path)
+        for k, row in enumerate(value(written.get("other", []), Rows, f"{where}: other"), start=1)))
+    return replace(found, **{key: bounds[1] for key in ("depth", "approach")
+                             if (bounds := getattr(found, f"{key}_range"))})
 
 
 def _other(own: Mapping[str, Any], node: Any, where: str, path: Path) -> tuple[ProbeShape | None, TouchSpec]:
     """A press of another kind: what its row does not say is as in [touches]."""
-    row = dict(Table(node, where, ("shape", "depth", "depth_range", "tilt", "level")).table)
+    row = dict(check_keys(node, where, ("shape", "depth", "depth_range", "tilt", "level")))
     shape = parse_probe_shape(row.pop("shape"), where) if "shape" in row else None
     if isinstance(shape, (Chain, Dome, MeshFile)):
         raise SceneError(f"{where}: shape is {node['shape']!r}; a touch of a dataset is made with a simple shape, e.g. "
@@ -108,40 +156,11 @@ def _other(own: Mapping[str, Any], node: Any, where: str, path: Path) -> tuple[P
     return shape, parse_touches({**{key: value for key, value in own.items() if key not in dropped}, **row}, path)
 
 
-def _range(t: Table, key: str, least: float) -> tuple[float, float] | None:
-    """The bounds ``key``_range [m], from ``least`` to 0.5; None where there are none.
-
-    Raises:
-        SceneError: the bounds are not in order, out of range, or given beside the one value for all touches.
-    """
-    name = f"{key}_range"
-    if name not in t.table:
-        return None
-    if key in t.table:
-        raise SceneError(f"{t.where}: {key} gives one value for all touches, and {name} bounds that each touch draws "
-                         f"its own from; give one of them.")
-    low, high = t.vector(name, None, 2)
-    if not least <= low <= high <= 0.5:
-        raise SceneError(f"{t.where}: {name} is [{low:g}, {high:g}]; it must satisfy {least:g} <= low <= high <= 0.5 "
-                         f"(metres).")
-    return low, high
-
-
 def parse_dataset(node: Any, path: Path) -> DatasetSpec:
     """The table ``[dataset]`` of the scene file ``path``.
 
     Raises:
         SceneError: an unknown key, a value that is not allowed, or splits that do not add up.
     """
-    where = f"{path} [dataset]"
-    t = Table(node, where, ("objects", "views", "splits"))
-    objects = t.count("objects", 6, 1, 100_000)
-    splits = t.table.get("splits", {"test": objects})
-    if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0
-                                              for n in splits.values()):
-        raise SceneError(f"{where}: splits is {splits!r}; give the number of objects of each, e.g. "
-                         f"{{ train = 4, test = 2 }}.")
-    if sum(splits.values()) != objects:
-        raise SceneError(f"{where}: splits add up to {sum(splits.values())}, but there are {objects} objects; make "
-                         f"them equal.")
-    return DatasetSpec(objects, t.count("views", 1, 1, 1000), dict(splits))
+    found = typed(node, DatasetSpec, f"{path} [dataset]")
+    return found if found.splits else replace(found, splits={"test": found.objects})

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import TouchSpec
+from vsfsim.core.scene_tables.dataset import ArmSpec
 from vsfsim.core.system.exact import length, snapped
 from vsfsim.robot import reach
 from vsfsim.robot.arm import Arm
