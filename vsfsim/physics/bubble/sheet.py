@@ -57,19 +57,14 @@ class Sheet:
         self._elastic = Elasticity(model, device="cpu")  # type: ignore[arg-type]
         self._elastic.begin(1)
         self._index = wp.zeros(1, dtype=wp.int32, device="cpu")
-        self._constant = [None if hasattr(block.element, "matrices") else block.element.rest_stiffness(block)
-                          for block in blocks]
         dofs = [(3 * nodes[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(nodes), -1)
                 for nodes in (*(b.nodes for b in blocks), closed)]
         self._rows = np.concatenate([np.repeat(d, d.shape[1], axis=1).ravel() for d in dofs])
         self._columns = np.concatenate([np.tile(d, (1, d.shape[1])).ravel() for d in dofs])
 
-    def _at(self, u: np.ndarray) -> wp.array:
-        return wp.array(u[:, None], dtype=wp.float64, device="cpu")
-
     def forces(self, u: np.ndarray) -> np.ndarray:
         """Elastic forces +dE/du (3 n,) [N] at u (3 n,) [m]."""
-        self._elastic.forces(self._index, self._at(u))
+        self._elastic.forces(self._index, wp.array(u[:, None], dtype=wp.float64, device="cpu"))
         return self._elastic.internal.numpy()[:, 0].copy()
 
     def volume(self, u: np.ndarray) -> float:
@@ -78,11 +73,8 @@ class Sheet:
 
     def tangent(self, u: np.ndarray, pressure: float) -> sp.csr_matrix:
         """Derivative of f - p grad V by the displacements, without supports (3 n, 3 n) [N/m]."""
-        self._elastic.tangent(self._index, self._at(u), projected=False)
-        parts = [block.element.matrices(block, self._elastic.remembered(i)[:, :, 0]) if constant is None else constant
-                 for i, (block, constant) in enumerate(zip(self.blocks, self._constant, strict=True))]
-        parts.append(-pressure * gas.hessian(self.points + u.reshape(-1, 3), self.closed))
-        values = np.concatenate([part.ravel() for part in parts])
+        air = -pressure * gas.hessian(gas.corners(self.points + u.reshape(-1, 3), self.closed))
+        values = np.concatenate([part.ravel() for part in (*(block.matrices(u) for block in self.blocks), air)])
         return sp.coo_matrix((values, (self._rows, self._columns)), shape=(len(u), len(u))).tocsr()
 
     def _state(self, u: np.ndarray, pressure: float) -> tuple[np.ndarray, np.ndarray, float]:

@@ -12,16 +12,13 @@ Johnson 1985, section 4.3).
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements.block import Block
+from vsfsim.physics.elements.block import Block, element_kernels, struct_of
 from vsfsim.physics.runtime import real
-
-NODES = 1
 
 
 def block(nodes: np.ndarray, stiffness: np.ndarray) -> Block:
@@ -36,63 +33,19 @@ def block(nodes: np.ndarray, stiffness: np.ndarray) -> Block:
     return Block("anchor", np.asarray(nodes, np.int32).reshape(-1, 1), {"stiffness": stiffness})
 
 
-def state_size(block: Block) -> int:
-    """0: the tangent does not depend on the displacements."""
-    return 0
-
-
-def rest_stiffness(block: Block) -> np.ndarray:
-    """The tangent at every displacement (m, 3, 3) [N/m]."""
-    return block.parameters["stiffness"][:, None, None] * np.eye(3)
-
-
 @functools.cache
 def kernels() -> Any:
     """The kernels of this element."""
-    module = "vsfsim_anchor"
+    module, vector = "vsfsim_anchor", wp.types.matrix(shape=(1, 3), dtype=real)
+    arguments = struct_of(module, stiffness=wp.array(dtype=real))
 
-    class Anchors:  # see `block`
-        nodes: wp.array2d(dtype=wp.int32)
-        stiffness: wp.array(dtype=real)
+    @wp.func(module=module)
+    def respond(of: arguments, u: vector, t: int):
+        force = of.stiffness[t] * u
+        return force, real(0.5) * wp.ddot(force, u), real(1.0)
 
-    Anchors = wp.struct(Anchors, module=module)
+    @wp.func(module=module)
+    def multiply(of: arguments, u: vector, x: vector, t: int, b: int, state_in: wp.array3d(dtype=real)):
+        return of.stiffness[t] * x
 
-    @wp.kernel(module=module, enable_backward=False)
-    def forces(
-        of: Anchors,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-        energy_out: wp.array2d(dtype=real),
-        det_out: wp.array2d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        row = 3 * of.nodes[t, 0]
-        energy = real(0.0)
-        for c in range(3):
-            u = u_in[row + c, b]
-            force_out[t, c, b] = of.stiffness[t] * u
-            energy += real(0.5) * of.stiffness[t] * u * u
-        energy_out[t, b] = energy
-        det_out[t, b] = real(1.0)
-
-    @wp.kernel(module=module, enable_backward=False)
-    def multiply(
-        of: Anchors,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        at_in: wp.array2d(dtype=real),
-        state_in: wp.array3d(dtype=real),
-        x_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-    ):
-        t, k = wp.tid()
-        row = 3 * of.nodes[t, 0]
-        for c in range(3):
-            force_out[t, c, k] = of.stiffness[t] * x_in[row + c, k]
-
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, arguments=Anchors)
+    return element_kernels(module, arguments, 1, respond=respond, multiply=multiply)

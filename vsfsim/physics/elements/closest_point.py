@@ -27,6 +27,10 @@ def functions(module: str) -> Any:
     three or six nodes), ``nearer`` (of two faces the one whose nearest point counts) and ``encloses`` (whether a point
     with its nearest point at a ``height`` over a face, ``least`` away, is inside a closed surface)."""
     vec6 = wp.types.vector(length=6, dtype=real)
+    # the four flat triangles between the six nodes, and the barycentric coordinates of these
+    parts = wp.constant(wp.types.matrix(shape=(4, 3), dtype=wp.int32)([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]))
+    at_nodes = wp.constant(wp.types.matrix(shape=(6, 3), dtype=real)(
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]]))
     half_turn = wp.constant(real(np.pi))
     plain = wp.constant(real(_PLAIN))
     same = wp.constant(real(1e-12))
@@ -78,32 +82,6 @@ def functions(module: str) -> Any:
                     four * l[0] * l[1], four * l[1] * l[2], four * l[2] * l[0])
 
     @wp.func(module=module)
-    def sub_triangle(part: int, i: int):
-        # node i of the four flat triangles between the six nodes
-        if part == 3:
-            return 3 + i
-        if i == part:
-            return part
-        if i == (part + 1) % 3:
-            return 3 + part
-        return 3 + (part + 2) % 3
-
-    @wp.func(module=module)
-    def corner(node: int):
-        # barycentric coordinates of node 0..5
-        half = real(0.5)
-        nought = real(0.0)
-        if node < 3:
-            out = vec3()
-            out[node] = real(1.0)
-            return out
-        if node == 3:
-            return vec3(half, half, nought)
-        if node == 4:
-            return vec3(nought, half, half)
-        return vec3(half, nought, half)
-
-    @wp.func(module=module)
     def nearest(p: vec3, b: int, face: int, nodes: int, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
         # nearest point of one face: shape values of its six nodes (three if flat), the point, and the face's outward
         # normal there
@@ -121,18 +99,15 @@ def functions(module: str) -> Any:
         at = vec3()
         least = real(1e300)
         for part in range(4):
-            i0 = sub_triangle(part, 0)
-            i1 = sub_triangle(part, 1)
-            i2 = sub_triangle(part, 2)
-            y0 = x[b, faces[b, face, i0]]
-            y1 = x[b, faces[b, face, i1]]
-            y2 = x[b, faces[b, face, i2]]
+            y0 = x[b, faces[b, face, parts[part, 0]]]
+            y1 = x[b, faces[b, face, parts[part, 1]]]
+            y2 = x[b, faces[b, face, parts[part, 2]]]
             m = on_triangle(p, y0, y1, y2)
             far = wp.length_sq(p - (m[0] * y0 + m[1] * y1 + m[2] * y2))
             if far < least:
                 least = far
-                at = m[0] * corner(i0) + m[1] * corner(i1) + m[2] * corner(i2)
-        # Gauss and Newton's method for the curved one, held inside the triangle
+                at = m[0] * at_nodes[parts[part, 0]] + m[1] * at_nodes[parts[part, 1]] + m[2] * at_nodes[parts[part, 2]]
+        # Gauss and Newton's method for the curved one: the nearest point of the flat triangle that touches it
         four = real(4.0)
         one = real(1.0)
         tu = vec3()
@@ -145,44 +120,8 @@ def functions(module: str) -> Any:
                   + four * ((at[0] - at[1]) * x3 + at[2] * x4 - at[2] * x5))
             tv = ((one - four * at[0]) * x0 + (four * at[2] - one) * x2
                   + four * (at[1] * x4 - at[1] * x3 + (at[0] - at[2]) * x5))
-            r = p - c
-            a11 = wp.dot(tu, tu)
-            a12 = wp.dot(tu, tv)
-            a22 = wp.dot(tv, tv)
-            b1 = wp.dot(tu, r)
-            b2 = wp.dot(tv, r)
-            det = wp.max(a11 * a22 - a12 * a12, real(1e-300))
-            u = at[1] + (a22 * b1 - a12 * b2) / det
-            v = at[2] + (a11 * b2 - a12 * b1) / det
-            if u < real(0.0) or v < real(0.0) or u + v > one:
-                # the best of the three edges, each in its own linear model
-                best = real(1e300)
-                for edge in range(3):
-                    # from the present point to a start on the edge, then along its direction
-                    su = real(0.0)
-                    sv = real(0.0)
-                    eu = real(0.0)
-                    ev = one
-                    if edge == 1:
-                        eu = one
-                        ev = real(0.0)
-                    if edge == 2:
-                        su = one
-                        eu = -one
-                    du = su - at[1]
-                    dv = sv - at[2]
-                    along = eu * eu * a11 + real(2.0) * eu * ev * a12 + ev * ev * a22
-                    rest1 = b1 - a11 * du - a12 * dv
-                    rest2 = b2 - a12 * du - a22 * dv
-                    t = wp.clamp((eu * rest1 + ev * rest2) / wp.max(along, real(1e-300)), real(0.0), one)
-                    fu = du + t * eu
-                    fv = dv + t * ev
-                    value = a11 * fu * fu + real(2.0) * a12 * fu * fv + a22 * fv * fv - real(2.0) * (b1 * fu + b2 * fv)
-                    if value < best:
-                        best = value
-                        u = at[1] + fu
-                        v = at[2] + fv
-            at = vec3(one - u - v, u, v)
+            corner = c - at[1] * tu - at[2] * tv
+            at = on_triangle(p, corner, corner + tu, corner + tv)
         n = quadratic(at)
         c = n[0] * x0 + n[1] * x1 + n[2] * x2 + n[3] * x3 + n[4] * x4 + n[5] * x5
         return n, c, wp.normalize(wp.cross(tu, tv))
@@ -219,17 +158,12 @@ def functions(module: str) -> Any:
             return True
         angle = real(0.0)
         for f in range(faces.shape[1]):
-            x0 = x[b, faces[b, f, 0]]
-            x1 = x[b, faces[b, f, 1]]
-            x2 = x[b, faces[b, f, 2]]
             if nodes == 3:
-                angle += half_angle(p, x0, x1, x2)
+                angle += half_angle(p, x[b, faces[b, f, 0]], x[b, faces[b, f, 1]], x[b, faces[b, f, 2]])
             else:
-                x3 = x[b, faces[b, f, 3]]
-                x4 = x[b, faces[b, f, 4]]
-                x5 = x[b, faces[b, f, 5]]
-                angle += (half_angle(p, x0, x3, x5) + half_angle(p, x3, x1, x4) + half_angle(p, x5, x4, x2)
-                          + half_angle(p, x3, x4, x5))
+                for part in range(4):
+                    angle += half_angle(p, x[b, faces[b, f, parts[part, 0]]], x[b, faces[b, f, parts[part, 1]]],
+                                        x[b, faces[b, f, parts[part, 2]]])
         for f in range(closing.shape[0]):
             angle += half_angle(p, x[b, closing[f, 0]], x[b, closing[f, 1]], x[b, closing[f, 2]])
         return wp.abs(angle) > half_turn

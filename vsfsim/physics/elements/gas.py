@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements.block import Block
-from vsfsim.physics.runtime import real, vec3
+from vsfsim.physics.elements import deformation
+from vsfsim.physics.elements.block import Block, nodal, struct_of
+from vsfsim.physics.runtime import mat33, real
 
-NODES = 3
 COLLECTIVE = True
 RESPONSES = 3
 """Rows of the response to a volume: gauge pressure [Pa], -dp/dV [Pa/m^3], energy [J]."""
@@ -52,9 +52,8 @@ def block(faces: np.ndarray, points: np.ndarray, *, pressure: float, volume: flo
     whole = volume + dead_volume
     assert (whole > 0.0 and dead_volume >= 0.0 and gamma >= 1.0 and ambient >= 0.0
             and (not sealed or ambient + pressure > 0.0))
-    local = points[faces] - points[np.unique(faces)].mean(axis=0)
     law = np.array([ambient + pressure, whole, gamma, ambient, float(sealed), dead_volume])
-    return Block("gas", faces, {"points": local, "law": law})
+    return Block("gas", faces, {"points": corners(points, faces), "law": law})
 
 
 def cap(rim: np.ndarray) -> np.ndarray:
@@ -63,134 +62,108 @@ def cap(rim: np.ndarray) -> np.ndarray:
     return np.array([(rim[0], rim[i + 1], rim[i]) for i in range(1, len(rim) - 1)], np.int32)
 
 
+def corners(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Corners of the faces (m, 3, 3) [m] about the middle of their nodes: so a sum of volumes keeps its digits."""
+    return points[faces] - points[np.unique(faces)].mean(axis=0)
+
+
+def _slopes(x: np.ndarray) -> np.ndarray:
+    """Derivatives of the volume (m, 3, 3) [m^2] by the corners x (m, 3, 3) [m] of each face."""
+    return np.cross(np.roll(x, -1, axis=1), np.roll(x, -2, axis=1)) / 6.0
+
+
 def volume(points: np.ndarray, faces: np.ndarray) -> float:
     """Volume [m^3] inside a closed surface; points (n, 3) [m], faces (m, 3)."""
-    x = points[faces] - points[np.unique(faces)].mean(axis=0)
-    return float(np.einsum("mi,mi->m", x[:, 0], np.cross(x[:, 1], x[:, 2])).sum() / 6.0)
+    x = corners(points, faces)
+    return float((x[:, 0] * _slopes(x)[:, 0]).sum())
 
 
 def gradient(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Derivative of the volume by the nodes' positions (3 n,) [m^2]."""
-    x = points[faces] - points[np.unique(faces)].mean(axis=0)
     out = np.zeros_like(points)
-    for a in range(3):
-        np.add.at(out, faces[:, a], np.cross(x[:, (a + 1) % 3], x[:, (a + 2) % 3]) / 6.0)
+    np.add.at(out, faces, _slopes(corners(points, faces)))
     return out.ravel()
 
 
-def hessian(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Second derivatives of the volume by the nodes' positions, one matrix per triangle (m, 9, 9) [m]."""
-    x = points[faces] - points[np.unique(faces)].mean(axis=0)
-    out = np.zeros((len(faces), 3, 3, 3, 3))
+def hessian(x: np.ndarray) -> np.ndarray:
+    """Second derivatives of the volume by the corners x (m, 3, 3) [m] of each face (m, 9, 9) [m]."""
+    out = np.zeros((len(x), 3, 3, 3, 3))
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
-        turn = np.zeros((len(faces), 3, 3))  # v -> v x x_c / 6: the gradient at a as a function of node b
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            turn[:, i, j], turn[:, j, i] = x[:, c, k] / 6.0, -x[:, c, k] / 6.0
-        out[:, a, :, b, :] = turn
-        out[:, b, :, a, :] = np.swapaxes(turn, 1, 2)
-    return out.reshape(len(faces), 9, 9)
-
-
-def _response(block: Block, inside: float) -> tuple[float, float, float]:
-    """Gauge pressure [Pa], -dp/dV [Pa/m^3] and energy [J] when the surface encloses the volume ``inside`` [m^3]."""
-    p0, v0, gamma, ambient, sealed, dead = block.parameters["law"]
-    now = inside + dead
-    if not sealed:
-        return p0 - ambient, 0.0, -(p0 - ambient) * (now - v0)
-    x = np.log(now / v0)
-    p = p0 * np.exp(-gamma * x)
-    work = -x if gamma == 1.0 else np.expm1(-(gamma - 1.0) * x) / (gamma - 1.0)
-    return p - ambient, gamma * p / now, p0 * v0 * work + ambient * (now - v0)
-
-
-def _surface(block: Block) -> tuple[np.ndarray, np.ndarray]:
-    """The surface at u = 0: its nodes (n', 3) [m] and its triangles (m, 3), numbered among these nodes."""
-    used, faces = np.unique(block.nodes, return_inverse=True)
-    faces = faces.reshape(-1, 3)
-    points = np.zeros((len(used), 3))
-    points[faces.ravel()] = block.parameters["points"].reshape(-1, 3)
-    return points, faces
+        turn = np.cross(np.eye(3), x[:, c, None]) / 6.0  # row j: of the gradient at a, by coordinate j of node b
+        out[:, a, :, b, :] = np.swapaxes(turn, 1, 2)
+        out[:, b, :, a, :] = turn
+    return out.reshape(len(x), 9, 9)
 
 
 def at_rest(block: Block) -> tuple[float, float, float, float]:
     """Volume inside the surface [m^3], gauge pressure [Pa], -dp/dV [Pa/m^3] and energy [J] at u = 0."""
-    inside = volume(*_surface(block))
-    return inside, *_response(block, inside)
-
-
-def state_size(block: Block) -> int:
-    """0: the state of the tangent belongs to the whole block, not to an element."""
-    return 0
+    x, out = block.parameters["points"], wp.zeros((RESPONSES, 1), dtype=real, device="cpu")
+    inside = float((x[:, 0] * _slopes(x)[:, 0]).sum())
+    wp.launch(kernels().respond, dim=1, device="cpu", inputs=[
+        law_on(block, "cpu"), wp.zeros(1, dtype=wp.int32, device="cpu"), wp.array([inside], dtype=real, device="cpu"),
+        out])
+    return inside, *map(float, out.numpy()[:, 0])
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
     """The sparse part of the tangent at u = 0, -g V'' (m, 9, 9) [N/m]; `rest_coupling` gives the other part."""
-    points, faces = _surface(block)
-    return -at_rest(block)[1] * hessian(points, faces)
+    return -at_rest(block)[1] * hessian(block.parameters["points"])
 
 
 def rest_coupling(block: Block, points: int) -> tuple[np.ndarray, float]:
     """The part of the tangent at u = 0 that couples all nodes: grad V (3 n,) [m^2] for a body of n = ``points`` nodes,
     and -dp/dV [Pa/m^3]."""
-    local, faces = _surface(block)
     out = np.zeros((points, 3))
-    out[np.unique(block.nodes)] = gradient(local, faces).reshape(-1, 3)
+    np.add.at(out, block.nodes, _slopes(block.parameters["points"]))
     return out.ravel(), at_rest(block)[2]
 
 
 @functools.cache
 def kernels() -> Any:
     """The kernels of this element."""
-    double = wp.float64
     module = "vsfsim_gas"
-    sixth = wp.constant(double(1.0 / 6.0))
-    least = wp.constant(double(_SMALLEST_VOLUME))
-    infinite = wp.constant(double(_INFINITE))
-
-    class Gas:  # see `block`
-        nodes: wp.array2d(dtype=wp.int32)
-        points: wp.array2d(dtype=vec3)
-
-    Gas = wp.struct(Gas, module=module)
+    sixth, nought = wp.constant(real(1.0 / 6.0)), wp.constant(real(0.0))
+    least, infinite = wp.constant(real(_SMALLEST_VOLUME)), wp.constant(real(_INFINITE))
+    arguments = struct_of(module, points=wp.array(dtype=mat33))
+    nodes, turn = nodal(module, arguments, 3), deformation.functions(module)
+    load, store, cofactor, cofactor_change = nodes.load, nodes.store, turn.cofactor, turn.cofactor_change
 
     @wp.func(module=module)
-    def vector(of: Gas, x: wp.array2d(dtype=real), t: int, a: int, b: int):
-        i = 3 * of.nodes[t, a]
-        return vec3(double(x[i, b]), double(x[i + 1, b]), double(x[i + 2, b]))
+    def area(of: arguments, u: wp.array2d(dtype=real), t: int, b: int):
+        # the corners, one a row, and the gradient of the volume by them
+        x = of.points[t] + load(of, u, t, b)
+        return x, sixth * cofactor(x)
 
     @wp.kernel(module=module, enable_backward=False)
     def share(
-        of: Gas,
+        of: arguments,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
         # state out
-        share_out: wp.array2d(dtype=double),
+        share_out: wp.array2d(dtype=real),
     ):
         t, k = wp.tid()
-        b = index[k]
-        x0 = of.points[t, 0] + vector(of, u_in, t, 0, b)
-        x1 = of.points[t, 1] + vector(of, u_in, t, 1, b)
-        x2 = of.points[t, 2] + vector(of, u_in, t, 2, b)
-        share_out[t, b] = sixth * wp.dot(x0, wp.cross(x1, x2))
+        x, slope = area(of, u_in, t, index[k])
+        share_out[t, index[k]] = wp.dot(x[0], slope[0])
 
     @wp.kernel(module=module, enable_backward=False)
     def respond(
         # model
-        law: wp.array(dtype=double),
+        law: wp.array(dtype=real),
         index: wp.array(dtype=wp.int32),
         # state in
-        number_in: wp.array(dtype=double),
+        number_in: wp.array(dtype=real),
         # state out
-        response_out: wp.array2d(dtype=double),
+        response_out: wp.array2d(dtype=real),
     ):
         b = index[wp.tid()]
         ambient = law[3]
         now = number_in[b] + law[5]
-        if law[4] == double(0.0):
+        if law[4] == nought:
             response_out[0, b] = law[0] - ambient
-            response_out[1, b] = double(0.0)
+            response_out[1, b] = nought
             response_out[2, b] = -(law[0] - ambient) * (now - law[1])
         else:
             gamma = law[2]
@@ -198,8 +171,8 @@ def kernels() -> Any:
             ratio = law[1] / held
             p = law[0] * wp.pow(ratio, gamma)
             work = wp.log(ratio)
-            if gamma != double(1.0):
-                work = (wp.pow(ratio, gamma - double(1.0)) - double(1.0)) / (gamma - double(1.0))
+            if gamma != real(1.0):
+                work = (wp.pow(ratio, gamma - real(1.0)) - real(1.0)) / (gamma - real(1.0))
             response_out[0, b] = p - ambient
             response_out[1, b] = gamma * p / held
             response_out[2, b] = law[0] * law[1] * work + ambient * (held - law[1])
@@ -208,11 +181,11 @@ def kernels() -> Any:
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
-        of: Gas,
+        of: arguments,
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
-        response_in: wp.array2d(dtype=double),
+        response_in: wp.array2d(dtype=real),
         # state out
         force_out: wp.array3d(dtype=real),
         energy_out: wp.array2d(dtype=real),
@@ -220,74 +193,48 @@ def kernels() -> Any:
     ):
         t, k = wp.tid()
         b = index[k]
-        x0 = of.points[t, 0] + vector(of, u_in, t, 0, b)
-        x1 = of.points[t, 1] + vector(of, u_in, t, 1, b)
-        x2 = of.points[t, 2] + vector(of, u_in, t, 2, b)
-        push = -sixth * response_in[0, b]
-        f0 = push * wp.cross(x1, x2)
-        f1 = push * wp.cross(x2, x0)
-        f2 = push * wp.cross(x0, x1)
-        for c in range(3):
-            force_out[t, c, b] = real(f0[c])
-            force_out[t, 3 + c, b] = real(f1[c])
-            force_out[t, 6 + c, b] = real(f2[c])
-        energy_out[t, b] = real(0.0)
-        if t == 0:
-            energy_out[t, b] = real(response_in[2, b])
+        _, slope = area(of, u_in, t, b)
+        store(-response_in[0, b] * slope, force_out, t, b)
+        energy_out[t, b] = wp.where(t == 0, response_in[2, b], nought)
         det_out[t, b] = real(1.0)
 
     @wp.kernel(module=module, enable_backward=False)
     def share_change(
-        of: Gas,
+        of: arguments,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
         x_in: wp.array2d(dtype=real),
         # state out
-        share_out: wp.array2d(dtype=double),
+        share_out: wp.array2d(dtype=real),
     ):
         t, k = wp.tid()
-        b = index[k]
-        x0 = of.points[t, 0] + vector(of, at_in, t, 0, b)
-        x1 = of.points[t, 1] + vector(of, at_in, t, 1, b)
-        x2 = of.points[t, 2] + vector(of, at_in, t, 2, b)
-        share_out[t, k] = sixth * (wp.dot(vector(of, x_in, t, 0, k), wp.cross(x1, x2))
-                                   + wp.dot(vector(of, x_in, t, 1, k), wp.cross(x2, x0))
-                                   + wp.dot(vector(of, x_in, t, 2, k), wp.cross(x0, x1)))
+        _, slope = area(of, at_in, t, index[k])
+        share_out[t, k] = wp.ddot(load(of, x_in, t, k), slope)
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
-        of: Gas,
+        of: arguments,
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
-        response_in: wp.array2d(dtype=double),
-        true_in: wp.array(dtype=double),
-        change_in: wp.array(dtype=double),
+        response_in: wp.array2d(dtype=real),
+        true_in: wp.array(dtype=real),
+        change_in: wp.array(dtype=real),
         x_in: wp.array2d(dtype=real),
         # state out
         force_out: wp.array3d(dtype=real),
     ):
         t, k = wp.tid()
         b = index[k]
-        x0 = of.points[t, 0] + vector(of, at_in, t, 0, b)
-        x1 = of.points[t, 1] + vector(of, at_in, t, 1, b)
-        x2 = of.points[t, 2] + vector(of, at_in, t, 2, b)
-        d0 = vector(of, x_in, t, 0, k)
-        d1 = vector(of, x_in, t, 1, k)
-        d2 = vector(of, x_in, t, 2, k)
-        push = -sixth * response_in[0, b] * true_in[b]
-        swell = sixth * response_in[1, b] * change_in[k]
-        f0 = push * (wp.cross(d1, x2) + wp.cross(x1, d2)) + swell * wp.cross(x1, x2)
-        f1 = push * (wp.cross(d2, x0) + wp.cross(x2, d0)) + swell * wp.cross(x2, x0)
-        f2 = push * (wp.cross(d0, x1) + wp.cross(x0, d1)) + swell * wp.cross(x0, x1)
-        for c in range(3):
-            force_out[t, c, k] = real(f0[c])
-            force_out[t, 3 + c, k] = real(f1[c])
-            force_out[t, 6 + c, k] = real(f2[c])
-
-    def law(block: Block, device: str) -> wp.array:
-        return wp.array(block.parameters["law"], dtype=double, device=device)
+        x, slope = area(of, at_in, t, b)
+        change = sixth * cofactor_change(x, load(of, x_in, t, k))
+        store((response_in[1, b] * change_in[k]) * slope - (response_in[0, b] * true_in[b]) * change, force_out, t, k)
 
     return SimpleNamespace(share=share, respond=respond, forces=forces, share_change=share_change, multiply=multiply,
-                           tangent=None, arguments=Gas, law=law)
+                           tangent=None, arguments=arguments, law=law_on)
+
+
+def law_on(block: Block, device: str) -> wp.array:
+    """What `respond` takes."""
+    return wp.array(block.parameters["law"], dtype=real, device=device)

@@ -21,16 +21,14 @@ At a rim edge there is no neighbour, and the straight continuation of the triang
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements.block import Block
-from vsfsim.physics.runtime import real, vec3
+from vsfsim.physics.elements.block import Block, element_kernels, struct_of
+from vsfsim.physics.runtime import real
 
-NODES = 6
 _SMALLEST_SINGULAR_VALUE = 0.02
 """Fraction of the largest singular value below which one is treated as zero. Six places on a conic leave one curvature
 undetermined; it is then taken as zero."""
@@ -71,11 +69,9 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
     a, b, c = (rest[triangles[:, i]] for i in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     assert (area > 0.0).all() and bending > 0.0 and np.isfinite(fit).all()
-
-    def square(v: np.ndarray) -> np.ndarray:
-        return v[:, :, None] * v[:, None, :]
-
-    energy = (1.0 - poisson_ratio) * (square(b11) + square(b22) + 2.0 * square(b12)) + poisson_ratio * square(b11 + b22)
+    share = 1.0 - poisson_ratio
+    curvatures = np.stack([b11, b22, b12, b11 + b22])
+    energy = np.einsum("k,kmi,kmj->mij", [share, share, 2.0 * share, poisson_ratio], curvatures, curvatures)
     energy *= (bending * area)[:, None, None]
     return Block("hinge", stencil.astype(np.int32), {"edges": points[stencil] - points[stencil[:, :1]],
                                                      "stiffness": np.swapaxes(continued, 1, 2) @ energy @ continued})
@@ -89,78 +85,28 @@ def neighbours(triangles: np.ndarray) -> np.ndarray:
     return np.array([other.get((int(j), int(i)), -1) for i, j in edges]).reshape(-1, 3)
 
 
-def state_size(block: Block) -> int:
-    """0: the tangent does not depend on the displacements."""
-    return 0
-
-
-def rest_stiffness(block: Block) -> np.ndarray:
-    """The tangent at every displacement (m, 18, 18) [N/m]."""
-    return np.einsum("mab,cd->macbd", block.parameters["stiffness"], np.eye(3)).reshape(len(block), 18, 18)
-
-
 @functools.cache
 def kernels() -> Any:
     """The kernels of this element."""
-    module = "vsfsim_hinge"
+    module, vectors = "vsfsim_hinge", wp.types.matrix(shape=(6, 3), dtype=real)
+    arguments = struct_of(module, edges=wp.array(dtype=vectors),
+                          stiffness=wp.array(dtype=wp.types.matrix(shape=(6, 6), dtype=real)))
 
-    class Hinges:  # see `block`
-        nodes: wp.array2d(dtype=wp.int32)
-        edges: wp.array2d(dtype=vec3)
-        stiffness: wp.array3d(dtype=real)
+    @wp.func(module=module)
+    def from_first(u: vectors):
+        out = vectors()
+        for a in range(1, 6):
+            out[a] = u[a] - u[0]
+        return out
 
-    Hinges = wp.struct(Hinges, module=module)
+    @wp.func(module=module)
+    def respond(of: arguments, u: vectors, t: int):
+        place = of.edges[t] + from_first(u)
+        force = of.stiffness[t] * place
+        return force, real(0.5) * wp.ddot(force, place), real(1.0)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def forces(
-        of: Hinges,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-        energy_out: wp.array2d(dtype=real),
-        det_out: wp.array2d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        i0 = 3 * of.nodes[t, 0]
-        first = vec3(u_in[i0, b], u_in[i0 + 1, b], u_in[i0 + 2, b])
-        energy = real(0.0)
-        for a in range(6):
-            total = vec3()
-            for c in range(1, 6):
-                i = 3 * of.nodes[t, c]
-                moved = of.edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first)
-                total += of.stiffness[t, a, c] * moved
-            j = 3 * of.nodes[t, a]
-            own = of.edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first)
-            energy += real(0.5) * wp.dot(total, own)
-            for c in range(3):
-                force_out[t, 3 * a + c, b] = total[c]
-        energy_out[t, b] = energy
-        det_out[t, b] = real(1.0)
+    @wp.func(module=module)
+    def multiply(of: arguments, u: vectors, x: vectors, t: int, b: int, state_in: wp.array3d(dtype=real)):
+        return of.stiffness[t] * from_first(x)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def multiply(
-        of: Hinges,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        at_in: wp.array2d(dtype=real),
-        state_in: wp.array3d(dtype=real),
-        x_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-    ):
-        t, k = wp.tid()
-        i0 = 3 * of.nodes[t, 0]
-        first = vec3(x_in[i0, k], x_in[i0 + 1, k], x_in[i0 + 2, k])
-        for a in range(6):
-            total = vec3()
-            for c in range(1, 6):
-                i = 3 * of.nodes[t, c]
-                total += of.stiffness[t, a, c] * (vec3(x_in[i, k], x_in[i + 1, k], x_in[i + 2, k]) - first)
-            for c in range(3):
-                force_out[t, 3 * a + c, k] = total[c]
-
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, arguments=Hinges)
+    return element_kernels(module, arguments, 6, respond=respond, multiply=multiply)

@@ -8,16 +8,14 @@ a node does not pass through the plate whatever pushes it. E is convex: its tang
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements.block import Block
+from vsfsim.physics.elements.block import Block, element_kernels, struct_of
 from vsfsim.physics.runtime import real
 
-NODES = 2
 HARD = 2e-4
 """h, the penetration at which the penalty hardens [m]."""
 
@@ -38,73 +36,33 @@ def block(nodes: np.ndarray, support: int, points: np.ndarray, stiffness: float,
                  {"height": height, "stiffness": np.full(len(nodes), float(stiffness))})
 
 
-def state_size(block: Block) -> int:
-    """A tangent follows from the displacements."""
-    return 0
-
-
-def rest_stiffness(block: Block) -> np.ndarray:
-    """The tangent at u = 0, where no node is behind the plane: zero (m, 6, 6) [N/m]."""
-    return np.zeros((len(block), 6, 6))
-
-
 @functools.cache
 def kernels() -> Any:
     """The kernels of this element."""
-    module, hard = "vsfsim_stop", wp.constant(real(HARD))
+    module, hard, nought = "vsfsim_stop", wp.constant(real(HARD)), wp.constant(real(0.0))
+    vectors = wp.types.matrix(shape=(2, 3), dtype=real)
+    arguments = struct_of(module, height=wp.array(dtype=real), stiffness=wp.array(dtype=real))
 
-    class Stops:  # see `block`
-        nodes: wp.array2d(dtype=wp.int32)
-        height: wp.array(dtype=real)
-        stiffness: wp.array(dtype=real)
+    @wp.func(module=module)
+    def penetration(of: arguments, u: vectors, t: int):
+        return wp.max(-(of.height[t] + u[0, 2] - u[1, 2]), nought)
 
-    Stops = wp.struct(Stops, module=module)
+    @wp.func(module=module)
+    def pull(along: real):
+        return vectors(nought, nought, along, nought, nought, -along)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def forces(
-        of: Stops,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-        energy_out: wp.array2d(dtype=real),
-        det_out: wp.array2d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        p = wp.max(-(of.height[t] + u_in[3 * of.nodes[t, 0] + 2, b] - u_in[3 * of.nodes[t, 1] + 2, b]), real(0.0))
-        push = of.stiffness[t] * p * (real(1.0) + p / hard)
-        for c in range(2):
-            force_out[t, c, b] = real(0.0)
-            force_out[t, 3 + c, b] = real(0.0)
-        force_out[t, 2, b] = -push
-        force_out[t, 5, b] = push
-        energy_out[t, b] = of.stiffness[t] * p * p * (real(0.5) + p / (real(3.0) * hard))
-        det_out[t, b] = real(1.0)
+    @wp.func(module=module)
+    def respond(of: arguments, u: vectors, t: int):
+        p = penetration(of, u, t)
+        energy = of.stiffness[t] * p * p * (real(0.5) + p / (real(3.0) * hard))
+        return pull(-of.stiffness[t] * p * (real(1.0) + p / hard)), energy, real(1.0)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def multiply(
-        of: Stops,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        at_in: wp.array2d(dtype=real),
-        state_in: wp.array3d(dtype=real),
-        x_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-    ):
-        t, k = wp.tid()
-        i = 3 * of.nodes[t, 0] + 2
-        j = 3 * of.nodes[t, 1] + 2
-        p = -(of.height[t] + at_in[i, index[k]] - at_in[j, index[k]])
-        out = real(0.0)
-        if p > real(0.0):
-            out = of.stiffness[t] * (real(1.0) + real(2.0) * p / hard) * (x_in[i, k] - x_in[j, k])
-        for c in range(2):
-            force_out[t, c, k] = real(0.0)
-            force_out[t, 3 + c, k] = real(0.0)
-        force_out[t, 2, k] = out
-        force_out[t, 5, k] = -out
+    @wp.func(module=module)
+    def multiply(of: arguments, u: vectors, x: vectors, t: int, b: int, state_in: wp.array3d(dtype=real)):
+        p = penetration(of, u, t)
+        stiffness = nought
+        if p > nought:
+            stiffness = of.stiffness[t] * (real(1.0) + real(2.0) * p / hard)
+        return pull(stiffness * (x[0, 2] - x[1, 2]))
 
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, arguments=Stops)
+    return element_kernels(module, arguments, 2, respond=respond, multiply=multiply)

@@ -27,21 +27,19 @@ and, where sides are curved, a Jacobian of its own. Vectors are (3 n, B), degree
 
 import functools
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from vsfsim.physics.elements import deformation, tet10_shape
-from vsfsim.physics.elements.block import Block
+from vsfsim.physics.elements.block import Block, element_kernels, struct_of
 from vsfsim.physics.elements.tet10_shape import shape_gradients
 from vsfsim.physics.laws import neo_hooke
 from vsfsim.physics.laws.catalogue import LAWS
 from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.runtime import mat33, real
 
-NODES = 10
 POINTWISE = 4.0
 """Largest lambda at the Gauss points, in units of mu; 4 is all of lambda up to nu = 0.4."""
 # lambda_m over mu from which `softened` lowers it, to this share of it and this multiple of mu at most
@@ -121,26 +119,18 @@ def kernels(law: str) -> Any:
     module = f"vsfsim_tet10_{law}"
 
     shape = tet10_shape.functions(module)
-    load, edge_sums, gradient, stresses, spread, finish = (
-        shape.load, shape.edge_sums, shape.gradient, shape.stresses, shape.spread, shape.finish)
+    edge_sums, gradient, stresses, spread, finish = (
+        shape.edge_sums, shape.gradient, shape.stresses, shape.spread, shape.finish)
     kinematics = deformation.functions(module)
     deform, cofactor, volume_change = kinematics.gradient, kinematics.cofactor, kinematics.volume_change
     point = LAWS[law].functions(module)
-    respond, linearise, product = point.respond, point.linearise, point.multiply
+    respond_at, linearise_at, product = point.respond, point.linearise, point.multiply
     mean_at = wp.constant(4 * LAWS[law].stored)  # first row of the gradient of Jbar
-
-    class Tetrahedra:  # see `block`
-        nodes: wp.array2d(dtype=wp.int32)
-        gradients: wp.array2d(dtype=mat33)
-        weights: wp.array2d(dtype=real)
-        mean_lam: wp.array(dtype=real)
-        own: wp.array3d(dtype=real)
-        terms: wp.array2d(dtype=real)
-
-    Tetrahedra = wp.struct(Tetrahedra, module=module)
+    arguments = struct_of(module, gradients=wp.array2d(dtype=mat33), weights=wp.array2d(dtype=real),
+                          mean_lam=wp.array(dtype=real), own=wp.array3d(dtype=real), terms=wp.array2d(dtype=real))
 
     @wp.func(module=module)
-    def pressure(of: Tetrahedra, x: mat103, s: mat43, t: int):
+    def pressure(of: arguments, x: mat103, s: mat43, t: int):
         # lambda_m (Jbar - 1), and the volume
         total = real(0.0)
         volume = real(0.0)
@@ -150,20 +140,8 @@ def kernels(law: str) -> Any:
             volume += of.weights[t, q]
         return of.mean_lam[t] * total / volume, volume
 
-    @wp.kernel(module=module, enable_backward=False)
-    def forces(
-        of: Tetrahedra,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-        energy_out: wp.array2d(dtype=real),
-        det_out: wp.array2d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        x = load(of.nodes, u_in, t, b)
+    @wp.func(module=module)
+    def respond(of: arguments, x: mat103, t: int):
         s = edge_sums(x)
         push = real(0.0)
         energy = real(0.0)
@@ -177,33 +155,17 @@ def kernels(law: str) -> Any:
         for q in range(4):
             g = of.gradients[t, q]
             weight = of.weights[t, q]
-            value, det, p = respond(gradient(x, s, g, q), of.own, of.terms, t, q, push)
+            value, det, p = respond_at(gradient(x, s, g, q), of.own, of.terms, t, q, push)
             energy += weight * value
             lowest = wp.min(lowest, det)
             stress = stresses(weight * p, g)
             total += stress
             force = spread(force, stress, q)
-        force = finish(force, total)
-        for a in range(10):
-            for c in range(3):
-                force_out[t, 3 * a + c, b] = force[a, c]
-        energy_out[t, b] = energy
-        det_out[t, b] = lowest
+        return finish(force, total), energy, lowest
 
-    @wp.kernel(module=module, enable_backward=False)
-    def tangent(
-        of: Tetrahedra,
-        index: wp.array(dtype=wp.int32),
-        projected: int,
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        state_out: wp.array3d(dtype=real),
-    ):
+    @wp.func(module=module)
+    def linearise(of: arguments, x: mat103, t: int, b: int, projected: int, state_out: wp.array3d(dtype=real)):
         # what the law stores at each Gauss point, then the gradient of Jbar times the volume
-        t, k = wp.tid()
-        b = index[k]
-        x = load(of.nodes, u_in, t, b)
         s = edge_sums(x)
         push = real(0.0)
         mean = of.mean_lam[t] > real(0.0)
@@ -215,7 +177,7 @@ def kernels(law: str) -> Any:
         for q in range(4):
             g = of.gradients[t, q]
             d = gradient(x, s, g, q)
-            linearise(d, of.own, of.terms, t, q, b, push, projected, state_out)
+            linearise_at(d, of.own, of.terms, t, q, b, push, projected, state_out)
             if mean:
                 stress = stresses(of.weights[t, q] * cofactor(deform(d)), g)
                 total += stress
@@ -226,22 +188,9 @@ def kernels(law: str) -> Any:
                 for i in range(3):
                     state_out[t, mean_at + 3 * a + i, b] = force[a, i]
 
-    @wp.kernel(module=module, enable_backward=False)
-    def multiply(
-        of: Tetrahedra,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        at_in: wp.array2d(dtype=real),
-        state_in: wp.array3d(dtype=real),
-        x_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        u = load(of.nodes, at_in, t, b)
+    @wp.func(module=module)
+    def multiply(of: arguments, u: mat103, x: mat103, t: int, b: int, state_in: wp.array3d(dtype=real)):
         us = edge_sums(u)
-        x = load(of.nodes, x_in, t, k)
         xs = edge_sums(x)
         force = mat103()
         total = mat43()
@@ -264,8 +213,6 @@ def kernels(law: str) -> Any:
             for a in range(10):
                 for c in range(3):
                     force[a, c] += along * state_in[t, mean_at + 3 * a + c, b]
-        for a in range(10):
-            for c in range(3):
-                force_out[t, 3 * a + c, k] = force[a, c]
+        return force
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, arguments=Tetrahedra)
+    return element_kernels(module, arguments, 10, respond=respond, multiply=multiply, linearise=linearise)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.runtime import mat33, real, vec3
+from vsfsim.physics.runtime import mat33, real
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])
 """Corners of the edges on which nodes 4 to 9 lie (6, 2); nodes 0 to 3 are the corners."""
@@ -55,9 +55,9 @@ def shape_gradients(gradients: np.ndarray) -> np.ndarray:
 def functions(module: str) -> Any:
     """Device functions, compiled into ``module``.
 
-    ``load`` reads the nodal values of an element (10, 3). ``edge_sums`` and ``gradient`` compute its displacement
-    gradient at a Gauss point, in two steps. ``stresses``, ``spread`` and ``finish`` are the transpose: they turn a
-    stress at each Gauss point into nodal forces.
+    ``edge_sums`` and ``gradient`` compute the displacement gradient at a Gauss point from the nodal values of an
+    element (10, 3), in two steps. ``stresses``, ``spread`` and ``finish`` are the transpose: they turn a stress at each
+    Gauss point into nodal forces.
     """
     mat43 = wp.types.matrix(shape=(4, 3), dtype=real)
     mat103 = wp.types.matrix(shape=(10, 3), dtype=real)
@@ -65,15 +65,9 @@ def functions(module: str) -> Any:
     h = wp.constant(real(GAUSS_NEAR - GAUSS_FAR))
     h3 = wp.constant(real(3.0 * (GAUSS_NEAR - GAUSS_FAR)))
     h4 = wp.constant(real(4.0 * (GAUSS_NEAR - GAUSS_FAR)))
-
-    @wp.func(module=module)
-    def load(nodes: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=real), t: int, b: int):
-        out = mat103()
-        for a in range(10):
-            row = 3 * nodes[t, a]
-            for c in range(3):
-                out[a, c] = x[row + c, b]
-        return out
+    node = {frozenset(edge): 4 + e for e, edge in enumerate(EDGES.tolist())}
+    between = wp.constant(wp.types.matrix(shape=(4, 4), dtype=wp.int32)(
+        [[node.get(frozenset((q, k)), q) for k in range(4)] for q in range(4)]))  # node of the edge of two corners
 
     @wp.func(module=module)
     def edge_sums(x: mat103):
@@ -84,32 +78,13 @@ def functions(module: str) -> Any:
     @wp.func(module=module)
     def gradient(x: mat103, s: mat43, g: mat33, q: int):
         # displacement gradient at Gauss point q; g: gradients of barycentric coordinates 1..3
-        t0 = vec3()
-        t1 = vec3()
-        t2 = vec3()
-        t3 = vec3()
-        if q == 0:
-            t0 = h3 * x[0]
-            t1 = h4 * x[4] - h * x[1]
-            t2 = h4 * x[6] - h * x[2]
-            t3 = h4 * x[7] - h * x[3]
-        elif q == 1:
-            t0 = h4 * x[4] - h * x[0]
-            t1 = h3 * x[1]
-            t2 = h4 * x[5] - h * x[2]
-            t3 = h4 * x[8] - h * x[3]
-        elif q == 2:
-            t0 = h4 * x[6] - h * x[0]
-            t1 = h4 * x[5] - h * x[1]
-            t2 = h3 * x[2]
-            t3 = h4 * x[9] - h * x[3]
-        else:
-            t0 = h4 * x[7] - h * x[0]
-            t1 = h4 * x[8] - h * x[1]
-            t2 = h4 * x[9] - h * x[2]
-            t3 = h3 * x[3]
-        t0 = t0 + s[0]
-        return wp.outer(t1 + s[1] - t0, g[0]) + wp.outer(t2 + s[2] - t0, g[1]) + wp.outer(t3 + s[3] - t0, g[2])
+        t = mat43()
+        for k in range(4):
+            if k == q:
+                t[k] = h3 * x[k] + s[k]
+            else:
+                t[k] = h4 * x[between[q, k]] - h * x[k] + s[k]
+        return wp.outer(t[1] - t[0], g[0]) + wp.outer(t[2] - t[0], g[1]) + wp.outer(t[3] - t[0], g[2])
 
     @wp.func(module=module)
     def stresses(p: mat33, g: mat33):
@@ -122,38 +97,12 @@ def functions(module: str) -> Any:
     @wp.func(module=module)
     def spread(f: mat103, t: mat43, q: int):
         # The transpose of the terms of `gradient` that depend on q, added to f.
-        if q == 0:
-            f[0] += h3 * t[0]
-            f[1] -= h * t[1]
-            f[2] -= h * t[2]
-            f[3] -= h * t[3]
-            f[4] += h4 * t[1]
-            f[6] += h4 * t[2]
-            f[7] += h4 * t[3]
-        elif q == 1:
-            f[0] -= h * t[0]
-            f[1] += h3 * t[1]
-            f[2] -= h * t[2]
-            f[3] -= h * t[3]
-            f[4] += h4 * t[0]
-            f[5] += h4 * t[2]
-            f[8] += h4 * t[3]
-        elif q == 2:
-            f[0] -= h * t[0]
-            f[1] -= h * t[1]
-            f[2] += h3 * t[2]
-            f[3] -= h * t[3]
-            f[6] += h4 * t[0]
-            f[5] += h4 * t[1]
-            f[9] += h4 * t[3]
-        else:
-            f[0] -= h * t[0]
-            f[1] -= h * t[1]
-            f[2] -= h * t[2]
-            f[3] += h3 * t[3]
-            f[7] += h4 * t[0]
-            f[8] += h4 * t[1]
-            f[9] += h4 * t[2]
+        for k in range(4):
+            if k == q:
+                f[k] += h3 * t[k]
+            else:
+                f[k] -= h * t[k]
+                f[between[q, k]] += h4 * t[k]
         return f
 
     @wp.func(module=module)
@@ -168,5 +117,4 @@ def functions(module: str) -> Any:
         f[9] += s[2] + s[3]
         return f
 
-    return SimpleNamespace(load=load, edge_sums=edge_sums, gradient=gradient, stresses=stresses, spread=spread,
-                           finish=finish)
+    return SimpleNamespace(edge_sums=edge_sums, gradient=gradient, stresses=stresses, spread=spread, finish=finish)

@@ -23,16 +23,14 @@ An incompressible sheet has det F = 1, which is what `det_out` is.
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from vsfsim.physics.elements.block import Block, matrices_at_rest
+from vsfsim.physics.elements.block import Block, element_kernels, struct_of
 from vsfsim.physics.runtime import mat33, real, vec3
 
-NODES = 3
 _STATE = 18
 """Numbers that a tangent stores: u1, u2, n (9), v1 (2), g11, g12, g22, flip, twist, g1/l1, g2/l2."""
 
@@ -60,50 +58,18 @@ def state_size(block: Block) -> int:
     return _STATE
 
 
-def rest_stiffness(block: Block) -> np.ndarray:
-    """The tangent at u = 0 (m, 9, 9) [N/m]."""
-    return matrices_at_rest(block)
-
-
-def matrices(block: Block, state: np.ndarray) -> np.ndarray:
-    """Tangent of every element (m, 9, 9) [N/m] from its stored state (m, `state_size`)."""
-    u = state[:, :9].reshape(-1, 3, 3)
-    v1 = state[:, 9:11]
-    v = np.stack([v1, np.stack([-v1[:, 1], v1[:, 0]], axis=1)], axis=1)
-    g11, g12, g22, flip, twist, along, across = state[:, 11:].T
-    h = np.zeros((len(state), 3, 2, 3, 2))
-    h[:, 0, 0, 0, 0], h[:, 1, 1, 1, 1], h[:, 0, 0, 1, 1], h[:, 1, 1, 0, 0] = g11, g22, g12, g12
-    h[:, 0, 1, 0, 1] = h[:, 1, 0, 1, 0] = 0.5 * (flip + twist)
-    h[:, 0, 1, 1, 0] = h[:, 1, 0, 0, 1] = 0.5 * (flip - twist)
-    h[:, 2, 0, 2, 0], h[:, 2, 1, 2, 1] = along, across
-    inverse = block.parameters["inverse"]
-    # gradients of the shape functions of the three nodes (m, 3, 2)
-    gradient = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-    q = np.einsum("maj,mkj->mak", gradient, v)
-    w = np.einsum("mic,maj->macij", u, q)
-    out = np.einsum("macij,mijkl,mbdkl->macbd", w, h, w, optimize=True).reshape(-1, 9, 9)
-    return block.parameters["area"][:, None, None] * out
-
-
 @functools.cache
 def kernels() -> Any:
     """The kernels of this element."""
-    vec2 = wp.types.vector(length=2, dtype=real)
-    mat22 = wp.types.matrix(shape=(2, 2), dtype=real)
+    vec2, vec9 = (wp.types.vector(length=n, dtype=real) for n in (2, 9))
+    mat22, mat32 = (wp.types.matrix(shape=(n, 2), dtype=real) for n in (2, 3))
     module = "vsfsim_triangle"
     tiny = wp.constant(real(1e-30))
     # within rounding of the rest state the sheet counts as taut
     slack = wp.constant(real(-1e-9))
     zero, half, one, two, three = (wp.constant(real(v)) for v in (0.0, 0.5, 1.0, 2.0, 3.0))
-
-    class Triangles:  # see `block`
-        nodes: wp.array2d(dtype=wp.int32)
-        points: wp.array2d(dtype=vec3)
-        inverse: wp.array(dtype=mat22)
-        area: wp.array(dtype=real)
-        modulus: wp.array(dtype=real)
-
-    Triangles = wp.struct(Triangles, module=module)
+    arguments = struct_of(module, points=wp.array(dtype=mat33), inverse=wp.array(dtype=mat22),
+                          area=wp.array(dtype=real), modulus=wp.array(dtype=real))
 
     @wp.func(module=module)
     def regime(l1: real, l2: real):
@@ -132,22 +98,26 @@ def kernels() -> Any:
         return w, g1, g2
 
     @wp.func(module=module)
-    def at(of: Triangles, x: wp.array2d(dtype=real), t: int, a: int, b: int):
-        i = 3 * of.nodes[t, a]
-        return vec3(x[i, b], x[i + 1, b], x[i + 2, b])
+    def deformation(of: arguments, x: mat33, t: int):
+        # F for the corners x, one a row
+        return wp.matrix_from_cols(x[1] - x[0], x[2] - x[0]) * of.inverse[t]
 
     @wp.func(module=module)
-    def deformation(of: Triangles, u: wp.array2d(dtype=real), t: int, b: int):
-        # the two columns of F
-        x0 = of.points[t, 0] + at(of, u, t, 0, b)
-        e1 = of.points[t, 1] + at(of, u, t, 1, b) - x0
-        e2 = of.points[t, 2] + at(of, u, t, 2, b) - x0
-        r = of.inverse[t]
-        return e1 * r[0, 0] + e2 * r[1, 0], e1 * r[0, 1] + e2 * r[1, 1]
+    def nodal_forces(of: arguments, stress: mat32, t: int):
+        # the transpose of `deformation`
+        pull = of.area[t] * (stress * wp.transpose(of.inverse[t]))
+        out = mat33()
+        for c in range(3):
+            out[0, c] = -pull[c, 0] - pull[c, 1]
+            out[1, c] = pull[c, 0]
+            out[2, c] = pull[c, 1]
+        return out
 
     @wp.func(module=module)
-    def frame(f1: vec3, f2: vec3):
-        # The singular frame (rows u1, u2, n), v1 and the two stretches.
+    def frame(f: mat32):
+        # the singular frame (rows u1, u2, n), its two directions at rest (columns v1, v2) and the two stretches
+        f1 = vec3(f[0, 0], f[1, 0], f[2, 0])
+        f2 = vec3(f[0, 1], f[1, 1], f[2, 1])
         c11 = wp.dot(f1, f1)
         c22 = wp.dot(f2, f2)
         c12 = wp.dot(f1, f2)
@@ -162,10 +132,9 @@ def kernels() -> Any:
                 v1 = wp.normalize(vec2(c12, r - d))
         normal = wp.cross(f1, f2)
         area = wp.length(normal)
-        l2 = area / wp.max(l1, tiny)
         u1 = vec3(one, zero, zero)
         if l1 > tiny:
-            u1 = wp.normalize(f1 * v1[0] + f2 * v1[1])
+            u1 = wp.normalize(f * v1)
         # The normal of a triangle without area is arbitrary.
         n = wp.cross(u1, vec3(zero, zero, one))
         if wp.abs(u1[2]) > real(0.9):
@@ -173,53 +142,19 @@ def kernels() -> Any:
         if area > tiny:
             n = normal
         n = wp.normalize(n)
-        u2 = wp.cross(n, u1)
-        return mat33(u1[0], u1[1], u1[2], u2[0], u2[1], u2[2], n[0], n[1], n[2]), v1, l1, l2
+        turn = mat22(v1[0], -v1[1], v1[1], v1[0])
+        return wp.matrix_from_rows(u1, wp.cross(n, u1), n), turn, l1, area / wp.max(l1, tiny)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def forces(
-        of: Triangles,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-        energy_out: wp.array2d(dtype=real),
-        det_out: wp.array2d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        f1, f2 = deformation(of, u_in, t, b)
-        basis, v1, l1, l2 = frame(f1, f2)
+    @wp.func(module=module)
+    def respond(of: arguments, u: mat33, t: int):
+        basis, turn, l1, l2 = frame(deformation(of, of.points[t] + u, t))
         w, g1, g2 = law_of(l1, l2, of.modulus[t] / three, regime(l1, l2))
-        u1 = vec3(basis[0, 0], basis[0, 1], basis[0, 2])
-        u2 = vec3(basis[1, 0], basis[1, 1], basis[1, 2])
-        p1 = of.area[t] * (g1 * v1[0] * u1 - g2 * v1[1] * u2)
-        p2 = of.area[t] * (g1 * v1[1] * u1 + g2 * v1[0] * u2)
-        r = of.inverse[t]
-        pull1 = p1 * r[0, 0] + p2 * r[0, 1]
-        pull2 = p1 * r[1, 0] + p2 * r[1, 1]
-        for c in range(3):
-            force_out[t, c, b] = -pull1[c] - pull2[c]
-            force_out[t, 3 + c, b] = pull1[c]
-            force_out[t, 6 + c, b] = pull2[c]
-        energy_out[t, b] = of.area[t] * w
-        det_out[t, b] = one
+        stress = wp.transpose(basis) * mat32(g1, zero, zero, g2, zero, zero) * wp.transpose(turn)
+        return nodal_forces(of, stress, t), of.area[t] * w, one
 
-    @wp.kernel(module=module, enable_backward=False)
-    def tangent(
-        of: Triangles,
-        index: wp.array(dtype=wp.int32),
-        projected: int,
-        # state in
-        u_in: wp.array2d(dtype=real),
-        # state out
-        state_out: wp.array3d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        f1, f2 = deformation(of, u_in, t, b)
-        basis, v1, l1, l2 = frame(f1, f2)
+    @wp.func(module=module)
+    def linearise(of: arguments, u: mat33, t: int, b: int, projected: int, state_out: wp.array3d(dtype=real)):
+        basis, turn, l1, l2 = frame(deformation(of, of.points[t] + u, t))
         mu = of.modulus[t] / three
         state = regime(l1, l2)
         _, g1, g2 = law_of(l1, l2, mu, state)
@@ -244,60 +179,24 @@ def kernels() -> Any:
             twist = wp.max(twist, zero)
             along = wp.max(along, zero)
             across = wp.max(across, zero)
-        for i in range(3):
-            for c in range(3):
-                state_out[t, 3 * i + c, b] = basis[i, c]
-        state_out[t, 9, b] = v1[0]
-        state_out[t, 10, b] = v1[1]
-        state_out[t, 11, b] = g11
-        state_out[t, 12, b] = g12
-        state_out[t, 13, b] = g22
-        state_out[t, 14, b] = flip
-        state_out[t, 15, b] = twist
-        state_out[t, 16, b] = along
-        state_out[t, 17, b] = across
+        values = vec9(turn[0, 0], turn[1, 0], g11, g12, g22, flip, twist, along, across)
+        for i in range(9):
+            state_out[t, i, b] = basis[i // 3, i % 3]
+            state_out[t, 9 + i, b] = values[i]
 
-    @wp.kernel(module=module, enable_backward=False)
-    def multiply(
-        of: Triangles,
-        index: wp.array(dtype=wp.int32),
-        # state in
-        at_in: wp.array2d(dtype=real),
-        state_in: wp.array3d(dtype=real),
-        x_in: wp.array2d(dtype=real),
-        # state out
-        force_out: wp.array3d(dtype=real),
-    ):
-        t, k = wp.tid()
-        b = index[k]
-        d0 = at(of, x_in, t, 0, k)
-        d1 = at(of, x_in, t, 1, k) - d0
-        d2 = at(of, x_in, t, 2, k) - d0
-        r = of.inverse[t]
-        f1 = d1 * r[0, 0] + d2 * r[1, 0]
-        f2 = d1 * r[0, 1] + d2 * r[1, 1]
-        v = vec2(state_in[t, 9, b], state_in[t, 10, b])
-        h1 = f1 * v[0] + f2 * v[1]
-        h2 = f2 * v[0] - f1 * v[1]
-        u1 = vec3(state_in[t, 0, b], state_in[t, 1, b], state_in[t, 2, b])
-        u2 = vec3(state_in[t, 3, b], state_in[t, 4, b], state_in[t, 5, b])
-        n = vec3(state_in[t, 6, b], state_in[t, 7, b], state_in[t, 8, b])
-        a11 = wp.dot(u1, h1)
-        a12 = wp.dot(u1, h2)
-        a21 = wp.dot(u2, h1)
-        a22 = wp.dot(u2, h2)
-        g12 = state_in[t, 12, b]
-        even = half * state_in[t, 14, b] * (a12 + a21)
-        odd = half * state_in[t, 15, b] * (a12 - a21)
-        q1 = (state_in[t, 11, b] * a11 + g12 * a22) * u1 + (even - odd) * u2 + (state_in[t, 16, b] * wp.dot(n, h1)) * n
-        q2 = (even + odd) * u1 + (g12 * a11 + state_in[t, 13, b] * a22) * u2 + (state_in[t, 17, b] * wp.dot(n, h2)) * n
-        p1 = of.area[t] * (q1 * v[0] - q2 * v[1])
-        p2 = of.area[t] * (q1 * v[1] + q2 * v[0])
-        pull1 = p1 * r[0, 0] + p2 * r[0, 1]
-        pull2 = p1 * r[1, 0] + p2 * r[1, 1]
-        for c in range(3):
-            force_out[t, c, k] = -pull1[c] - pull2[c]
-            force_out[t, 3 + c, k] = pull1[c]
-            force_out[t, 6 + c, k] = pull2[c]
+    @wp.func(module=module)
+    def multiply(of: arguments, u: mat33, x: mat33, t: int, b: int, state_in: wp.array3d(dtype=real)):
+        basis = mat33()
+        s = vec9()
+        for i in range(9):
+            basis[i // 3, i % 3] = state_in[t, i, b]
+            s[i] = state_in[t, 9 + i, b]
+        turn = mat22(s[0], -s[1], s[1], s[0])
+        a = basis * deformation(of, x, t) * turn
+        even = half * s[5] * (a[0, 1] + a[1, 0])
+        odd = half * s[6] * (a[0, 1] - a[1, 0])
+        q = mat32(s[2] * a[0, 0] + s[3] * a[1, 1], even + odd, even - odd, s[3] * a[0, 0] + s[4] * a[1, 1],
+                  s[7] * a[2, 0], s[8] * a[2, 1])
+        return nodal_forces(of, wp.transpose(basis) * q * wp.transpose(turn), t)
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, arguments=Triangles)
+    return element_kernels(module, arguments, 3, respond=respond, multiply=multiply, linearise=linearise)

@@ -3,8 +3,8 @@
 With F = U diag(l) V^T (l3 < 0 in an inverted element) the tangent acts on X = U^T dF V (Smith, de Goes and Kim 2019):
 the 3 x 3 block Psi_ab on its diagonal, (Psi_a - Psi_b)/(l_a - l_b) on the symmetric part of each pair (a, b) and (Psi_a
 + Psi_b)/(l_a + l_b) on the skew part. The projected tangent sets negative eigenvalues of each to zero. A tangent stores
-`STORED` numbers: U and V (18), the block of the stretches (00 01 02 11 12 22), the symmetric and the skew parts of the
-pairs (0, 1), (1, 2), (2, 0).
+`STORED` numbers: U, V and the block of the stretches (27), the symmetric and the skew parts of the pairs (0, 1), (1,
+2), (2, 0).
 """
 
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ import warp as wp
 
 from vsfsim.physics.runtime import mat33, real, vec3
 
-STORED = 30
+STORED = 33
 """Numbers that a tangent stores at a point."""
 _SWEEPS = 6  # of Jacobi's method; it converges quadratically, and four suffice for a 3 x 3 matrix in double precision
 
@@ -185,14 +185,9 @@ def functions_of(energy: Any, slopes: Any, curvatures: Any, module: str) -> Any:
             for c in range(3):
                 state_out[t, at + 3 * a + c, b] = u[a, c]
                 state_out[t, at + 9 + 3 * a + c, b] = v[a, c]
-            state_out[t, at + 24 + a, b] = even[a]
-            state_out[t, at + 27 + a, b] = odd[a]
-        state_out[t, at + 18, b] = h[0, 0]
-        state_out[t, at + 19, b] = h[0, 1]
-        state_out[t, at + 20, b] = h[0, 2]
-        state_out[t, at + 21, b] = h[1, 1]
-        state_out[t, at + 22, b] = h[1, 2]
-        state_out[t, at + 23, b] = h[2, 2]
+                state_out[t, at + 18 + 3 * a + c, b] = h[a, c]
+            state_out[t, at + 27 + a, b] = even[a]
+            state_out[t, at + 30 + a, b] = odd[a]
 
     @wp.func(module=module)
     def multiply(d: mat33, x: mat33, own: wp.array3d(dtype=real), t: int, q: int, b: int,
@@ -200,22 +195,18 @@ def functions_of(energy: Any, slopes: Any, curvatures: Any, module: str) -> Any:
         at = STORED * q
         u = mat33()
         v = mat33()
+        h = mat33()
         for a in range(3):
             for c in range(3):
                 u[a, c] = state_in[t, at + 3 * a + c, b]
                 v[a, c] = state_in[t, at + 9 + 3 * a + c, b]
+                h[a, c] = state_in[t, at + 18 + 3 * a + c, b]
         z = wp.transpose(u) * x * v
-        y = mat33()
-        y[0, 0] = (state_in[t, at + 18, b] * z[0, 0] + state_in[t, at + 19, b] * z[1, 1]
-                   + state_in[t, at + 20, b] * z[2, 2])
-        y[1, 1] = (state_in[t, at + 19, b] * z[0, 0] + state_in[t, at + 21, b] * z[1, 1]
-                   + state_in[t, at + 22, b] * z[2, 2])
-        y[2, 2] = (state_in[t, at + 20, b] * z[0, 0] + state_in[t, at + 22, b] * z[1, 1]
-                   + state_in[t, at + 23, b] * z[2, 2])
+        y = wp.diag(h * wp.get_diag(z))
         for a in range(3):
             c = (a + 1) % 3
-            even = real(0.5) * state_in[t, at + 24 + a, b] * (z[a, c] + z[c, a])
-            odd = real(0.5) * state_in[t, at + 27 + a, b] * (z[a, c] - z[c, a])
+            even = real(0.5) * state_in[t, at + 27 + a, b] * (z[a, c] + z[c, a])
+            odd = real(0.5) * state_in[t, at + 30 + a, b] * (z[a, c] - z[c, a])
             y[a, c] = even + odd
             y[c, a] = even - odd
         return u * y * wp.transpose(v)

@@ -141,7 +141,7 @@ def assemble(points: int, blocks: tuple[Block, ...]) -> sp.csr_matrix:
     """Stiffness of all ``blocks`` at rest, supports not held, (3 n, 3 n) [N/m], for n = ``points`` nodes."""
     total = sp.csr_matrix((3 * points, 3 * points))
     for block in blocks:
-        values = block.element.rest_stiffness(block)
+        values = block.rest_stiffness()
         if not len(values):
             continue
         size = values.shape[1]

@@ -199,7 +199,7 @@ class Elasticity:
             force = self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1], batch))
             own = slice(int(rows[i]), int(rows[i + 1]))
             self._part.append((force, self._energies[own], self._dets[own]))
-        self._state = [wp.zeros((len(block), block.element.state_size(block), batch), **new) for block in self.blocks]
+        self._state = [wp.zeros((len(block), block.state_size, batch), **new) for block in self.blocks]
         self._at, self._parts = wp.zeros((3 * self._points, batch), **new), wp.zeros((_CHUNKS, batch), **new)
         self.internal = wp.zeros((3 * self._points, batch), **new)
         self.energy = wp.zeros(batch, dtype=wp.float64, device=self.device)
@@ -256,32 +256,19 @@ class Elasticity:
         """Add the tangents of all elements of one touch, on a CPU, to the blocks ``values`` (b, 3, 3) [N/m] of a matrix
         in this ``order``, supports not held: products of each element with the unit vectors of its own nodes."""
         at = self._at.numpy()[:, touch]
-        for block, own, state in zip(self.blocks, self._of, self._state, strict=True):
-            size = 3 * block.nodes.shape[1]
+        for block, state in zip(self.blocks, self._state, strict=True):
             for first in range(0, len(block), _TOGETHER):
                 rows = slice(first, first + _TOGETHER)
-                count = len(block.nodes[rows])
                 nodes = block.nodes[rows].astype(np.int64)
+                matrix = block.part(rows, nodes).matrices(at, state.numpy()[rows, :, touch])
                 places = order.find(nodes[:, :, None], nodes[:, None, :])
-                own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
-                alone = block.part(rows, np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape))
-                matrix = wp.empty((count, size, size), dtype=real, device="cpu")
-                wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
-                    alone.arguments("cpu"), wp.zeros(size, dtype=wp.int32, device="cpu"),
-                    *(wp.array(a, dtype=real, device="cpu") for a in (
-                        own_at, state.numpy()[rows, :, touch:touch + 1])), _units(size)[:count * size],
-                    matrix])
-                wp.launch(self.kernels.add_blocks, dim=count, device="cpu", inputs=[
-                    wp.array(places, dtype=wp.int32, device="cpu"), matrix,
+                wp.launch(self.kernels.add_blocks, dim=len(nodes), device="cpu", inputs=[
+                    wp.array(places, dtype=wp.int32, device="cpu"), wp.array(matrix, dtype=real, device="cpu"),
                     wp.array(values, dtype=wp.float64, device="cpu", copy=False)])
 
     def of_elements(self, block: int) -> np.ndarray:
         """Nodal forces of each element of one block at the last `forces` (m, 3 a, B) [N], until the next product."""
         return self._part[block][0].numpy()
-
-    def remembered(self, block: int) -> np.ndarray:
-        """The state of the tangents of one block (m, state_size, B), read back to assemble a matrix on the host."""
-        return self._state[block].numpy()
 
     def multiply(self, index: wp.array, x: wp.array, out: wp.array) -> None:
         """Tangent times x (3 n, k) [m] -> ``out`` (3 n, k): column j belongs to touch ``index[j]``; rows of held
@@ -338,9 +325,3 @@ class LinearElasticity(Elasticity):
         blocks = blocks_of(self._factor.stiffness)
         owners = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
         values[order.find(owners, blocks.indices)] += blocks.data
-
-
-@functools.cache
-def _units(size: int) -> wp.array:
-    """The unit vectors of elements with ``size`` degrees of freedom, `_TOGETHER` times below one another, on a CPU."""
-    return wp.array(np.tile(np.eye(size), (_TOGETHER, 1)), dtype=real, device="cpu")
