@@ -14,9 +14,10 @@ from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed
 from vsfsim.bench.board.shipped import Shipped, read_rows, row_sha256, write_rows
 from vsfsim.bench.commands.presets import on_device
-from vsfsim.bench.evaluate import Row, make
+from vsfsim.bench.evaluate import make
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Protocol, Task, load_task
+from vsfsim.bench.trials.jobs import Evaluation
 from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
@@ -132,7 +133,7 @@ def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | Non
                      if models and study.class_of.get(models[k % len(models)]) == variant.only)
 
 
-def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Row:
+def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Evaluation:
     """What makes the result of a variant.
 
     Args:
@@ -147,8 +148,8 @@ def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> R
     choice = on_device(study.choice(variant, task), device, task.observation.name)
     path = MADE / task.name / f"{choice.stem}.json" if study.is_row(variant) else (
         MADE / "studies" / task.name / f"{study.stem(variant)}.json")
-    return Row.at(path, choice.method, task, study.dataset_of(variant, task), parameters=choice.parameters,
-                  preset=choice.preset, training=study.training(variant, task, size))
+    return Evaluation(choice.method, task, study.dataset_of(variant, task), path, choice.parameters,
+                      preset=choice.preset, training=study.training(variant, task, size))
 
 
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
@@ -168,7 +169,7 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
     Raises:
         Interrupted: the user has stopped it.
     """
-    jobs: dict[Path, tuple[str, Row]] = {}
+    jobs: dict[Path, tuple[str, Evaluation]] = {}
     boards = {} if boards is None else boards
     for study, variant in wanted:
         known = stored(study, size, [variant], boards).get(variant.name)

@@ -18,7 +18,7 @@ __all__ = ["__version__", "evaluate", "generate", "load", "methods", "press", "t
 
 if TYPE_CHECKING:
     from vsfsim.bench.commands.catalogue import methods, tasks
-    from vsfsim.bench.commands.evaluate import evaluate
+    from vsfsim.bench.evaluate import evaluate
     from vsfsim.data.dataset import load
     from vsfsim.generate.run import generate
     from vsfsim.press.command import press
@@ -30,7 +30,7 @@ def __getattr__(name: str) -> Any:
     if name == "load":
         from vsfsim.data.dataset import load as found
     elif name == "evaluate":
-        from vsfsim.bench.commands.evaluate import evaluate as found
+        from vsfsim.bench.evaluate import evaluate as found
     elif name == "methods":
         from vsfsim.bench.commands.catalogue import methods as found
     elif name == "press":

@@ -4,9 +4,8 @@ vsfsim that its answers pass through."""
 import pytest
 import toy_methods  # noqa: F401  (the methods below extend one of it, in a process of their own)
 
-from vsfsim.bench.evaluate import finish
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import _SCORES, contents_of, files_of, method_sha256, scorer_sha256
-from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.core.errors import MethodError
 
 KEPT = "r.parts/*/*.answers"
@@ -40,8 +39,8 @@ def author(tmp_path, monkeypatch, task, toy_dataset):
 
     def run(value="5.6", crash="None", learns="pass", progress=lambda *_: None, **parameters):
         (tmp_path / "mine.py").write_text(METHOD.format(value=value, crash=crash, learns=learns))
-        return finish("mine:Mine", task, toy_dataset, tmp_path / "r.json", check=False, parameters=parameters,
-                      isolation=Isolation("process"), progress=progress)
+        return evaluate("mine:Mine", task, toy_dataset, out=tmp_path / "r.json", check=False, parameters=parameters,
+                        sandbox="process", progress=progress)
 
     return run
 

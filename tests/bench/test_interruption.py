@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from conftest import TASK
 
-from vsfsim.bench.commands.evaluate import evaluate
-from vsfsim.bench.evaluate import own
+from vsfsim.bench.evaluate import evaluate, own
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError

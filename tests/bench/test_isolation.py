@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from vsfsim.bench.evaluate import evaluate, finish
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation import limits
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.protocol import divide, record
@@ -22,14 +22,13 @@ def honest(task, toy_dataset):
 def attack(task, toy_dataset, tmp_path):
     """Evaluates a hostile method at one seed and returns its scores and what it reported; with ``brief`` at two of the
     four shots."""
-    def run(name, *, seeds=1, isolation=None, brief=False, **parameters):
+    def run(name, *, seeds=1, brief=False, **parameters):
         report = tmp_path / "report.txt"
         report.unlink(missing_ok=True)
         shots = (0,) if brief else task.protocol.shots
         asked = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, shots=shots))
         result = evaluate(name if ":" in name else f"hostile_methods:{name}", asked, toy_dataset, seeds=seeds,
-                          check=False, isolation=isolation or Isolation(),
-                          parameters={"report": str(report.with_suffix("")), **parameters})
+                          check=False, parameters={"report": str(report.with_suffix("")), **parameters})
         lines = report.read_text().splitlines() if report.exists() else []
         return result.scores, [json.loads(line) for line in lines]
 
@@ -74,27 +73,26 @@ def test_a_replaced_scorer_scores_nothing(attack, honest, name):
 
 def test_prints_go_to_a_log_beside_the_result_which_is_no_file_of_the_users(task, toy_dataset, tmp_path, capfd):
     (tmp_path / "mine.log").write_text("notes of an experiment\n")
-    finish("hostile_methods:Prints", task, toy_dataset, tmp_path / "mine.json", seeds=1, check=False)
+    evaluate("hostile_methods:Prints", task, toy_dataset, out=tmp_path / "mine.json", seeds=1, check=False)
     assert capfd.readouterr() == ("", "")
     assert (tmp_path / "mine.json.log").read_text().count("I am rank 1\nfrom a shell\n") == 8
     assert (tmp_path / "mine.log").read_text() == "notes of an experiment\n"
 
 
-@pytest.mark.parametrize(("name", "parameters", "isolation", "message"), [
-    ("Sleeps", {}, Isolation(timeout=2.0), r"predict for .* took longer than 2 s; --timeout is 2 s a call"),
-    ("Allocates", {"gib": 4.0}, Isolation(memory=2.0), r"Error in predict for .*may allocate 2 GiB \(--memory\)"),
-    ("Exits", {}, Isolation(), "the method raised SystemExit in predict for mock-0001-v0, 0-shot, seed 0"),
-    ("Dies", {}, Isolation(), r"the method's process ended in predict for .*\(exit code 0\)"),
-    ("Crashes", {}, Isolation(), r"the method's process ended in predict for .*\(Segmentation fault\)"),
-    ("AnswersText", {}, Isolation(), r"prediction for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
-    ("AnswersHuge", {}, Isolation(), r"is 1e\+308 in frame 0; no reading is over 1e\+12"),
-    ("StiffnessIsAList", {}, Isolation(), "must return an Estimate with a mean and a std; it returned list"),
-    ("Forges", {}, Isolation(timeout=60.0), "the method's process gave no answer in predict for"),
+@pytest.mark.parametrize(("name", "parameters", "limits", "message"), [
+    ("Sleeps", {}, {"timeout": 2.0}, r"predict for .* took longer than 2 s; --timeout is 2 s a call"),
+    ("Allocates", {"gib": 4.0}, {"memory": 2.0}, r"Error in predict for .*may allocate 2 GiB \(--memory\)"),
+    ("Exits", {}, {}, "the method raised SystemExit in predict for mock-0001-v0, 0-shot, seed 0"),
+    ("Dies", {}, {}, r"the method's process ended in predict for .*\(exit code 0\)"),
+    ("Crashes", {}, {}, r"the method's process ended in predict for .*\(Segmentation fault\)"),
+    ("AnswersText", {}, {}, r"prediction for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
+    ("AnswersHuge", {}, {}, r"is 1e\+308 in frame 0; no reading is over 1e\+12"),
+    ("StiffnessIsAList", {}, {}, "must return an Estimate with a mean and a std; it returned list"),
+    ("Forges", {}, {"timeout": 60.0}, "the method's process gave no answer in predict for"),
 ])
-def test_a_method_that_breaks_is_a_mistake_in_the_input(task, toy_dataset, name, parameters, isolation, message):
+def test_a_method_that_breaks_is_a_mistake_in_the_input(task, toy_dataset, name, parameters, limits, message):
     with pytest.raises(MethodError, match=message):
-        evaluate(f"hostile_methods:{name}", task, toy_dataset, seeds=1, parameters=parameters, isolation=isolation,
-                 check=False)
+        evaluate(f"hostile_methods:{name}", task, toy_dataset, seeds=1, parameters=parameters, check=False, **limits)
 
 
 def test_the_contract_is_tested_first(task, toy_dataset):
@@ -106,7 +104,7 @@ def test_the_contract_is_tested_first(task, toy_dataset):
 
 
 def test_workers_give_the_same_result(task, toy_dataset):
-    one, two = (evaluate("toy_methods:Seeded", task, toy_dataset, isolation=Isolation(workers=n), check=False)
+    one, two = (evaluate("toy_methods:Seeded", task, toy_dataset, workers=n, check=False)
                 for n in (1, 2))
     assert one.queries == two.queries and one.scores == two.scores and one.answers == two.answers
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.generate.test_resim import SCENE, TASK
 from vsfsim.bench import leaderboard
-from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, SceneError

@@ -9,8 +9,8 @@ from small_scenes import CAMERA, SPRUNG
 
 from vsfsim.baselines.near_springs import NearSprings
 from vsfsim.bench import predictions
-from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.inspect_result import by_kind
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record, specimen
 from vsfsim.bench.task import load_task, parse_task
 from vsfsim.core.errors import DatasetError, SceneError, TaskError

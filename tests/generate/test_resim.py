@@ -11,8 +11,8 @@ from vsfsim.bench import leaderboard
 from vsfsim.bench.board.named import CLAIMED, is_ceiling
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.board.site import write_site
-from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.inspect_result import inspect_result
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.bench.trials.answers import load, save

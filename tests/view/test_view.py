@@ -153,15 +153,14 @@ class Steep:
 def result(folder, tmp_path_factory):
     """A result file with its predictions and maps, and its dataset."""
     from vsfsim.bench.evaluate import evaluate
-    from vsfsim.bench.isolation.limits import Isolation
     from vsfsim.bench.task import parse_task
 
     where, dataset = tmp_path_factory.mktemp("result"), Dataset.open(folder)
     (where / "steep.py").write_text(METHOD)
     before = os.getcwd()
     os.chdir(where)  # where the method is
-    evaluate("steep:Steep", parse_task(FOLDS, "toy-v1.toml"), dataset, check=False, isolation=Isolation("process"),
-             curves=where / "steep.predictions.npz").save(where / "steep.json")
+    evaluate("steep:Steep", parse_task(FOLDS, "toy-v1.toml"), dataset, check=False, sandbox="process",
+             keep="predictions", out=where / "steep.json")
     os.chdir(before)
     return where / "steep.json", dataset
 

@@ -1,4 +1,5 @@
-"""Run methods through tasks and score them. The same code for our baselines and for everybody else's methods.
+"""`vsfsim.evaluate(method, task)` and `vsfsim evaluate`: run methods through tasks and score them, our baselines and
+everybody else's methods by the same code.
 
 A method runs in processes of its own (`vsfsim.bench.isolation`), a fresh copy of what it learned in every trial
 (`vsfsim.bench.trials.jobs`). Only when all its answers are there, the truth is read and the answers are scored
@@ -6,9 +7,8 @@ A method runs in processes of its own (`vsfsim.bench.isolation`), a fresh copy o
 
 Threads make the jobs of one or several results, as the work is in the processes. What a job answered is kept beside the
 result, and a second call with the same operands makes only what is missing. Where a method's ``device`` is "cuda",
-without a number, each of its trainings is shown one GPU, that with the fewest of them. Instead of this machine, a Ray
-cluster or the shards of a job array may run the jobs (`vsfsim.core.system.engines`), over a folder that their machines
-share.
+without a number, its trainings are shown one GPU each, in turn. Instead of this machine, a Ray cluster or the shards of
+a job array may run the jobs (`vsfsim.core.system.engines`), over a folder that their machines share.
 """
 
 from __future__ import annotations
@@ -16,119 +16,185 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import shutil
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.curves import Curves
-from vsfsim.bench.identity import versions_of
+from vsfsim.bench.commands.ceiling import evaluate_ceiling
+from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.commands.presets import preset as chosen
+from vsfsim.bench.curves import beside
+from vsfsim.bench.identity import SCORER, contents_of
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
-from vsfsim.bench.result import Result, versions
-from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers, Reader
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import Task, load_task, open_dataset
+from vsfsim.bench.trials.answers import Reader
 from vsfsim.bench.trials.jobs import Evaluation, Job, Progress
-from vsfsim.bench.trials.score import map_of, result_of
 from vsfsim.bench.trials.training import PLAIN, Training
-from vsfsim.core.errors import Interrupted, MethodError, VsfsimError
+from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
+from vsfsim.core.shelf import ceilings
 from vsfsim.core.system import engines
-from vsfsim.core.system.content import file_sha256
 from vsfsim.core.system.engines import HERE, Fan
 from vsfsim.core.system.file_lock import Held, release, take
 from vsfsim.data.dataset import Dataset
 
 
-@dataclass(frozen=True)
-class Row:
-    """A result that is to be made: an evaluation and its file."""
-
-    path: Path
-    """The file."""
-    of: Evaluation
-    """The evaluation; its answers are kept beside the file until all are there."""
-    preset: str = ""
-    """Name of the settings, for the leaderboard; they are in the evaluation's parameters already."""
-    curves: Path | None = None
-    """File for all predictions beside the truth (`vsfsim.bench.curves.Curves`), or None."""
-
-    @classmethod
-    def at(cls, path: Path, name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
-           seeds: int | None = None, isolation: Isolation | None = None, training: Training = PLAIN,
-           **more: Any) -> Row:
-        """A row at ``path``; operands as of `evaluate`, and further fields."""
-        parts = path.with_suffix(".parts").absolute()
-        return cls(path, Evaluation(name, task, dataset, parts, dict(parameters or {}), seeds,
-                                    isolation or Isolation(), training), **more)
-
-    def finish(self) -> Result:
-        """Score the kept answers, write the result and what the method printed, and remove what was kept.
-
-        Raises:
-            MethodError: an answer is missing.
-        """
-        result = _scored(self.of, self.preset, self.curves)
-        result.save(self.path)
-        log_of(self.path).unlink(missing_ok=True)
-        if text := self.printed():
-            log_of(self.path).write_text(text)
-        shutil.rmtree(self.of.parts, ignore_errors=True)
-        return result
-
-    def printed(self) -> str:
-        """What the method printed in all its jobs."""
-        return "".join(log.read_text(errors="replace") for log in sorted(self.of.parts.glob("*.log")))
-
-
-def evaluate(name: str, task: Task, dataset: Dataset, *, log: str | Path | None = None, **options: Any) -> Result:
-    """Score a method; the result is written nowhere.
+def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
+             parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
+             timeout: float | None = None, memory: float | None = None, sandbox: str = "",
+             out: str | Path | None = None, preset: str = "", processes: int = 1, keep: str = "", check: bool = True,
+             training: Training = PLAIN, progress: Progress = lambda *_: None) -> Result:
+    """Score a method on a task; `vsfsim.evaluate` is this function.
 
     Args:
-        name: an installed method, or module:attribute. Its module is imported in another process only.
-        task: the task. dataset: as `open_dataset` returns it. log: file to which everything goes that the method
-        prints; None for none. options: of `finish`.
+        method: name of an installed method, module:attribute, or a class of an importable module. It runs in a process
+            of its own. "resim" and "fem-map" are ceilings (`vsfsim.bench.commands.ceiling`).
+        task: name of a shipped task, path of a .toml file, or a loaded task; TASK-development or TASK-seed-N is TASK on
+        other objects (`vsfsim.bench.task.load_task`).
+        dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
+        parameters: of the method's constructor, over its defaults.
+        seeds: draws of the support set, None for the task's own number.
+        workers: trials that run at the same time.
+        timeout: seconds that one call of the method may take, None for no limit.
+        memory: memory that a process of the method may allocate [GiB], None for no limit.
+        sandbox: "namespaces", a container, which hides files and network, or "process"; "" for the strongest one that
+            works here.
+        out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
+            are done, and what the method prints goes to a file beside it, RESULT.json.log.
+        preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
+        processes: trainings that run at the same time, each in a process of its own.
+        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view`
+        draws; "" writes none.
+        check: test the method's contract on mock objects first.
+        training: what the method learns from, where a study departs from the task: such a result is never ranked.
+        progress: called with (trials done, of how many, what is going on).
 
     Raises:
-        MethodError: the method is unknown, breaks its contract, raises, takes too long, or answers with something that
-            cannot be scored.
-        TaskError: the dataset has too few touches.
-        Interrupted: the user has stopped it.
+        VsfsimError: the method, the task or the dataset is unknown or does not fit, or the method raised.
     """
+    name = method if isinstance(method, str) else name_of(method)
+    if keep not in ("", "predictions") or (keep and out is None):
+        raise MethodError(f"keep is '{keep}' and out is {out}; keep is '' or 'predictions', which are written beside "
+                          f"the result file of out.")
+    wanted = task if isinstance(task, Task) else load_task(task)
+    given = chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters if preset else {}
+    row = Choice(name, preset, {**given, **(parameters or {})})
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "result.json"
-        result = finish(name, task, dataset, path, **options)
-        if log is not None:
-            Path(log).write_text(log_of(path).read_text() if log_of(path).is_file() else "")
-        return result
+        path = Path(folder) / "result.json" if out is None else Path(out)
+        (made,) = evaluate_all(wanted, {path: row}, dataset=dataset, again=True, seeds=seeds, workers=workers,
+                               timeout=timeout, memory=memory, sandbox=sandbox, processes=processes, keep=keep,
+                               check=check, training=training, progress=progress)
+    if made.failure is not None:
+        raise made.failure
+    assert made.result is not None
+    return made.result
 
 
-def finish(name: str, task: Task, dataset: Dataset, path: Path, *, check: bool = True, processes: int = 1,
-           progress: Progress = lambda *_: None, **options: Any) -> Result:
-    """Score a method and write the result. Finished trainings are kept beside it, and a second call with the same
-    operands goes on with them.
-
-    Args:
-        name, task, dataset: as of `evaluate`. path: of the result. check, processes, progress: as of `make`.
-        options: ``parameters`` of the method's constructor, over its defaults; ``seeds``, draws of the support set,
-            None for the task's own number; with cross-validation, of one training; ``isolation``, how the method is
-            kept from what it may not see, None for the strongest sandbox that works here; ``preset``, name of the
-            settings, for the leaderboard; they are in ``parameters`` already; ``training``, what the method learns
-            from, where a study departs from the task (`vsfsim papers study`): such a result is never ranked;
-            ``curves``, file for all predictions beside the truth (`vsfsim.bench.curves.Curves`).
+def name_of(method: type) -> str:
+    """The name module:attribute of a class.
 
     Raises:
-        As `evaluate`.
+        MethodError: it cannot be imported under that name, e.g. because it was written into a notebook's cell.
     """
-    check_name(name)
-    ((_, made),) = make([Row.at(path, name, task, dataset, **options)], processes, check=check, progress=progress)
-    if isinstance(made, VsfsimError):
-        raise made
-    return made
+    module, attribute = getattr(method, "__module__", None), getattr(method, "__qualname__", str(method))
+    if module is None or module == "__main__" or "." in attribute:
+        raise MethodError(f"the method {attribute} is not an attribute of a module that can be imported. Save it in a "
+                          f"file, e.g. mine.py (in a notebook: %%writefile mine.py as the first line of the cell), and "
+                          f"give 'mine:{attribute.rpartition('.')[2]}'.")
+    return f"{module}:{attribute}"
+
+
+@dataclass(frozen=True)
+class Made:
+    """What became of one row."""
+
+    choice: Choice
+    """The method and its preset."""
+    path: Path
+    """Its result file."""
+    result: Result | None = None
+    """The result; None where the method failed."""
+    failure: VsfsimError | None = None
+    """Why there is no result."""
+    kept: bool = False
+    """The result was there already."""
+
+    @property
+    def state(self) -> str:
+        """"made", "kept", or the message of the failure."""
+        return str(self.failure) if self.failure is not None else "kept" if self.kept else "made"
+
+
+def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path | Dataset | None = None,
+                 again: bool = False, seeds: int | None = None, workers: int = 1, timeout: float | None = None,
+                 memory: float | None = None, sandbox: str = "", processes: int = 1, keep: str = "",
+                 check: bool = True, training: Training = PLAIN, fan: Fan = HERE,
+                 progress: Progress = lambda *_: None) -> Iterator[Made]:
+    """Make results on a task.
+
+    An interrupted evaluation goes on where it stopped. A method that fails is reported, and the next one runs.
+
+    Args:
+        task: the task. rows: what to evaluate, by the result file. again: make results that are there again; else one
+        is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
+        whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, keep, check, training: as of
+        `evaluate`; a row whose predictions are missing is made again. processes: trainings of all rows that run at the
+        same time. fan: where the trainings run. progress: of them, called with (done, of how many, what).
+
+    Yields:
+        Those that are there already and ceilings, then the others as they are ready; a shard yields only these and
+        failures.
+
+    Raises:
+        VsfsimError: a method is unknown; the dataset is missing or does not fit the task.
+    """
+    for choice in rows.values():
+        if choice.method not in ceilings():
+            check_name(choice.method)
+    data = open_dataset(task, dataset.path if isinstance(dataset, Dataset) else dataset)
+    isolation, wanted = Isolation(sandbox, timeout, memory, workers), list[Evaluation]()
+    for path, choice in rows.items():
+        known = None if again else _kept(path, task, data.sha256, choice, seeds)
+        if known is not None and (not keep or beside(path).is_file()):
+            yield Made(choice, path, known, kept=True)
+        elif choice.method not in ceilings():
+            wanted.append(Evaluation(choice.method, task, data, path, choice.parameters, seeds, isolation, training,
+                                     choice.preset, keep))
+        elif fan.shard is None:  # a ceiling has no trainings; the call that scores makes it
+            try:
+                yield Made(choice, path, evaluate_ceiling(
+                    choice.method, task, data, parameters=choice.parameters, out=path, keep=keep, processes=processes,
+                    progress=progress))
+            except Interrupted:
+                raise
+            except VsfsimError as error:
+                yield Made(choice, path, failure=error)
+    # one after the other, unless trainings of several run at the same time
+    for some in ([wanted] if processes > 1 or fan != HERE else [[one] for one in wanted]):
+        for one, made in make(some, processes, check=check, fan=fan, progress=progress):
+            yield Made(rows[one.path], one.path, **{"failure" if isinstance(made, VsfsimError) else "result": made})
+
+
+def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
+    try:
+        result = Result.load(path)
+    except TaskError:  # none, or a damaged one
+        return None
+    same = (result.task_sha256, result.dataset_sha256, result.method, result.preset) == (
+        task.sha256, dataset_sha256, choice.method, choice.preset)
+    runs = len(task.protocol.runs(seeded="seed" in result.parameters)) if seeds is None else seeds
+    asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items() if key != "device")
+    if not (same and asked and len(result.seeds) == runs):
+        return None
+    here = contents_of(choice.method, result.parameters, opened=result.contents)
+    # what the scorer makes of the same answers is computed again by the board
+    return result if all(result.contents.get(key) == here.get(key) for key in {*here, *result.contents} - {SCORER}
+                         ) else None
 
 
 @contextlib.contextmanager
@@ -157,8 +223,8 @@ def own(result: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
-def make(rows: Sequence[Row], processes: int, *, check: bool = True, fan: Fan = HERE,
-         progress: Progress = lambda *_: None) -> Iterator[tuple[Row, Result | VsfsimError]]:
+def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan: Fan = HERE,
+         progress: Progress = lambda *_: None) -> Iterator[tuple[Evaluation, Result | VsfsimError]]:
     """Make results side by side.
 
     Args:
@@ -175,26 +241,28 @@ def make(rows: Sequence[Row], processes: int, *, check: bool = True, fan: Fan = 
         Interrupted: the user has stopped it; finished trainings are kept.
     """
     counted = itertools.count()  # all trainings, so that every shard counts alike whatever is finished
-    reader, queue, left, trials = Reader(), list[tuple[Row, Job]](), dict[Path, int](), _Count(progress)
+    reader, queue, left, trials = Reader(), list[tuple[Evaluation, Job]](), dict[Path, int](), _Count(progress)
     try:
         with contextlib.ExitStack() as held:
             for row in rows:
                 try:
                     if fan.shard is None:
                         held.enter_context(own(row.path))
-                    held.enter_context(row.of)
+                    held.enter_context(row)
                     progress(0, 1, f"{row.path.stem}: contract and dataset")
-                    row.of.look(check=check)
-                    mine = [job for job in row.of.jobs
+                    row.look(check=check)
+                    mine = [job for job in row.jobs
                             if fan.shard is None or next(counted) % fan.shard[1] == fan.shard[0]]
-                    jobs = [job for job in row.of.left if job in mine]
+                    jobs = [job for job in row.left if job in mine]
                     if not fan.ray:
-                        row.of.read(jobs, reader)
+                        row.read(jobs, reader)
                 except VsfsimError as error:
                     yield row, error
                     continue
                 queue += [(row, job) for job in jobs]
-                trials.add(row.of, mine, jobs)
+                sizes = {job.name: row.trials(job) for job in mine}
+                trials.total += sum(sizes.values())
+                trials.done += sum(sizes.values()) - sum(sizes[job.name] for job in jobs)
                 left[row.path] = len(jobs)
                 if not jobs and fan.shard is None:
                     yield row, _finished(row)
@@ -208,7 +276,7 @@ def make(rows: Sequence[Row], processes: int, *, check: bool = True, fan: Fan = 
                 elif left[row.path] == 0 and fan.shard is None:
                     yield row, _finished(row)
     except KeyboardInterrupt as stop:
-        known = [row.of for row in rows if row.of.description is not None]
+        known = [row for row in rows if row.description is not None]
         done, of = sum(len(one.jobs) - len(one.left) for one in known), sum(len(one.jobs) for one in known)
         raise Interrupted("interrupted; no training was finished, so nothing is kept." if not done else
                           f"interrupted; {done} of {of} trainings are finished and kept in "
@@ -216,67 +284,66 @@ def make(rows: Sequence[Row], processes: int, *, check: bool = True, fan: Fan = 
                           f"delete what is kept to start again.") from stop
 
 
+@dataclass
 class _Count:
     """Tells how many trials of all rows are done, whichever thread has done them."""
 
-    def __init__(self, progress: Progress):
-        self._progress, self._lock, self.done, self.total = progress, threading.Lock(), 0, 0
-
-    def add(self, of: Evaluation, jobs: Sequence[Job], left: Sequence[Job]) -> None:
-        """Count the trials of some jobs, and those that are not ``left`` as done."""
-        sizes = {job.name: len(job.asked(of.task.protocol.labels)) for job in jobs}
-        self.total += sum(sizes.values())
-        self.done += sum(sizes.values()) - sum(sizes[job.name] for job in left)
+    progress: Progress
+    done: int = 0
+    total: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
     def tell(self, number: int, what: str) -> None:
         """More trials are done."""
-        with self._lock:
+        with self.lock:
             self.done += number
-            self._progress(self.done, self.total, what)
+            self.progress(self.done, self.total, what)
 
 
-def _finished(row: Row) -> Result | VsfsimError:
+def _finished(row: Evaluation) -> Result | VsfsimError:
     try:
         return row.finish()
     except VsfsimError as error:
         return error
 
 
-def _by_threads(queue: Sequence[tuple[Row, Job]], processes: int, reader: Reader, trials: _Count
+def _by_threads(queue: Sequence[tuple[Evaluation, Job]], processes: int, reader: Reader, trials: _Count
                 ) -> Iterator[tuple[int, VsfsimError | None]]:
     """The number of each job in ``queue`` as it ends, with what went wrong."""
-    gpus, failed = _Gpus(), set[Path]()
+    gpus, failed = _gpus(), set[Path]()
 
-    def work(row: Row, job: Job) -> VsfsimError | None:
+    def work(number: int) -> VsfsimError | None:
+        row, job = queue[number]
         if row.path in failed:
             return MethodError("not made")
-        with gpus.one(row.of.parameters.get("device") == "cuda") as given:
-            try:
-                row.of.make(job, reader, trials.tell, environment=given)
-            except VsfsimError as error:
-                failed.add(row.path)
-                return error
+        one = gpus and row.parameters.get("device") == "cuda"
+        try:
+            row.make(job, reader, trials.tell, {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if one else {})
+        except VsfsimError as error:
+            failed.add(row.path)
+            return error
         return None
 
     with ThreadPoolExecutor(processes) as pool:
-        numbers = {pool.submit(work, row, job): number for number, (row, job) in enumerate(queue)}
+        numbers = {pool.submit(work, number): number for number in range(len(queue))}
         try:
             for ready in as_completed(numbers):
                 yield numbers[ready], ready.result()
         except BaseException:  # Ctrl-C, or nobody asks for more
             pool.shutdown(wait=False, cancel_futures=True)
             for row, _ in queue:
-                row.of.stop()
+                row.stop()
             raise
 
 
-def _by_ray(queue: Sequence[tuple[Row, Job]], fan: Fan, trials: _Count) -> Iterator[tuple[int, VsfsimError | None]]:
+def _by_ray(queue: Sequence[tuple[Evaluation, Job]], fan: Fan, trials: _Count
+            ) -> Iterator[tuple[int, VsfsimError | None]]:
     """As `_by_threads`, on a cluster; a path must mean the same there."""
-    items = [(replace(row.of, dataset=replace(row.of.dataset, path=row.of.dataset.path.absolute())), job)
-             for row, job in queue]
+    items = [(replace(row, path=row.path.absolute(), dataset=replace(row.dataset, path=row.dataset.path.absolute())),
+              job) for row, job in queue]
     for number, message in engines.on_ray(_train, items, address=fan.ray, gpus=fan.gpus):
         row, job = queue[number]
-        trials.tell(len(job.asked(row.of.task.protocol.labels)), job.name)
+        trials.tell(row.trials(job), job.name)
         yield number, MethodError(message) if message else None
 
 
@@ -287,66 +354,9 @@ def _train(item: tuple[Evaluation, Job]) -> None:
         one.make(job, Reader())
 
 
-class _Gpus:
-    """What CUDA_VISIBLE_DEVICES may name here, each with the number of trainings that use it."""
-
-    def __init__(self) -> None:
-        shown = os.environ.get("CUDA_VISIBLE_DEVICES")
-        names = ([str(k) for k in range(len(list(Path("/dev").glob("nvidia[0-9]*"))))] if shown is None else
-                 [name.strip() for name in shown.split(",") if name.strip()])
-        self._used, self._lock = dict.fromkeys(names, 0), threading.Lock()
-
-    @contextlib.contextmanager
-    def one(self, any_of_them: bool) -> Iterator[Mapping[str, str]]:
-        """The variable that shows the GPU which is used least; {} where there is none, or not any of them may be."""
-        with self._lock:
-            name = min(self._used, key=lambda one: self._used[one], default="") if any_of_them else ""
-            self._used.update({name: self._used[name] + 1} if name else {})
-        try:
-            yield {"CUDA_VISIBLE_DEVICES": name} if name else {}
-        finally:
-            with self._lock:
-                self._used.update({name: self._used[name] - 1} if name else {})
-
-
-def log_of(result: Path) -> Path:
-    """The file beside a result that holds what the method printed: RESULT.json.log, as RESULT.log may be the user's."""
-    return result.with_name(result.name + ".log")
-
-
-def _scored(one: Evaluation, preset: str, curves: Path | None) -> Result:
-    """The result of an evaluation whose jobs are all kept."""
-    answers, done = one.answers()
-    said, task, dataset, plain = one.said, one.task, one.dataset, not one.training.table()
-    if curves is not None:
-        Curves.of(answers, task, dataset, one.runs).save(curves)
-    timing = {"meta_fit_s": sum(job.meta_fit_s for job in done), "fits": len(done),
-              "adapt_s": sum(a.adapt_s for a in answers), "predict_s": sum(a.predict_s for a in answers),
-              "adapts": sum(a.adapt_s > 0.0 for a in answers),
-              "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
-    notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
-    wanted = len(task.protocol.runs(seeded=said.seeded))
-    if len(one.runs) != wanted:
-        notes.append(f"{len(one.runs)} seeds instead of the task's {wanted}")
-    opened = {name: file_sha256(Path(name)) for job in done for name in job.opened}
-    return result_of(answers, task, dataset, one.runs, method=one.method, entry=said.entry,
-                     parameters=dict(said.parameters), timing=timing,
-                     peak_memory_mib=round(max(job.peak_memory_mib for job in done), 1), notes=tuple(notes),
-                     package={"name": said.package, "version": said.version}, isolation=one.isolation.sandbox,
-                     contents={**one.contents, **opened}, preset=preset,
-                     data=fingerprint.beside_record(task, dataset) if plain else {},
-                     study=one.training.table(), versions={**versions_of(one.method), **versions()},
-                     maps=_maps(answers, task, dataset) if plain else {})
-
-
-def _maps(answers: list[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
-    """`Result.maps` of a task with cross-validation: of the first run at the shot that ranks, and of the first view of
-    each object, because all of them would be most of a result file."""
-    out: dict[str, list] = {}
-    shown = {e.name for e in dataset.entries if e.view_index == 0}
-    first = [a for a in answers if (a.trial.shot, a.trial.seed) == (task.ranking_shot, 0) and a.mean is not None
-             and a.trial.subject in shown]
-    for given in first if task.protocol.folds else ():
-        for column, values in map_of(given, dataset).items():
-            out.setdefault(column, []).extend(values)
-    return out
+def _gpus() -> list[str]:
+    """What CUDA_VISIBLE_DEVICES may name here."""
+    shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if shown is not None:
+        return [name.strip() for name in shown.split(",") if name.strip()]
+    return [str(k) for k in range(len(list(Path("/dev").glob("nvidia[0-9]*"))))]

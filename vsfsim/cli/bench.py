@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +24,7 @@ from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.system.engines import HERE
 
 if TYPE_CHECKING:
+    from vsfsim.bench.result import Result
     from vsfsim.bench.task import Task
 
 app = typer.Typer()
@@ -96,10 +97,8 @@ def evaluate(task: TaskName,
     """
     from vsfsim.bench.commands import presets
     from vsfsim.bench.commands.ceiling import ceiling_rows
-    from vsfsim.bench.commands.evaluate import evaluate_all
-    from vsfsim.bench.method import check_name
+    from vsfsim.bench.evaluate import evaluate_all
     from vsfsim.bench.task import load_task, open_dataset
-    from vsfsim.core import shelf
 
     given, names = parameters_of(parameters), list(method or [])
     if every == bool(names):
@@ -109,9 +108,6 @@ def evaluate(task: TaskName,
                           "leave them away (--out FOLDER and --set device=cuda:0 go with --all).")
     if every and preset and preset not in presets.PRESETS:
         raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(presets.PRESETS)}.")
-    for name in names:
-        if name not in shelf.ceilings():
-            check_name(name)
     if on and (on == "development" or on.startswith("seed-")):
         raise VsfsimError(f"--on is '{on}'; it names an engine of {', '.join(ENGINES)}. For other objects give --task "
                           f"{task}-{on}.")
@@ -119,70 +115,62 @@ def evaluate(task: TaskName,
     fan = fan_of(on, shard, printed, address, gpus_per_task)
     if on in ("slurm", "k8s") and not by_shards(on, shards or 10, printed, int(gpus_per_task)):
         return
-    shared: dict[str, Any] = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout,
-                              "memory": memory, "sandbox": sandbox, "processes": processes, "keep": keep}
-    if not every and fan != HERE:
-        rows = [presets.preset(name, preset, wanted.observation.name, wanted.metric.answer.value) if preset
-                else presets.Choice(name, "", {}) for name in names]
-        rows = [presets.Choice(row.method, row.preset, {**row.parameters, **given}) for row in rows]
-    elif every:
-        every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value,
-                                    chosen=wanted.protocol.support == "chosen")
-        rows = [row for row in every_row if preset in ("", row.preset)]
+    reads, answer = wanted.observation.name, wanted.metric.answer.value
+    if every:
+        chosen = presets.choices(reads, str(given.get("device", "")), answer,
+                                 chosen=wanted.protocol.support == "chosen")
+        rows = [row for row in chosen if preset in ("", row.preset)]
         rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
-    if every or fan != HERE:
-        folder = (out or Path("results") / wanted.name) if every else result_path(out, wanted.name, rows[0].stem) if (
-            len(rows) == 1) else Path("results") / wanted.name
-        result_path(folder if folder.suffix == ".json" else folder / "row.json", wanted.name, "row")
-        show = str(json) != "-"
-        made = []
-        with Progress("evaluate") as progress:
-            for one in evaluate_all(wanted, rows, folder, progress=progress, fan=fan, **shared):
-                made.append(one)
-                if show:
-                    print(f"{one.choice.stem:<28}{one.state}", flush=True)
-        write_json([{"method": m.choice.method, "preset": m.choice.preset, "state": m.state, "written": str(m.path)}
-                    for m in made], json)
-        failed = [one for one in made if one.result is None]
-        if failed:
-            raise MethodError(f"{len(failed)} of {len(made)} rows could not be made: "
-                              + ", ".join(one.choice.stem for one in failed) + ". The messages are above; the same "
-                              "command tries them again.")
-        if show:
-            print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them" if fan.shard is None else
-                  f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
-                  f"without --shard scores them.")
+        folder = out or Path("results") / wanted.name
+        paths = {result_path(folder / f"{row.stem}.json", wanted.name, row.stem): row for row in rows}
+    else:
+        rows = [presets.preset(name, preset, reads, answer) if preset else presets.Choice(name, "", {})
+                for name in names]
+        paths = {result_path(out, wanted.name, row.stem): presets.Choice(
+            row.method, row.preset, {**row.parameters, **given}) for row in rows}
+    made, show, tables = [], str(json) != "-", not every and fan == HERE
+    with Progress("evaluate" if len(paths) > 1 else f"evaluate {rows[0].method}") as progress:
+        for one in evaluate_all(wanted, paths, dataset=dataset, again=tables, seeds=seeds, workers=workers,
+                                timeout=timeout, memory=memory, sandbox=sandbox, processes=processes, keep=keep,
+                                fan=fan, progress=progress):
+            if tables and one.failure is not None:
+                raise one.failure
+            if show and not tables:
+                print(f"{one.choice.stem:<28}{one.state}", flush=True)
+            made.append(one)
+    if tables:
+        results = [(one.result, one.path) for one in made if one.result is not None]
+        numbers = [{**result.summary(), "written": str(path)} for result, path in results]
+        report("\n\n".join(_scored(result, path, wanted, keep) for result, path in results),
+               numbers[0] if len(numbers) == 1 else numbers, json)
         return
-    _evaluate_each(names, wanted, out, preset, given, shared, json)
+    write_json([{"method": m.choice.method, "preset": m.choice.preset, "state": m.state, "written": str(m.path)}
+                for m in made], json)
+    failed = [one for one in made if one.result is None]
+    if failed:
+        raise MethodError(f"{len(failed)} of {len(made)} rows could not be made: "
+                          + ", ".join(one.choice.stem for one in failed) + ". The messages are above; the same "
+                          "command tries them again.")
+    if show:
+        print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them" if fan.shard is None else
+              f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
+              f"without --shard scores them.")
 
 
-def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str, given: dict[str, Any],
-                   shared: dict[str, Any], json: Path | None) -> None:
-    """Score the methods that were named, one after the other."""
-    from vsfsim.bench.commands.evaluate import evaluate as run
-    from vsfsim.bench.evaluate import log_of
+def _scored(result: Result, path: Path, task: Task, keep: str) -> str:
+    """What is printed of a result."""
     from vsfsim.bench.leaderboard import score_table
+    from vsfsim.bench.trials.jobs import log_of
 
-    paths = [result_path(out, wanted.name, f"{name}.{preset}" if preset else name) for name in names]
-    numbers = []
-    for index, (name, path) in enumerate(zip(names, paths, strict=True)):
-        with Progress(f"evaluate {name}") as progress:
-            result = run(name, wanted, parameters=given, preset=preset, out=path, progress=progress, **shared)
-        numbers.append({**result.summary(), "written": str(path)})
-        if str(json) == "-":
-            continue
-        t, log = result.timing, log_of(path)
-        print("\n" * (index > 0) + score_table(result, wanted.primary))
-        learns = f"meta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, " if (
-            "adapts" in t) else ""
-        print(f"\n{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
-              f"{len(result.seeds)} seeds; peak memory {result.peak_memory_mib:.0f} MiB")
-        for note in result.notes:
-            print(f"note: {note}")
-        if log.exists():
-            print(f"what the method printed is in {log}")
-        print(f"written to {path}" + (f"\n\nvsfsim view {path}   # draws them" if shared["keep"] else ""))
-    write_json(numbers[0] if len(names) == 1 else numbers, json)
+    t, log = result.timing, log_of(path)
+    learns = f"meta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, " if (
+        "adapts" in t) else ""
+    lines = [f"{score_table(result, task.primary)}\n",
+             f"{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; {len(result.seeds)} seeds; peak "
+             f"memory {result.peak_memory_mib:.0f} MiB", *(f"note: {note}" for note in result.notes)]
+    lines += [f"what the method printed is in {log}"] if log.exists() else []
+    lines += [f"written to {path}"] + ([f"\nvsfsim view {path}   # draws them"] if keep else [])
+    return "\n".join(lines)
 
 
 @app.command()

@@ -4,8 +4,8 @@ import inspect
 
 import pytest
 
-from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.presets import Choice, choices, preset
+from vsfsim.bench.evaluate import evaluate, evaluate_all
 from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.method import find_method
 from vsfsim.bench.metrics import Answer
@@ -56,19 +56,19 @@ def test_an_unknown_preset_is_refused(method, name, message):
     assert message in str(error.value)
 
 
-def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_dataset, tmp_path, monkeypatch):
-    rows = [Choice("toy_methods:Constant", "paper", {"value": 2.0}), Choice("toy_methods:Crashes", "tuned", {}),
-            Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
-    # the toys have no table of presets; what a row asks for is what is used
-    monkeypatch.setattr("vsfsim.bench.commands.evaluate.chosen", lambda *asked: rows[0])
-    found = list(evaluate_all(task, rows, tmp_path, dataset=toy_dataset.path, seeds=1))
+def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_dataset, tmp_path):
+    asked = [Choice("toy_methods:Constant", "paper", {"value": 2.0}), Choice("toy_methods:Crashes", "tuned", {}),
+             Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
+    rows = {tmp_path / f"{k}.json": row for k, row in enumerate(asked)}
+    found = list(evaluate_all(task, rows, dataset=toy_dataset.path, seeds=1))
     assert [one.state for one in found[::2]] == ["made", "made"] and "KeyError: 'toe'" in found[1].state
-    assert found[0].path.name == "toy_methods:Constant.paper.json" and found[1].result is None
+    assert found[1].result is None and found[1].path.stem == "1"
+    del rows[found[1].path]
     assert Result.load(found[2].path).parameters == {"value": 3.0} and Result.load(found[2].path).preset == "tuned"
-    again = list(evaluate_all(task, rows[::2], tmp_path, dataset=toy_dataset.path, seeds=1))
+    again = list(evaluate_all(task, rows, dataset=toy_dataset.path, seeds=1))
     assert [one.state for one in again] == ["kept", "kept"]
-    other = [Choice("toy_methods:Constant", "paper", {"value": 2.5})]
-    assert [one.state for one in evaluate_all(task, other, tmp_path, dataset=toy_dataset.path, seeds=1)] == [
+    other = {found[0].path: Choice("toy_methods:Constant", "paper", {"value": 2.5})}
+    assert [one.state for one in evaluate_all(task, other, dataset=toy_dataset.path, seeds=1)] == [
         "made"], "other parameters are another row"
     shown = text(collect(task, [tmp_path]))
     assert "toy_methods:Constant (paper)" in shown and "toy_methods:Constant (tuned)" in shown

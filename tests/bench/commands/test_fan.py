@@ -3,15 +3,15 @@
 
 import pytest
 
-from vsfsim.bench.commands.evaluate import evaluate, evaluate_all
 from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.evaluate import evaluate, evaluate_all
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.cli.cluster import shard_words
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.engines import Fan
 
-ROWS = [Choice("toy_methods:Constant", "", {"value": 2.0}), Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
+ROW = Choice("toy_methods:Constant", "", {"value": 2.0})
 FOLDS = 'protocol = { folds = 3, draws = 1, trainings = 1, shots = [0, 1, 5], query = 4, seed = 0 }'
 
 
@@ -29,22 +29,21 @@ def rows_of(result):
 def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dataset, tmp_path):
     made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0})
     for k in range(2):
-        found = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan((k, 2)))
+        found = evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset.path, fan=Fan((k, 2)))
         assert list(found) == [] and not list(tmp_path.glob("*.json"))
-    parts = list((tmp_path / "toy_methods:Constant.parts").glob("*/*.answers"))
+    parts = list((tmp_path / "row.parts").glob("*/*.answers"))
     assert len(parts) == 3, "the trainings of three folds"
-    (last,) = evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, processes=2)
+    (last,) = evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset.path, processes=2)
     assert last.state == "made" and rows_of(Result.load(last.path)) == rows_of(made)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["toy_methods:Constant.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["row.json"]
 
 
 def test_a_shard_of_a_row_with_a_file_of_its_own_can_be_finished(folded, toy_dataset, tmp_path):
     """The file that --out names, and answers of another version of the method beside it."""
     for value in (3.0, 2.0):
-        row = [Choice("toy_methods:Constant", "", {"value": value})]
+        rows = {tmp_path / "mine.json": Choice("toy_methods:Constant", "", {"value": value})}
         for k in range(2):
-            assert not list(evaluate_all(folded, row, tmp_path / "mine.json", dataset=toy_dataset.path,
-                                         fan=Fan((k, 2))))
+            assert not list(evaluate_all(folded, rows, dataset=toy_dataset.path, fan=Fan((k, 2))))
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("mine.parts/*/*.answers")}
     assert len(before) == 6, "three trainings of each"
     made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0}, out=tmp_path / "mine.json")
@@ -67,5 +66,5 @@ def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
 def test_a_cluster_that_is_not_there_fails_no_result(folded, toy_dataset, tmp_path):
     pytest.importorskip("ray")
     with pytest.raises(VsfsimError, match="no Ray cluster at"):
-        list(evaluate_all(folded, ROWS[:1], tmp_path, dataset=toy_dataset.path, fan=Fan(ray="127.0.0.1:1")))
+        list(evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset.path, fan=Fan(ray="127.0.0.1:1")))
     assert not list(tmp_path.glob("*.json"))

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.curves import Curves, beside
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.leaderboard import collect
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result

@@ -24,13 +24,13 @@ container = pytest.mark.skipif(not CONTAINERS, reason="no namespaces here")
 
 def run(name, task, dataset, box, *, seeds=1, check=False, timeout=None, **parameters):
     return evaluate(f"hostile_methods:{name}", task, dataset, seeds=seeds, check=check, parameters=parameters,
-                    isolation=Isolation(box, timeout))
+                    sandbox=box, timeout=timeout)
 
 
 @pytest.fixture(scope="module")
 def honest(task, toy_dataset):
     return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False,
-                    isolation=Isolation("process")).scores
+                    sandbox="process").scores
 
 
 def gone(pid):
@@ -47,7 +47,7 @@ def gone(pid):
 
 @pytest.mark.parametrize("box", BOXES)
 def test_a_method_scores_the_same_in_every_sandbox_and_the_row_says_which(task, toy_dataset, honest, box):
-    found = evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, isolation=Isolation(box))
+    found = evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, sandbox=box)
     assert found.scores == honest and found.isolation == box
 
 
@@ -109,9 +109,9 @@ def leaks(task, toy_dataset, tmp_path):
     """Evaluates `Leaks` in two trainings; returns its scores, the ways by which a note was found, and what it
     printed."""
     def run(box, ways):
-        found = evaluate("hostile_leaks:Leaks", task, toy_dataset, seeds=2, check=False, log=tmp_path / "log",
-                         parameters={"ways": ",".join(ways)}, isolation=Isolation(box))
-        text = (tmp_path / "log").read_text()
+        found = evaluate("hostile_leaks:Leaks", task, toy_dataset, seeds=2, check=False, out=tmp_path / "r.json",
+                         parameters={"ways": ",".join(ways)}, sandbox=box)
+        text = (tmp_path / "r.json.log").read_text()
         notes = {line.removeprefix("found ") for line in text.splitlines() if line.startswith("found")}
         return found.scores, notes, text
 
@@ -169,9 +169,9 @@ def test_a_container_shows_the_package_and_the_method_and_nothing_else(task, toy
     (tmp_path / "answers.csv").write_text("1,2,3\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SECRET", "token")
-    evaluate("looks:Looks", task, toy_dataset, seeds=1, check=False, log=tmp_path / "log",
-             isolation=Isolation("namespaces"))
-    lines = set((tmp_path / "log").read_text().splitlines())
+    evaluate("looks:Looks", task, toy_dataset, seeds=1, check=False, out=tmp_path / "r.json",
+             sandbox="namespaces")
+    lines = set((tmp_path / "r.json.log").read_text().splitlines())
     assert "here ['looks.py'] ['.cache']" in lines and "secret False []" in lines
     (root,) = [line for line in lines if line.startswith("root")]
     assert not [name for name in ("leaderboard", "tasks", "scenes", "measurements") if f"'{name}'" in root]
@@ -190,6 +190,6 @@ def test_memory_processes_and_files_are_limited_by_default(task, toy_dataset, tm
         f"        try:\n            {code}\n        except Exception as error:\n"
         "            print(type(error).__name__, flush=True)\n")
     monkeypatch.chdir(tmp_path)
-    evaluate("greedy:Greedy", task, toy_dataset, seeds=1, check=False, log=tmp_path / "log",
-             isolation=Isolation("namespaces"))
-    assert (tmp_path / "log").read_text().split() == [printed]
+    evaluate("greedy:Greedy", task, toy_dataset, seeds=1, check=False, out=tmp_path / "r.json",
+             sandbox="namespaces")
+    assert (tmp_path / "r.json.log").read_text().split() == [printed]

@@ -6,11 +6,12 @@ import os
 import pytest
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.evaluate import Row, evaluate, make
+from vsfsim.bench.evaluate import evaluate, make
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.bench.trials import answers
+from vsfsim.bench.trials.jobs import Evaluation
 from vsfsim.bench.trials.training import Extra, Training
 from vsfsim.core.errors import TaskError
 
@@ -113,8 +114,8 @@ def test_such_a_result_is_never_ranked(dataset, task, plain, tmp_path):
 
 def test_processes_change_nothing_and_a_failure_does_not_end_the_rest(dataset, task, plain, tmp_path, monkeypatch):
     path = tmp_path / "several.json"
-    rows = [Row.at(tmp_path / "crash.json", "toy_methods:Crashes", task, dataset),
-            Row.at(path, "toy_methods:Constant", task, dataset)]
+    rows = [Evaluation("toy_methods:Crashes", task, dataset, tmp_path / "crash.json"),
+            Evaluation("toy_methods:Constant", task, dataset, path)]
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     found = {one.path.stem: made for one, made in make(rows, 3, check=False)}
     assert "OMP_NUM_THREADS" not in os.environ, "the caller's threads are its own"

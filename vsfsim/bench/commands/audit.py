@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from vsfsim.bench.board.compare import ByObject, by_object, interval, paired
-from vsfsim.bench.evaluate import finish
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import collect, labels_of
 from vsfsim.bench.metric_functions import spearman
@@ -206,7 +206,7 @@ def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callabl
         result = Result.load(path) if path.is_file() else None
         if result is None or (result.task_sha256, result.dataset_sha256, result.contents.get(source)) != (
                 task.sha256, data.sha256, contents_of(METHOD, result.parameters)[source]):
-            result = finish(METHOD, task, data, path, parameters=given, progress=progress)
+            result = evaluate(METHOD, task, data, out=path, parameters=given, progress=progress)
         out[sees] = by_object(result, task.primary, task.ranking_shot)
     return out
 

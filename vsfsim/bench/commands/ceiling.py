@@ -60,7 +60,7 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
         name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. parameters: over those of
         its function. processes: answers at the same time. progress: called with (answers made, of how many, object).
         out: result file, or None; finished answers are kept beside it until all are made, and taken up again.
-        keep: as of `vsfsim.bench.commands.evaluate.evaluate`.
+        keep: as of `vsfsim.bench.evaluate.evaluate`.
 
     Raises:
         MethodError: an unknown parameter.

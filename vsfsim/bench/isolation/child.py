@@ -14,7 +14,6 @@ import pickle
 import sys
 import tempfile
 import traceback
-from collections.abc import Mapping
 from importlib import metadata
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,15 +21,19 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.isolation.wire import receive_request, send_reply
+from vsfsim.bench.isolation.wire import Reply, encoded, receive_request
 from vsfsim.bench.method import (
     Method,
     build_method,
     checked_choice,
     checked_prediction,
+    files_in,
     find_method,
+    packed,
     parameters_of,
     plain_parameters,
+    unpacked,
+    write_files,
 )
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
@@ -47,16 +50,14 @@ def main(line: Connection) -> None:
     with contextlib.suppress(EOFError, OSError):
         while True:
             operation, payload = receive_request(line)
-            blob: bytes = b""
             try:
-                head, arrays, *more = getattr(server, f"do_{operation}")(payload)
-                blob = more[0] if more else b""
+                reply = getattr(server, f"do_{operation}")(payload) or Reply()
             except BaseException as error:  # a method may raise anything, SystemExit included
                 traceback.print_exc()
-                head, arrays = _failure(error), ()
+                reply = _failure(error)
             sys.stdout.flush()
             sys.stderr.flush()
-            send_reply(line, head, arrays, blob)
+            line.send_bytes(encoded(reply))
 
 
 class _Server:
@@ -64,7 +65,7 @@ class _Server:
 
     def __init__(self) -> None:
         self.parameters = dict[str, Any]()
-        self.factory: type | None = None
+        self.factory: Any = None
         self.method: Any = None
         self.view: Any = None
         self.support: list[Any] = []
@@ -77,86 +78,76 @@ class _Server:
 
     # ------------------------------------------------------------------ before the trials
 
-    def do_find(self, payload: dict[str, Any]) -> Any:
+    def do_find(self, payload: dict[str, Any]) -> Reply:
         name = payload["name"]
         self.factory = find_method(name, search=payload["folder"])
         self.parameters = parameters_of(self.factory, payload["parameters"])
         plain_parameters(self.parameters)
-        entry = f"{self.factory.__module__}:{getattr(self.factory, '__qualname__', self.factory)}"
-        return {"entry": entry, "parameters": self.parameters,
-                "seeded": "seed" in inspect.signature(self.factory).parameters,
-                "package": list(_package(name, self.factory)) if payload["look"] else None}, ()
+        return Reply({"entry": f"{self.factory.__module__}:{getattr(self.factory, '__qualname__', self.factory)}",
+                      "parameters": self.parameters, "seeded": "seed" in inspect.signature(self.factory).parameters,
+                      "package": _package(name, self.factory) if payload["look"] else None})
 
-    def do_check(self, name: str) -> Any:
+    def do_check(self, name: str) -> Reply:
         from vsfsim.bench.check import check  # half of what a process would import that is not asked to check
 
         findings = check(name, parameters=self.parameters, brief=True)
-        return {"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]}, ()
+        return Reply({"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]})
 
-    def do_build(self, seed: int | None) -> Any:
-        assert self.factory is not None
-        self.method = build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
-        return {}, ()
+    def do_build(self, seed: int | None) -> None:
+        self.method = self.build(seed)
 
-    def do_meta_fit(self, specimens: Any) -> Any:
+    def build(self, seed: int | None) -> Method:
+        return build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
+
+    def do_meta_fit(self, specimens: Any) -> None:
         _use_threads(int(os.environ.get("OMP_NUM_THREADS") or os.cpu_count() or 1))
         self.method.meta_fit(specimens)
-        return {}, ()
 
-    def do_state(self, _: Any) -> Any:
-        head = {"host": getattr(self.method, "trials_on_host", False) is True, "opened": sorted(self.opened)}
-        return head, (), pickle.dumps((*_packed(self.method), _files(Path(os.environ["XDG_CACHE_HOME"]))))
+    def do_state(self, _: Any) -> Reply:
+        return Reply({"host": getattr(self.method, "trials_on_host", False) is True, "opened": sorted(self.opened)},
+                     blob=pickle.dumps((packed(self.method), files_in(Path(os.environ["XDG_CACHE_HOME"])))))
 
-    def do_restore(self, payload: Any) -> Any:
+    def do_restore(self, payload: Any) -> None:
         seed, state = payload
-        content, saved, cached = pickle.loads(state)
-        _write(cached, Path(os.environ["XDG_CACHE_HOME"]))
-        if saved is None:
-            self.method = pickle.loads(content)
-        else:
-            self.do_build(seed)
-            with tempfile.TemporaryDirectory() as folder:
-                _write(saved, Path(folder))
-                self.method.load(Path(folder))
+        learned, cached = pickle.loads(state)
+        write_files(cached, Path(os.environ["XDG_CACHE_HOME"]))
+        self.method = unpacked(learned, lambda: self.build(seed))
         _use_threads(1)
-        return {}, ()
 
     # ------------------------------------------------------------------ one trial
 
-    def do_object(self, payload: Any) -> Any:
+    def do_object(self, payload: Any) -> None:
         self.view, self.support = payload
-        return {}, ()
 
-    def do_adapt(self, _: Any) -> Any:
+    def do_adapt(self, _: Any) -> Reply:
         self.method.adapt(self.view, self.support)
-        return {"offers": [name for name in OPTIONAL if callable(getattr(self.method, name, None))]}, ()
+        return Reply({"offers": [name for name in OPTIONAL if callable(getattr(self.method, name, None))]})
 
-    def do_choose(self, offered: Any) -> Any:
-        return {}, [np.array([float(checked_choice(self.method.choose(self.view, list(self.support), offered),
-                                                   len(offered)))])]
+    def do_choose(self, offered: Any) -> Reply:
+        chosen = checked_choice(self.method.choose(self.view, list(self.support), offered), len(offered))
+        return Reply(arrays=(np.array([float(chosen)]),))
 
-    def do_made(self, reading: Any) -> Any:
+    def do_made(self, reading: Any) -> None:
         self.support = [*self.support, reading]
-        return {}, ()
 
-    def do_predict(self, payload: Any) -> Any:
+    def do_predict(self, payload: Any, function: str = "predict") -> Reply:
         actions, names = payload
-        return {}, checked_prediction(self.method.predict(actions), actions, names)
+        return Reply(arrays=tuple(checked_prediction(getattr(self.method, function)(actions), actions, names)))
 
-    def do_predict_std(self, payload: Any) -> Any:
-        actions, names = payload
-        return {}, checked_prediction(self.method.predict_std(actions), actions, names)
+    def do_predict_std(self, payload: Any) -> Reply:
+        return self.do_predict(payload, "predict_std")
 
-    def do_stiffness(self, points: np.ndarray) -> Any:
+    def do_stiffness(self, points: np.ndarray) -> Reply:
         given = self.method.stiffness(points)
         if getattr(given, "mean", None) is None:
             raise MethodError(f"stiffness must return an Estimate with a mean and a std; it returned "
                               f"{type(given).__name__}.")
-        return {}, [_numbers(value, f"stiffness has a {key}") for key, value in (
-            ("mean", given.mean), ("std", getattr(given, "std", None)))]
+        return Reply(arrays=tuple(_numbers(value, f"stiffness has a {key}") for key, value in (
+            ("mean", given.mean), ("std", getattr(given, "std", None)))))
 
-    def do_locate(self, payload: Any) -> Any:
-        return {}, [_numbers(self.method.locate(*payload), "locate must return a transform (4, 4), and not one")]
+    def do_locate(self, payload: Any) -> Reply:
+        return Reply(arrays=(_numbers(self.method.locate(*payload), "locate must return a transform (4, 4), and not "
+                                                                    "one"),))
 
 
 def private_caches(folder: Path, kernels: str) -> None:
@@ -212,12 +203,9 @@ def _numbers(value: Any, what: str) -> np.ndarray:
         raise MethodError(f"{what} that is not an array of real numbers: {error}.") from error
 
 
-def _failure(error: BaseException) -> dict[str, Any]:
-    if isinstance(error, MissingPackage):
-        return {"error": "missing", "text": str(error)}
-    if isinstance(error, VsfsimError):
-        return {"error": "refused", "text": str(error)}
-    return {"error": "raised", "type": type(error).__name__, "text": str(error)}
+def _failure(error: BaseException) -> Reply:
+    kind = "missing" if isinstance(error, MissingPackage) else "refused" if isinstance(error, VsfsimError) else "raised"
+    return Reply({"error": kind, "type": type(error).__name__, "text": str(error)})
 
 
 def _package(name: str, factory: Any) -> tuple[str, str]:
@@ -232,34 +220,3 @@ def _package(name: str, factory: Any) -> tuple[str, str]:
         if top in listed:
             return name, package.version
     return "", ""
-
-
-def _packed(method: Method) -> tuple[bytes, dict[str, bytes] | None]:
-    """What a method has learned: the pickled method and None, or nothing and the files of its `save`.
-
-    Raises:
-        MethodError: it can neither be pickled nor saved.
-    """
-    try:
-        return pickle.dumps(method), None
-    except Exception as error:
-        if not (callable(getattr(method, "save", None)) and callable(getattr(method, "load", None))):
-            raise MethodError(f"what the method learned cannot be handed to its trials: it cannot be pickled ({error}) "
-                              f"and has no save() and load(). Give it both.") from error
-        with tempfile.TemporaryDirectory() as folder:
-            method.save(Path(folder))  # type: ignore[attr-defined]
-            return b"", _files(Path(folder))
-
-
-def _files(folder: Path) -> dict[str, bytes]:
-    """The files below a folder, by relative path, without links."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.is_symlink()}
-
-
-def _write(files: Mapping[str, bytes], folder: Path) -> None:
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)  # a link to a kernel of the user's
-        path.write_bytes(content)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import glob
 import json
+import math
 import os
-import pickle
 import select
 import shutil
 import signal
@@ -16,18 +16,18 @@ import sys
 import tempfile
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from vsfsim.bench.identity import named_by
 from vsfsim.bench.isolation import limits
 from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
-from vsfsim.bench.isolation.wire import Description, Garbled, Learned, Reply, receive_reply
+from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply, send_request
 from vsfsim.bench.method import Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.extras import EXTRA_OF, MissingPackage
@@ -46,6 +46,40 @@ _STATE = 1 << 34
 """Most bytes of what a method learned."""
 _WARM = {"vsfsim", "numpy", "scipy", "h5py", *EXTRA_OF}
 """Packages that may be imported before a method's process is forked."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a method says of itself before it is built."""
+
+    entry: str
+    """Its module:attribute."""
+    parameters: Mapping[str, Any]
+    """Of the constructor, all of them."""
+    seeded: bool
+    """Its constructor takes a ``seed``."""
+    package: str
+    """The installed package that it is from, "" for a file that is not installed."""
+    version: str
+    """Of that package."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What a method learned in one training."""
+
+    state: bytes
+    """Read by processes of the same method only."""
+    on_host: bool
+    """Its trials need no GPU."""
+    opened: tuple[str, ...]
+    """Files that its process opened."""
+    seconds: float
+    """That `meta_fit` took."""
+    seed: int | None
+    """That it was built with."""
+    environment: Mapping[str, str]
+    """Variables that it was given."""
 
 
 class MethodHost:
@@ -78,7 +112,7 @@ class MethodHost:
         self._places = {"size": LARGEST_FOLDER, **places(name, self.parameters, search=self._search, hidden=hidden,
                                                          given=environment(os.environ))}
         self._lock, self._hosts = threading.Lock(), dict[bool, tuple[subprocess.Popen[bytes], socket.socket]]()
-        self.processes = set[_Process]()
+        self.processes = set[Process]()
         self.peak_memory_mib = 0.0
         """Largest resident size that a process has had [MiB]."""
 
@@ -138,20 +172,19 @@ class MethodHost:
         with self._process(self.hides, given) as process:
             process.find()
             process.ask("build", seed, "its constructor")
-            start = time.perf_counter()
             process.ask("meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
-            took = time.perf_counter() - start
             reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
         # a container's own files are no one else's, whatever lies here at their paths
         shown = ["/"] if self.isolation.sandbox == "process" else self._places["shown"]
         opened = tuple(name for name in map(str, reply.head.get("opened", ()))
                        if not name.startswith("/proc/") and not name.endswith(".pyc")
                        and any(Path(name).is_relative_to(path) for path in shown))
-        return Learned(reply.blob, reply.head.get("host") is True, opened, took, seed, given)
+        return Learned(reply.blob, reply.head.get("host") is True, opened, process.seconds["meta_fit"],
+                       seed, given)
 
     @contextmanager
-    def trial(self, learned: Learned, view: Any, support: Sequence[Any], where: str) -> Iterator[MethodCopy]:
-        """A fresh copy of the method that learned, which holds one view and one support set.
+    def trial(self, learned: Learned, view: Any, support: Sequence[Any], where: str) -> Iterator[Process]:
+        """A process with a fresh copy of the method that learned, which holds one view and one support set.
 
         Args:
             learned: by the method. view: of the object. support: the touches that were made. where: for messages.
@@ -161,12 +194,12 @@ class MethodHost:
             process.find()
             process.ask("restore", (learned.seed, learned.state), "the copy of what it learned")
             process.ask("object", (view, list(support)), where)
-            yield MethodCopy(process, where)
+            yield process
 
     # ------------------------------------------------------------------ processes
 
     @contextmanager
-    def _process(self, hide: bool, environment: Mapping[str, str]) -> Iterator[_Process]:
+    def _process(self, hide: bool, environment: Mapping[str, str]) -> Iterator[Process]:
         process = self._start(hide, environment)
         self.processes.add(process)
         try:
@@ -176,7 +209,7 @@ class MethodHost:
             process.end()
             self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
 
-    def _start(self, hide: bool, environment: Mapping[str, str]) -> _Process:
+    def _start(self, hide: bool, environment: Mapping[str, str]) -> Process:
         boxed = self.isolation.sandbox != "process"
         (line, theirs), (end, watcher) = socket.socketpair(), socket.socketpair()
         given = {"box": self._places if boxed else None, "folder": str(self._folder), "most": LARGEST_LOG,
@@ -192,7 +225,7 @@ class MethodHost:
         finally:
             theirs.close()
             watcher.close()
-        return _Process(self, line, end)
+        return Process(self, line, end)
 
     def _host(self, hide: bool) -> socket.socket:
         """The line of the process that others are forked from, with or without the machine's GPUs."""
@@ -225,7 +258,7 @@ class MethodHost:
             return ""
 
 
-class _Process:
+class Process:
     """One process of a method's."""
 
     def __init__(self, host: MethodHost, line: socket.socket, end: socket.socket):
@@ -233,6 +266,8 @@ class _Process:
         self._line = Connection(line.detach())
         self._timed_out = ""
         self._said: dict[str, Any] = {}
+        self.seconds = defaultdict[str, float](float)
+        """That each operation took, by its name."""
         self.peak_memory_mib = 0.0
         """Largest resident size that it has had, once it has ended [MiB]."""
 
@@ -243,27 +278,37 @@ class _Process:
         return self.ask("find", {"name": found, "parameters": self._host.parameters, "folder": os.getcwd(),
                                  "look": look}, "its import", limit=None if limit is None else limit + _IMPORT)
 
-    def ask(self, operation: str, payload: Any, what: str, *, most: int = 1 << 20,
-            limit: float | None = -1.0) -> Reply:
+    def ask(self, operation: str, payload: Any, what: str, *, shapes: Sequence[tuple[int, ...]] | None = None,
+            most: int = 1 << 26, limit: float | None = -1.0) -> Reply:
         """The answer to a request.
 
+        Args:
+            operation: its name. payload: its operands. what: names it in messages. shapes: of the arrays of the answer;
+            None where the scorer looks at them itself. most: bytes of the answer without ``shapes``. limit: seconds,
+            None for no limit; default: that of the isolation.
+
         Raises:
-            MethodError: the method raised, refused, took too long, or its process ended; ``what`` says in which part.
+            MethodError: the method raised, refused, took too long, answers with arrays of other shapes, or its process
+                ended; ``what`` says in which part.
         """
         limit = self._host.isolation.timeout if limit == -1.0 else limit
         timer = threading.Timer(limit or threading.TIMEOUT_MAX, self._stop, (limit, what))
         timer.daemon = True
+        start = time.perf_counter()
         try:
             if limit is not None:
                 timer.start()
-            self._line.send_bytes(pickle.dumps((operation, payload), protocol=5))
-            reply = receive_reply(self._line, most=most)
+            send_request(self._line, operation, payload)
+            reply = receive_reply(self._line, most=most if shapes is None else 8 * sum(map(math.prod, shapes)))
+            if shapes is not None and "error" not in reply.head and [a.shape for a in reply.arrays] != list(shapes):
+                raise Garbled("arrays of other shapes")
         except (EOFError, OSError):
             raise MethodError(self._ended(what)) from None
         except Garbled as error:
             raise MethodError(f"the method's process gave no answer in {what}: {error}.") from error
         finally:
             timer.cancel()
+            self.seconds[operation] += time.perf_counter() - start
         kind = reply.head.get("error")
         if kind is None:
             return reply
@@ -318,46 +363,3 @@ class _Process:
             if not self._said and select.select([self._end], [], [], 30.0)[0]:
                 self._said = json.loads(self._end.recv(1 << 12))
                 self.peak_memory_mib = float(self._said["peak_mib"])
-
-
-class MethodCopy:
-    """One adaptation of a fresh copy of the method."""
-
-    def __init__(self, process: _Process, where: str):
-        self._process, self._where = process, where
-        self.offers: frozenset[str] = frozenset()
-        """The optional functions that the method has."""
-        self.adapt_s = 0.0
-        """Seconds of `adapt`."""
-        self.predict_s = 0.0
-        """Seconds of all questions after it."""
-
-    def adapt(self) -> None:
-        """Adapt to the view and the support set of the trial."""
-        start = time.perf_counter()
-        reply = self._process.ask("adapt", None, f"adapt to {self._where}")
-        self.adapt_s += time.perf_counter() - start
-        self.offers = frozenset(str(name) for name in reply.head.get("offers", ()))
-
-    def made(self, reading: Any) -> None:
-        """Give one more touch to the support set, for the next `adapt`."""
-        self._process.ask("made", reading, f"a touch for {self._where}")
-
-    def ask(self, function: str, payload: Any, shapes: Sequence[tuple[int, ...]] | None) -> tuple[np.ndarray, ...]:
-        """What a function of the method answers.
-
-        Args:
-            function: its name. payload: its operands. shapes: of the arrays of the answer; None where the scorer looks
-                at them itself.
-
-        Raises:
-            MethodError: also if the answer has other shapes.
-        """
-        what = f"{function} for {self._where}"
-        most = 1 << 26 if shapes is None else 8 * sum(int(np.prod(shape)) for shape in shapes)
-        start = time.perf_counter()
-        reply = self._process.ask(function, payload, what, most=most)
-        self.predict_s += time.perf_counter() - start
-        if shapes is not None and [array.shape for array in reply.arrays] != list(shapes):
-            raise MethodError(f"the method's process gave no answer in {what}: arrays of other shapes.")
-        return reply.arrays

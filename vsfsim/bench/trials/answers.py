@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from vsfsim.bench.inclusions import Columns, Inclusions
-from vsfsim.bench.isolation.process import MethodCopy, MethodHost
-from vsfsim.bench.isolation.wire import Learned
+from vsfsim.bench.isolation.process import Learned, MethodHost, Process
+from vsfsim.bench.isolation.wire import decoded, encoded
 from vsfsim.bench.method import LARGEST_READING, Action, Reading, Specimen, checked_choice, frozen_view
 from vsfsim.bench.metric_functions import FEWEST_POINTS
 from vsfsim.bench.metrics import Answer
@@ -136,33 +135,14 @@ class Reader:
         Raises:
             TaskError: it has too few touches, or not what the task reads.
         """
-        readings, key = _readings(task, dataset, name), self._key(task, dataset, name)
+        readings = _readings(task, dataset, name)
+        key = (*readings, task.protocol, task.primary)  # a study asks a task by a protocol of its own
         if key not in self._subjects:
             view, places = dataset.shown(name)
             recording = record(view, task)
             self._subjects[key] = Subject.of(view, places, recording, task, dataset)
             self._specimens.setdefault(readings, specimen_of(view, recording))
         return self._subjects[key]
-
-    def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str]) -> None:
-        """Read views in advance.
-
-        Args:
-            task, dataset: as for `subject`. test: names of the views that are asked about. train: of those to learn
-            from.
-
-        Raises:
-            TaskError: as `subject`.
-        """
-        for name in test:
-            self.subject(task, dataset, name)
-        for name in train:
-            self.specimen(task, dataset, name)
-
-    @staticmethod
-    def _key(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
-        # a study asks a task by a protocol of its own
-        return (*_readings(task, dataset, name), task.protocol, task.primary)
 
 
 def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
@@ -220,50 +200,57 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
     """
     where = trial.where
     names = [f"{name} of {where}" for name in subject.names]
+    asked = subject.actions, names
     shapes = [(len(action.time), action.size) for action in subject.actions]
     mean = std = column_mean = pose = readings_std = None
     support = [subject.pool[i] for i in trial.support if not trial.offered]
-    with host.trial(learned, subject.view, support, where) as asked:
-        asked.adapt()
+    with host.trial(learned, subject.view, support, where) as process:
+        offers = _adapt(process, where)
         if trial.offered:
-            trial = replace(trial, support=_choose(asked, subject, trial))
-        readings = asked.ask("predict", (subject.actions, names), shapes)
+            trial = replace(trial, support=_choose(process, subject, trial, "choose" in offers))
+        readings = process.ask("predict", asked, f"predict for {where}", shapes=shapes).arrays
         _check_readings(readings, names)
-        if "predict_std" in asked.offers:
-            readings_std = asked.ask("predict_std", (subject.actions, names), shapes)
+        if "predict_std" in offers:
+            readings_std = process.ask("predict_std", asked, f"predict_std for {where}", shapes=shapes).arrays
             _check_readings(readings_std, names)
             for given, name in zip(readings_std, names, strict=True):
                 if (given < 0.0).any():
                     raise MethodError(f"predict_std for {name} is negative; a standard deviation is 0 or greater.")
-        if "stiffness" in asked.offers and subject.asks_stiffness:
-            mean, std = _stiffness(asked, subject.points, where)
+        if "stiffness" in offers and subject.asks_stiffness:
+            mean, std = _stiffness(process, subject.points, where)
             if (mean < 0).any():
                 raise MethodError(f"stiffness for {where} must be a non-negative mean a point; its smallest is "
                                   f"{mean.min()}.")
-        if "stiffness" in asked.offers and subject.columns is not None:
-            column_mean, _ = _stiffness(asked, subject.columns, where)
-        if "locate" in asked.offers and subject.hidden is not None:
-            pose = _pose(asked, subject.hidden, where)
-    return Answers(trial, readings, readings_std, mean, std, column_mean, pose, asked.adapt_s, asked.predict_s)
+        if "stiffness" in offers and subject.columns is not None:
+            column_mean, _ = _stiffness(process, subject.columns, where)
+        if "locate" in offers and subject.hidden is not None:
+            pose = _pose(process, subject.hidden, where)
+    took = process.seconds
+    return Answers(trial, readings, readings_std, mean, std, column_mean, pose, took["adapt"],
+                   sum(took[name] for name in ("choose", "predict", "predict_std", "stiffness", "locate")))
 
 
-def _choose(asked: MethodCopy, subject: Subject, trial: Trial) -> tuple[int, ...]:
+def _adapt(process: Process, where: str) -> list[str]:
+    """Adapt to the view and the support set of the trial; the optional functions that the method has."""
+    return process.ask("adapt", None, f"adapt to {where}").head.get("offers", [])
+
+
+def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> tuple[int, ...]:
     """Make as many touches as the support has, each as the method chooses it; the drawn ones if it does not choose.
 
     Returns:
         Their indices, in order.
     """
-    if "choose" not in asked.offers:
-        for index in trial.support:
-            asked.made(subject.pool[index])
-        asked.adapt()
-        return trial.support
-    left, made = list(trial.offered), []
-    for _ in trial.support:
-        (answer,) = asked.ask("choose", [subject.plans[k] for k in left], [(1,)])
-        made.append(left.pop(checked_choice(int(answer[0]) if np.isfinite(answer[0]) else None, len(left))))
-        asked.made(subject.pool[made[-1]])
-        asked.adapt()
+    left, made = list(trial.offered), list[int]()
+    for index in trial.support:
+        if chooses:
+            (answer,) = process.ask("choose", [subject.plans[k] for k in left], f"choose for {trial.where}",
+                                    shapes=[(1,)]).arrays
+            index = left.pop(checked_choice(int(answer[0]) if np.isfinite(answer[0]) else None, len(left)))
+        made.append(index)
+        process.ask("made", subject.pool[index], f"a touch for {trial.where}")
+        if chooses or len(made) == len(trial.support):
+            _adapt(process, trial.where)
     return tuple(made)
 
 
@@ -274,9 +261,9 @@ def _check_readings(readings: Iterable[np.ndarray], names: Iterable[str]) -> Non
             raise MethodError(f"prediction for {name} is not finite, or over {LARGEST_READING:g}.")
 
 
-def _stiffness(asked: MethodCopy, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
+def _stiffness(process: Process, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
     """Mean (k,) and std (k,) of the method's stiffness at ``points`` (k, 3) [m]; no std where it gives none."""
-    arrays = asked.ask("stiffness", points, None)
+    arrays = process.ask("stiffness", points, f"stiffness for {where}").arrays
     if len(arrays) != 2:
         raise MethodError(f"stiffness for {where} was not answered with a mean and a std.")
     mean, std = arrays
@@ -290,8 +277,8 @@ def _stiffness(asked: MethodCopy, points: np.ndarray, where: str) -> tuple[np.nd
     return mean, std if given else None
 
 
-def _pose(asked: MethodCopy, hidden: tuple[np.ndarray, np.ndarray], where: str) -> np.ndarray:
-    arrays = asked.ask("locate", hidden, None)
+def _pose(process: Process, hidden: tuple[np.ndarray, np.ndarray], where: str) -> np.ndarray:
+    arrays = process.ask("locate", hidden, f"locate for {where}").arrays
     pose = arrays[0] if len(arrays) == 1 else np.zeros(0)
     if (pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > 1e6
         or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)):
@@ -302,20 +289,12 @@ def _pose(asked: MethodCopy, hidden: tuple[np.ndarray, np.ndarray], where: str) 
 
 def save(path: Path, value: Any) -> None:
     """Keep what came of a training, or another record with arrays; the file appears whole or not at all."""
-    write_atomic(path, zlib.compress(msgspec.msgpack.encode(value, enc_hook=_bytes_of)), error=MethodError)
+    write_atomic(path, zlib.compress(encoded(value)), error=MethodError)
 
 
 def load(path: Path, kind: Any = Done) -> Any:
     """What `save` kept, of the type ``kind``; None if the file is not whole."""
     try:
-        return msgspec.msgpack.decode(zlib.decompress(path.read_bytes()), type=kind, dec_hook=_array_of)
-    except (OSError, zlib.error, ValueError, TypeError):
+        return decoded(zlib.decompress(path.read_bytes()), kind)
+    except (OSError, zlib.error, ValueError):
         return None
-
-
-def _bytes_of(array: np.ndarray) -> tuple[tuple[int, ...], bytes]:
-    return array.shape, np.asarray(array, "<f8").tobytes()
-
-
-def _array_of(_: type, given: tuple[list[int], bytes]) -> np.ndarray:
-    return np.frombuffer(given[1], "<f8").reshape(given[0])

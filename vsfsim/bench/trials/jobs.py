@@ -3,27 +3,32 @@ it, so that an evaluation goes on where it was stopped, whoever made which job."
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
 import os
 import platform
+import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.identity import contents_of
+from vsfsim.bench.admission import fingerprint
+from vsfsim.bench.curves import Curves, beside
+from vsfsim.bench.identity import contents_of, versions_of
 from vsfsim.bench.isolation.limits import Isolation
-from vsfsim.bench.isolation.process import MethodHost
-from vsfsim.bench.isolation.wire import Description
+from vsfsim.bench.isolation.process import Description, MethodHost
 from vsfsim.bench.protocol import Trial
+from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import ALL, Task
 from vsfsim.bench.trials.answers import Answers, Done, Reader, asked_of, load, run_trial, save
+from vsfsim.bench.trials.score import maps_of, result_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import MethodError, TaskError
-from vsfsim.core.system.content import differences
+from vsfsim.core.system.content import differences, file_sha256
 from vsfsim.data.dataset import Dataset
 
 Progress = Callable[[int, int, str], None]
@@ -66,8 +71,8 @@ class Evaluation:
     """The task."""
     dataset: Dataset
     """Its dataset."""
-    parts: Path
-    """Folder of what its jobs answered, in a folder for each thing that decides answers."""
+    path: Path
+    """File of its result. What its jobs answered is kept beside it until all is there (`parts`)."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """Of the method's constructor, over its defaults."""
     draws: int | None = None
@@ -76,6 +81,11 @@ class Evaluation:
     """How the method is run."""
     training: Training = PLAIN
     """What the method learns from, and which objects are scored."""
+    preset: str = ""
+    """Name of the settings, for the leaderboard; they are in ``parameters`` already."""
+    keep: str = ""
+    """"predictions": all of them are written beside the truth, into a file beside the result
+    (`vsfsim.bench.curves.Curves`)."""
     description: Description | None = None
     """What the method said of itself, once `look` was called."""
     contents: Mapping[str, str] = field(default_factory=dict)
@@ -88,17 +98,19 @@ class Evaluation:
         self.stop()
         if not any(self.parts.glob("*/*")):  # nothing to go on with: nothing is left behind
             self._log.unlink(missing_ok=True)
-            for folder in self.__dict__.get("_new", ()):
-                if folder.is_dir() and not any(folder.iterdir()):
-                    folder.rmdir()
+            with contextlib.suppress(OSError):
+                self.parts.rmdir()
+
+    @property
+    def parts(self) -> Path:
+        """Folder of what its jobs answered, in a folder for each thing that decides answers."""
+        return self.path.with_suffix(".parts").absolute()
 
     @functools.cached_property
     def host(self) -> MethodHost:
         """What runs the method's processes, of all jobs that are made here; they print into one log."""
         hidden = [self.dataset.path.resolve(), self.task.dataset.path().parent.resolve(), Path("results").resolve(),
                   self.parts.resolve()]
-        # those that are there before the first process of several, as one that fails may end while others begin
-        self.__dict__.setdefault("_new", [path for path in (self.parts, *self.parts.parents) if not path.exists()])
         self.parts.mkdir(parents=True, exist_ok=True)
         return MethodHost(self.method, self.parameters, self.isolation, self._log, hidden=hidden)
 
@@ -156,6 +168,10 @@ class Evaluation:
                          k if seeded else None, tuple(run for run in runs if of(run) == k))
                      for k in sorted(set(map(of, runs))) for fold in folds)
 
+    def trials(self, job: Job) -> int:
+        """Number of its trials."""
+        return len(job.asked(self.task.protocol.labels))
+
     @property
     def left(self) -> list[Job]:
         """The jobs that are not kept."""
@@ -168,8 +184,11 @@ class Evaluation:
             TaskError: the dataset does not hold what the task reads.
         """
         # a smaller share of the training objects is drawn for each training by itself
-        train = [name for job in jobs for name in job.train] if self.training.objects == 1.0 else []
-        reader.read(self.task, self.dataset, test=[name for job in jobs for name in job.test], train=train)
+        for job in jobs:
+            for name in job.test:
+                reader.subject(self.task, self.dataset, name)
+            for name in job.train if self.training.objects == 1.0 else ():
+                reader.specimen(self.task, self.dataset, name)
 
     # ------------------------------------------------------------------ one job
 
@@ -228,6 +247,40 @@ class Evaluation:
 
     # ------------------------------------------------------------------ all jobs
 
+    def finish(self) -> Result:
+        """Score the kept answers, write the result and what the method printed, and remove what was kept.
+
+        Raises:
+            MethodError: an answer is missing.
+        """
+        answers, done = self.answers()
+        said, task, plain = self.said, self.task, not self.training.table()
+        if self.keep:
+            Curves.of(answers, task, self.dataset, self.runs).save(beside(self.path))
+        timing = {"meta_fit_s": sum(job.meta_fit_s for job in done), "fits": len(done),
+                  "adapt_s": sum(a.adapt_s for a in answers), "predict_s": sum(a.predict_s for a in answers),
+                  "adapts": sum(a.adapt_s > 0.0 for a in answers),
+                  "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
+        notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
+        wanted = len(task.protocol.runs(seeded=said.seeded))
+        if len(self.runs) != wanted:
+            notes.append(f"{len(self.runs)} seeds instead of the task's {wanted}")
+        opened = {name: file_sha256(Path(name)) for job in done for name in job.opened}
+        result = result_of(
+            answers, task, self.dataset, self.runs, method=self.method, entry=said.entry,
+            parameters=dict(said.parameters), timing=timing, notes=tuple(notes), preset=self.preset,
+            peak_memory_mib=round(max(job.peak_memory_mib for job in done), 1),
+            package={"name": said.package, "version": said.version}, isolation=self.isolation.sandbox,
+            contents={**self.contents, **opened}, data=fingerprint.beside_record(task, self.dataset) if plain else {},
+            study=self.training.table(), versions={**versions_of(self.method), **versions()},
+            maps=maps_of(answers, task, self.dataset) if plain else {})
+        result.save(self.path)
+        log_of(self.path).unlink(missing_ok=True)
+        if text := "".join(log.read_text(errors="replace") for log in sorted(self.parts.glob("*.log"))):
+            log_of(self.path).write_text(text)
+        shutil.rmtree(self.parts, ignore_errors=True)
+        return result
+
     def answers(self) -> tuple[list[Answers], list[Done]]:
         """The answers of all trials in the task's order, those of a support set that is the same in several runs
         repeated; and the jobs.
@@ -269,3 +322,8 @@ class Evaluation:
             raise MethodError(f"folder {self._folder} cannot be made: {error.strerror}. Choose another "
                               f"--out.") from error
         save(self._file(job), done)
+
+
+def log_of(result: Path) -> Path:
+    """The file beside a result that holds what the method printed: RESULT.json.log, as RESULT.log may be the user's."""
+    return result.with_name(result.name + ".log")

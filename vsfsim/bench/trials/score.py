@@ -108,19 +108,26 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
     return rows, readings_of([(recording, draw.query)])
 
 
-def map_of(given: Answers, dataset: Dataset) -> dict[str, list]:
-    """The stiffness that a method gave in one trial beside the truth, rows of `vsfsim.bench.result.Result.maps`; three
-    digits of each number. Empty where it gave none."""
-    view = dataset.load(given.trial.subject)
-    assert view.truth is not None
-    if given.mean is None:
-        return {name: [] for name in MAP_COLUMNS}
-    near = reached_in(view, view.truth.probe_points)
-    std = np.zeros(len(given.mean)) if given.std is None else given.std
-    steps = np.clip(np.rint(view.truth.probe_points[near] / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
-    numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (view.truth.probe_stiffness[near],
-                                                                              given.mean, std)]
-    return dict(zip(MAP_COLUMNS, [[view.name] * len(steps), *steps.T.tolist(), *numbers], strict=True))
+def maps_of(answers: Iterable[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
+    """`Result.maps` of a task with cross-validation: the stiffness that the method gave beside the truth, in the first
+    run at the shot that ranks and for the first view of each object, because all of them would be most of a result
+    file; three digits of each number."""
+    shown = {e.name for e in dataset.entries if e.view_index == 0} if task.protocol.folds else set()
+    out: dict[str, list] = {}
+    for given in answers:
+        if given.mean is None or given.trial.subject not in shown or (given.trial.shot, given.trial.seed) != (
+                task.ranking_shot, 0):
+            continue
+        view = dataset.load(given.trial.subject)
+        assert view.truth is not None
+        near = reached_in(view, view.truth.probe_points)
+        std = np.zeros(len(given.mean)) if given.std is None else given.std
+        steps = np.clip(np.rint(view.truth.probe_points[near] / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
+        numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (
+            view.truth.probe_stiffness[near], given.mean, std)]
+        for column, values in zip(MAP_COLUMNS, [[view.name] * len(steps), *steps.T.tolist(), *numbers], strict=True):
+            out.setdefault(column, []).extend(values)
+    return out
 
 
 def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:
