@@ -1,12 +1,15 @@
+import contextlib
 import json
 import os
 
 import mock_dataset
 import pytest
 
+from vsfsim.bench.isolation.process import MethodHost
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result_file import unpack
 from vsfsim.bench.task import parse_task
+from vsfsim.bench.trials.answers import Reader, asked_of, run_trial
 
 TASK = mock_dataset.TASK.replace("seeds = 2", "seeds = 3") + """[[paper]]
 method = "somebody"
@@ -56,6 +59,27 @@ def write_dataset(tmp_path_factory):
 @pytest.fixture(scope="session")
 def toy_dataset(write_dataset, toy_views):
     return write_dataset(toy_views)
+
+
+@pytest.fixture(scope="session")
+def one_trial(task, toy_dataset, tmp_path_factory):
+    """A context for trials of a method, its processes with further variables each; much cheaper than an evaluation."""
+    @contextlib.contextmanager
+    def trials(name, isolation, **parameters):
+        log = tmp_path_factory.mktemp("trials") / "log"
+        subject = Reader().subject(task, toy_dataset, "mock-0001-v0")
+
+        def make(labels, **variables):
+            """The answers at the last of some shots, after one training."""
+            learned = host.learn([], seed=None, environment=variables)
+            return [run_trial(host, learned, subject, asked_of(subject, label, 0, task.protocol))
+                    for label in labels.split()][-1]
+
+        make.log = log
+        with MethodHost(name, parameters, isolation, log, hidden=[toy_dataset.path]) as host:
+            yield make
+
+    return trials
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,5 @@
 """Methods that mean to cheat or that break, one way each; `test_isolation.py` runs them. A test looks at what they
-wrote into ``report``, a file."""
+wrote into the file that the environment names as REPORT."""
 
 import contextlib
 import ctypes
@@ -11,17 +11,20 @@ import sys
 import time
 
 import numpy as np
+import toy_methods
 from toy_methods import Constant
 
 
-class Hostile(Constant):
-    def __init__(self, *, report="", value=1.5):
-        super().__init__(value=value)
-        self.report = report and f"{report}.txt"  # a file that a parameter names is a part of the method
+def named():
+    """The class that the environment names, so that one host runs all of them."""
+    name = os.environ["CLASS"]
+    return (globals().get(name) or getattr(toy_methods, name))()
 
+
+class Hostile(Constant):
     def found(self, what):
-        if self.report:
-            with open(self.report, "a") as file:
+        if "REPORT" in os.environ:
+            with open(os.environ["REPORT"], "a") as file:
                 file.write(json.dumps(what) + "\n")
 
 
@@ -53,8 +56,8 @@ class ReadsMemory(Hostile):
 class Device(Hostile):
     """Says which GPUs it sees in its training and in each trial."""
 
-    def __init__(self, *, device="auto", host=False, report=""):
-        super().__init__(report=report)
+    def __init__(self, *, device="auto", host=False):
+        super().__init__()
         self.trials_on_host = host
 
     def meta_fit(self, specimens):
@@ -123,8 +126,8 @@ def _replace_the_scorer():
 class ReplacesScorer(Hostile):
     """Replaces the functions that score, when it is built and when it predicts; `hostile_import` does at import."""
 
-    def __init__(self, *, report="", value=1.5):
-        super().__init__(report=report, value=value)
+    def __init__(self):
+        super().__init__()
         _replace_the_scorer()
 
     def predict(self, touches):
@@ -145,12 +148,8 @@ class Sleeps(Hostile):
 
 
 class Allocates(Hostile):
-    def __init__(self, *, gib=4.0, report=""):
-        super().__init__(report=report)
-        self.gib = gib
-
     def predict(self, touches):
-        waste = np.ones(int(self.gib * 2**30) // 8)
+        waste = np.ones(4 * 2**30 // 8)
         return [waste[: len(touch.time), None] for touch in touches]
 
 
@@ -164,7 +163,7 @@ class Dies(Hostile):
         os._exit(0)
 
 
-class Crashes(Hostile):
+class Segfaults(Hostile):
     def predict(self, touches):
         os.kill(os.getpid(), 11)
 
@@ -202,21 +201,16 @@ class Forges(Hostile):
 
 
 class LeavesSession(Hostile):
-    """Leaves processes behind that have left its session and its parent, as a daemon does."""
+    """Leaves a process behind that has left its session and its parent, as a daemon does."""
 
     def adapt(self, view, support):
         super().adapt(view, support)
-        if self.report:
-            code = ("import os, time\nos.setsid()\nif os.fork(): os._exit(0)\n"
-                    f"open({self.report!r}, 'a').write(str(os.getpid()) + '\\n')\ntime.sleep(600)")
-            before = self._reports()
-            subprocess.run([sys.executable, "-c", code])
-            until = time.monotonic() + 10.0
-            while self._reports() == before and time.monotonic() < until:
-                time.sleep(0.01)
-
-    def _reports(self):
-        return open(self.report).read().count("\n") if os.path.exists(self.report) else 0
+        code = ("import os, time\nos.setsid()\nif os.fork(): os._exit(0)\n"
+                "open(os.environ['REPORT'], 'w').write(str(os.getpid()) + '\\n')\ntime.sleep(600)")
+        subprocess.run([sys.executable, "-c", code])
+        until = time.monotonic() + 10.0
+        while not os.path.exists(os.environ["REPORT"]) and time.monotonic() < until:
+            time.sleep(0.01)
 
 
 class PrintsMuch(Hostile):
@@ -239,3 +233,13 @@ class NeedsFile(Hostile):
 class NeedsPart(NeedsFile):
     def __init__(self, *, folder="", file=""):
         super().__init__(path=f"{folder}/toy/{file}")
+
+
+class Greedy(Constant):
+    """Runs the code that the environment holds while it learns, and says how that fails."""
+
+    def meta_fit(self, specimens):
+        try:
+            exec(os.environ["CODE"])
+        except Exception as error:
+            print(type(error).__name__, flush=True)

@@ -133,7 +133,7 @@ def test_a_seeded_method_is_fitted_anew_for_every_seed(task, toy_dataset):
 
 
 @pytest.mark.parametrize(("name", "message"), [
-    ("toy_methods:AnswersNan", r"prediction for touch \d+ of mock-0001-v0, 0-shot, seed 0 is not finite in frame 2"),
+    ("toy_methods:AnswersNan", r"prediction for touch \d+ of mock-0001-v0, 0-shot, seed 0 is nan in frame 2"),
     ("toy_methods:Flat", r"has shape \(12,\); it must be \(T, d\) = \(12, 1\)"),
     ("toy_methods:Crashes", "raised KeyError in adapt to mock-0001-v0, 0-shot, seed 0"),
     ("toy_methods:NoPredict", r"has no function predict\(\)"),

@@ -1,7 +1,7 @@
 """Every known way to reach the truth or the scorer from a method, and every way in which a method can break."""
 
-import dataclasses
 import json
+import math
 
 import pytest
 
@@ -18,57 +18,53 @@ def honest(task, toy_dataset):
     return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False).scores
 
 
+@pytest.fixture(scope="module")
+def trial(one_trial):
+    """Makes a trial of one class of `hostile_methods`."""
+    with one_trial("hostile_methods:named", Isolation(timeout=5.0, memory=2.0)) as make:
+        yield lambda name, label="5", **variables: make(label, CLASS=name, **variables)
+
+
 @pytest.fixture
-def attack(task, toy_dataset, tmp_path):
-    """Evaluates a hostile method at one seed and returns its scores and what it reported; with ``brief`` at two of the
-    four shots."""
-    def run(name, *, seeds=1, brief=False, **parameters):
-        report = tmp_path / "report.txt"
-        report.unlink(missing_ok=True)
-        shots = (0,) if brief else task.protocol.shots
-        asked = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, shots=shots))
-        result = evaluate(name if ":" in name else f"hostile_methods:{name}", asked, toy_dataset, seeds=seeds,
-                          check=False, parameters={"report": str(report.with_suffix("")), **parameters})
-        lines = report.read_text().splitlines() if report.exists() else []
-        return result.scores, [json.loads(line) for line in lines]
+def reported(trial, tmp_path):
+    """Makes a trial of a method that answers as an honest one does; returns what it reported."""
+    def run(name, label="5", **variables):
+        answers = trial(name, label, REPORT=str(tmp_path / "report"), **variables)
+        assert all((reading == 1.5).all() for reading in answers.readings)
+        return [json.loads(line) for line in (tmp_path / "report").read_text().splitlines()]
 
     return run
 
 
-def test_no_frame_of_a_caller_holds_the_truth(attack, honest):
-    scores, found = attack("ReadsFrames")
-    names = set().union(*found)
+def test_no_frame_of_a_caller_holds_the_truth(reported):
+    (names,) = reported("ReadsFrames")
     assert "vsfsim.bench.isolation.child._Server" in names, "the frames were looked through"
     assert not [name for name in names if name.rpartition(".")[2] in ("Truth", "ObjectView", "Recording", "Dataset",
                                                                       "Subject")]
-    assert scores == honest
 
 
-def test_no_object_in_memory_is_the_truth_or_a_reading_of_a_query(attack, honest, task, toy_views):
-    scores, found = attack("ReadsMemory")
-    assert all(one["kinds"] == [] for one in found)
-    seen = {round(total, 9) for one in found for total in one["readings"]}
-    given, asked = set(), set()
-    for view in toy_views[1:]:
-        query = divide(view, task.protocol).query
-        recording = record(view, task)
-        for index, (reading, clean) in enumerate(zip(recording.readings, recording.clean, strict=True)):
-            (asked if index in query else given).update((round(float(reading.value.sum()), 9),
-                                                         round(float(clean.sum()), 9)))
+def test_no_object_in_memory_holds_the_truth_or_a_query_reading(reported, task, toy_views):
+    """A reading that is asked is found nowhere in the process, with or without the sensor's noise."""
+    (found,) = reported("ReadsMemory", "all")
+    assert found["kinds"] == []
+    seen, asked, given = {round(value, 9) for value in found["readings"]}, set(), set()
+    query, recording = divide(toy_views[1], task.protocol).query, record(toy_views[1], task)
+    for index, (reading, clean) in enumerate(zip(recording.readings, recording.clean, strict=True)):
+        (asked if index in query else given).update((round(float(reading.value.sum()), 9),
+                                                     round(float(clean.sum()), 9)))
     assert len(seen & given) >= 8, "the search finds the readings that a method was given"
     assert not seen & (asked - given - {0.0})
-    assert scores == honest
 
 
-def test_overwritten_arrays_are_copies(attack, honest):
-    scores, found = attack("Overwrites")
-    assert found and not any(found), "read-only"
-    assert scores == honest
+def test_overwritten_arrays_are_copies_and_read_only(reported, trial):
+    found = reported("Overwrites")
+    assert found and not any(found)
+    assert trial("Constant").readings[0].tolist() == [[1.5]] * 12, "the next trial has the arrays as they were"
 
 
-@pytest.mark.parametrize("name", ["ReplacesScorer", "hostile_import:ReplacesAtImport"])
-def test_a_replaced_scorer_scores_nothing(attack, honest, name):
-    assert attack(name)[0] == honest
+@pytest.mark.parametrize("name", ["hostile_methods:ReplacesScorer", "hostile_import:ReplacesAtImport"])
+def test_a_replaced_scorer_scores_nothing(task, toy_dataset, honest, name):
+    assert evaluate(name, task, toy_dataset, seeds=1, check=False).scores == honest
 
 
 def test_prints_go_to_a_log_beside_the_result_which_is_no_file_of_the_users(task, toy_dataset, tmp_path, capfd):
@@ -79,20 +75,28 @@ def test_prints_go_to_a_log_beside_the_result_which_is_no_file_of_the_users(task
     assert (tmp_path / "mine.log").read_text() == "notes of an experiment\n"
 
 
-@pytest.mark.parametrize(("name", "parameters", "limits", "message"), [
-    ("Sleeps", {}, {"timeout": 2.0}, r"predict for .* took longer than 2 s; --timeout is 2 s a call"),
-    ("Allocates", {"gib": 4.0}, {"memory": 2.0}, r"Error in predict for .*may allocate 2 GiB \(--memory\)"),
-    ("Exits", {}, {}, "the method raised SystemExit in predict for mock-0001-v0, 0-shot, seed 0"),
-    ("Dies", {}, {}, r"the method's process ended in predict for .*\(exit code 0\)"),
-    ("Crashes", {}, {}, r"the method's process ended in predict for .*\(Segmentation fault\)"),
-    ("AnswersText", {}, {}, r"prediction for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
-    ("AnswersHuge", {}, {}, r"is 1e\+308 in frame 0; no reading is over 1e\+12"),
-    ("StiffnessIsAList", {}, {}, "must return an Estimate with a mean and a std; it returned list"),
-    ("Forges", {}, {"timeout": 60.0}, "the method's process gave no answer in predict for"),
+@pytest.mark.parametrize(("name", "message"), [
+    ("Sleeps", r"predict for .* took longer than 5 s; --timeout is 5 s a call"),
+    ("Allocates", r"Error in predict for .*may allocate 2 GiB \(--memory\)"),
+    ("Exits", "the method raised SystemExit in predict for mock-0001-v0, 5-shot, seed 0"),
+    ("Dies", r"the method's process ended in predict for .*\(exit code 0\)"),
+    ("Segfaults", r"the method's process ended in predict for .*\(Segmentation fault\)"),
+    ("AnswersText", r"prediction for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
+    ("AnswersHuge", r"is 1e\+308 in frame 0; .* no reading is over 1e\+12"),
+    ("StiffnessIsAList", "must return an Estimate with a mean and a std; it returned list"),
+    ("Forges", "the method's process gave no answer in predict for"),
+    ("PrintsMuch", r"has printed more than 64 MiB, the last of it in predict for mock-0001-v0"),
+    ("Unsaved", r"handed to its trials: it cannot be pickled .* save\(\) and load\(\)"),
+    ("AnswersNan", r"prediction for touch \d+ of mock-0001-v0, 5-shot, seed 0 is nan in frame 2"),
+    ("Flat", r"has shape \(12,\); it must be \(T, d\) = \(12, 1\)"),
+    ("Crashes", "raised KeyError in adapt to mock-0001-v0, 5-shot, seed 0"),
+    ("NoPredict", r"has no function predict\(\)"),
+    ("Negative", "non-negative mean"),
+    ("NegativeStd", "predict_std for .* is negative"),
 ])
-def test_a_method_that_breaks_is_a_mistake_in_the_input(task, toy_dataset, name, parameters, limits, message):
+def test_a_method_that_breaks_is_a_mistake_in_the_input(trial, name, message):
     with pytest.raises(MethodError, match=message):
-        evaluate(f"hostile_methods:{name}", task, toy_dataset, seeds=1, parameters=parameters, check=False, **limits)
+        trial(name)
 
 
 def test_the_contract_is_tested_first(task, toy_dataset):
@@ -104,35 +108,29 @@ def test_the_contract_is_tested_first(task, toy_dataset):
 
 
 def test_workers_give_the_same_result(task, toy_dataset):
-    one, two = (evaluate("toy_methods:Seeded", task, toy_dataset, workers=n, check=False)
-                for n in (1, 2))
+    one, two = (evaluate("toy_methods:Seeded", task, toy_dataset, workers=n, seeds=2, check=False) for n in (1, 2))
     assert one.queries == two.queries and one.scores == two.scores and one.answers == two.answers
 
 
-def test_what_a_method_learned_reaches_each_trial_as_a_copy(attack, honest):
+@pytest.mark.parametrize("name", ["Learns", "LearnsUnpicklable"])
+def test_what_a_method_learned_reaches_each_trial_as_a_copy(reported, name):
     """Pickled, or by its save and load."""
-    for name in ("Learns", "LearnsUnpicklable"):
-        scores, found = attack(name, brief=True)
-        assert scores == {metric: {shot: by_shot[shot] for shot in ("0", "all")} for metric, by_shot in honest.items()}
-        assert len({pid for pid, _ in found}) == 4 and all(learned == 1 for _, learned in found)
-
-
-def test_what_can_neither_be_pickled_nor_saved_is_refused(attack):
-    with pytest.raises(MethodError, match=r"handed to its trials: it cannot be pickled .* save\(\) and load\(\)"):
-        attack("Unsaved", brief=True)
+    found = reported(name, "0 5")
+    assert len({pid for pid, _ in found}) == 2 and [learned for _, learned in found] == [0, 0]
 
 
 @pytest.mark.parametrize(("given", "training", "trial"), [
     ({}, "0", "0"), ({"device": "cpu"}, "", ""), ({"device": "cuda:0", "host": True}, "0", "")])
-def test_a_method_sees_no_gpu_where_it_is_to_use_none(attack, monkeypatch, given, training, trial):
+def test_a_method_sees_no_gpu_where_it_is_to_use_none(one_trial, monkeypatch, tmp_path, given, training, trial):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
-    _, found = attack("Device", brief=True, **given)
-    assert found == [training] + [trial] * 4
+    with one_trial("hostile_methods:Device", Isolation(), **given) as make:
+        make("0", REPORT=str(tmp_path / "report"))
+    assert [json.loads(line) for line in (tmp_path / "report").read_text().splitlines()] == [training, trial]
 
 
 def test_wrong_limits_are_refused():
     for words, message in (({"sandbox": "docker"}, "--sandbox is 'docker'"), ({"timeout": 0.0}, "--timeout is 0.0"),
-                           ({"memory": float("nan")}, "--memory is nan"), ({"workers": 0}, "--workers is 0")):
+                           ({"memory": math.nan}, "--memory is nan"), ({"workers": 0}, "--workers is 0")):
         with pytest.raises(MethodError, match=message):
             Isolation(**words)
     assert "VSFSIM_DATASETS" not in limits.environment({"VSFSIM_DATASETS": "x", "HOME": "y"})

@@ -62,6 +62,10 @@ def noise(**given):
     return Noise(seed=0, **given)
 
 
+def read(force, noise, **which):
+    return noisy_force(force, np.arange(len(force)) / 30.0, force, noise, **which)
+
+
 def touch():
     """Five frames in free air, then a push along z to 5 N."""
     force = np.zeros((25, 3))
@@ -73,28 +77,28 @@ def test_the_tare_takes_the_offset_away_and_no_more():
     """Without white noise and drift a tared force is the true one, whatever the offset; without a tare it is off by the
     offset, the same in all frames."""
     quiet = {"force_std": 0.0, "drift_std": 0.0, "offset_std": 2.0}
-    assert noisy_force(touch(), noise(**quiet, tare_frames=3), **WHICH) == pytest.approx(touch(), abs=1e-12)
-    off = noisy_force(touch(), noise(**quiet, tare_frames=0), **WHICH) - touch()
+    assert read(touch(), noise(**quiet, tare_frames=3), **WHICH) == pytest.approx(touch(), abs=1e-12)
+    off = read(touch(), noise(**quiet, tare_frames=0), **WHICH) - touch()
     assert np.abs(off).max() > 0.1 and off == pytest.approx(np.tile(off[0], (25, 1)), abs=1e-12)
 
 
 def test_the_tare_is_the_mean_of_the_frames_before_contact():
     """As many as there are: of five free frames a tare of nine takes five, of a touch that begins in contact none."""
     white = {"force_std": 0.3, "drift_std": 0.0, "offset_std": 2.0}
-    raw = noisy_force(touch(), noise(**white, tare_frames=0), **WHICH)
+    raw = read(touch(), noise(**white, tare_frames=0), **WHICH)
     for wanted, taken in ((1, 1), (3, 3), (5, 5), (9, 5)):
-        found = noisy_force(touch(), noise(**white, tare_frames=wanted), **WHICH)
+        found = read(touch(), noise(**white, tare_frames=wanted), **WHICH)
         assert found == pytest.approx(raw - raw[:taken].mean(axis=0), abs=1e-12), wanted
     pressed = touch()[5:]
-    assert noisy_force(pressed, noise(**white, tare_frames=3), **WHICH) == pytest.approx(
-        noisy_force(pressed, noise(**white, tare_frames=0), **WHICH))
+    assert read(pressed, noise(**white, tare_frames=3), **WHICH) == pytest.approx(
+        read(pressed, noise(**white, tare_frames=0), **WHICH))
 
 
 def test_the_white_noise_has_the_stated_spread_and_the_drift_ends_at_its_own():
     force = np.zeros((4000, 3))
-    found = noisy_force(force, noise(force_std=0.3, drift_std=0.0, offset_std=0.0, tare_frames=0), **WHICH)
+    found = read(force, noise(force_std=0.3, drift_std=0.0, offset_std=0.0, tare_frames=0), **WHICH)
     assert found.std() == pytest.approx(0.3, rel=0.03) and abs(found.mean()) < 0.02
-    ends = np.array([noisy_force(force[:20], noise(force_std=0.0, drift_std=0.5, offset_std=0.0, tare_frames=1),
+    ends = np.array([read(force[:20], noise(force_std=0.0, drift_std=0.5, offset_std=0.0, tare_frames=1),
                                  object_index=k, view_index=0, touch_index=0)[[0, 10, -1]] for k in range(400)])
     assert np.abs(ends[:, 0]).max() == 0.0 and ends[:, 2].std() == pytest.approx(0.5, rel=0.08)
     assert ends[:, 1] == pytest.approx(ends[:, 2] * 10.0 / 19.0)

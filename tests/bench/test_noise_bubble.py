@@ -127,8 +127,6 @@ def test_nodes_move_along_their_rays():
     assert error.std() == pytest.approx(np.hypot(5e-5, 1e-4 / np.sqrt(12)), rel=SIGMAS / np.sqrt(2 * error.size) + 0.02)
     with pytest.raises(TaskError, match="behind"):
         noisy_nodes(world - 10.0, pose, seconds(50), punyo(), **WHICH)
-    with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
-        noisy_nodes(world[0], pose, seconds(50), punyo(), **WHICH)
 
 
 def test_tracking_drifts_across_the_ray_smoothly_over_the_skin():
@@ -173,5 +171,3 @@ def test_node_forces_are_off_by_their_share_where_there_is_contact():
     late = noisy_node_force(np.arange(4.0)[:, None, None] * np.ones((4, 2, 3)), seconds(4),
                             dataclasses.replace(QUIET, image_lag=1 / 60), **WHICH)
     assert late[:, 0, 0] == pytest.approx([0.0, 0.5, 1.5, 2.5])
-    with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
-        noisy_node_force(force[0], seconds(300), punyo(), **WHICH)

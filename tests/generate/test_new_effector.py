@@ -44,7 +44,7 @@ schema.FIELDS.append(schema.Field("touches/*/channels/cell_force", "float64", ("
 
 
 def noise(values, time, force, noise, **touch):
-    return noisy_force(np.tile(values[:, None], 3), noise, time=time, **touch)[:, 0]
+    return noisy_force(np.tile(values[:, None], 3), time, np.tile(values[:, None], 3), noise, **touch)[:, 0]
 
 
 OBSERVATION = Observation(

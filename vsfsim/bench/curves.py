@@ -12,10 +12,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from vsfsim.bench.protocol import divide, record
+from vsfsim.bench.protocol import Answers, divide, record
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers
 from vsfsim.core.errors import TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic

@@ -168,7 +168,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
         elif fan.shard is None:  # a ceiling has no trainings; the call that scores makes it
             try:
                 yield Made(choice, path, evaluate_ceiling(
-                    choice.method, task, data, parameters=choice.parameters, out=path, keep=keep, processes=processes,
+                    choice.method, task, data, path, parameters=choice.parameters, keep=keep, processes=processes,
                     progress=progress))
             except Interrupted:
                 raise

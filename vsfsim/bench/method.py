@@ -25,7 +25,7 @@ from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import ProbeShape
-from vsfsim.core.shelf import METHOD_GROUP, methods
+from vsfsim.core.shelf import methods
 from vsfsim.data.records import View
 
 
@@ -148,34 +148,26 @@ def find_method(name: str, *, search: str | None = None) -> type:
         file, _, attribute = name.partition(":")
         raise MethodError(f"method '{name}': a method is given as module:attribute, without .py: "
                           f"{Path(file).stem}:{attribute or 'CLASS'}, in the folder of {Path(file).name}.")
-    if ":" in name:
-        module, _, attribute = name.partition(":")
+    check_name(name)
+    shelf, (module, _, attribute) = methods(), name.partition(":")
+    advice = "Give module:attribute of something importable from here." if attribute else (
+        "Install what it needs, or its package again.")
+    try:
+        if not attribute:
+            return shelf[name].load()
         folder = os.getcwd() if search is None else search
         if folder not in sys.path:
             sys.path.insert(0, folder)  # where a method under development is; a console script does not look there
-        try:
-            found = importlib.import_module(module)
-            if not hasattr(found, attribute):
-                own = [key for key, value in vars(found).items() if getattr(value, "__module__", "") == found.__name__]
-                raise MethodError(f"method '{name}': the module {module} ({found.__file__}) has no '{attribute}'. "
-                                  f"{did_you_mean(attribute, own)}")
+        found = importlib.import_module(module)
+        if hasattr(found, attribute):
             return getattr(found, attribute)
-        except MethodError:
-            raise
-        except MissingPackage:
-            raise
-        except Exception as error:  # a module may raise anything while it is imported
-            raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give "
-                              f"module:attribute of something importable from here.") from error
-    check_name(name)
-    shelf = methods()
-    try:
-        return shelf[name].load()
     except MissingPackage:
         raise
-    except Exception as error:
-        raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: "
-                          f"{type(error).__name__}: {error}. Install what it needs, or its package again.") from error
+    except Exception as error:  # a module may raise anything while it is imported
+        raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. {advice}") from error
+    own = [key for key, value in vars(found).items() if getattr(value, "__module__", "") == found.__name__]
+    raise MethodError(f"method '{name}': the module {module} ({found.__file__}) has no '{attribute}'. "
+                      f"{did_you_mean(attribute, own)}")
 
 
 def check_name(name: str) -> None:
@@ -307,14 +299,10 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
         want = (len(action.time), action.size)
         if array.shape != want:
             raise MethodError(f"prediction for {name} has shape {array.shape}; it must be (T, d) = {want}.")
-        if not np.isfinite(array).all():
-            frame = int(np.argwhere(~np.isfinite(array))[0, 0])
-            raise MethodError(f"prediction for {name} is not finite in frame {frame}; a method must answer with a "
-                              f"number everywhere.")
-        if array.size and np.abs(array).max() > LARGEST_READING:
-            frame = int(np.argwhere(np.abs(array) > LARGEST_READING)[0, 0])
-            raise MethodError(f"prediction for {name} is {array[frame].flat[0]:g} in frame {frame}; no reading is over "
-                              f"{LARGEST_READING:g}, and its square must stay finite.")
+        wrong = np.argwhere(~(np.abs(array) <= LARGEST_READING))
+        if len(wrong):
+            raise MethodError(f"prediction for {name} is {array[tuple(wrong[0])]:g} in frame {wrong[0, 0]}; a method "
+                              f"must answer with a number everywhere, and no reading is over {LARGEST_READING:g}.")
         out.append(array)
     return out
 

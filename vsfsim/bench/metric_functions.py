@@ -159,19 +159,9 @@ def uncertainty(mean: np.ndarray, std: np.ndarray, truth: np.ndarray) -> tuple[n
     return np.abs(scale * mean - truth), np.maximum(scale * std, SMALLEST_SHARE * float(np.median(truth)))
 
 
-def log_likelihood_loss(error: np.ndarray, std: np.ndarray) -> float:
-    """Mean negative log-likelihood."""
-    return float(np.mean(negative_log_likelihood(error, std)))
-
-
-def coverage50(error: np.ndarray, std: np.ndarray) -> float:
-    """Fraction of the truths inside the central 50 %."""
-    return float(np.mean(error <= HALF_WIDTH_50 * std))
-
-
-def coverage90(error: np.ndarray, std: np.ndarray) -> float:
-    """Fraction of the truths inside the central 90 %."""
-    return float(np.mean(error <= HALF_WIDTH_90 * std))
+def within(half_width: float) -> Callable[[np.ndarray, np.ndarray], float]:
+    """The fraction of absolute errors (k,) within so many standard deviations (k,)."""
+    return lambda error, std: float(np.mean(error <= half_width * std))
 
 
 def scale_of(estimate: np.ndarray, truth: np.ndarray) -> float:
@@ -233,21 +223,12 @@ def _ranks(values: np.ndarray) -> np.ndarray:
     return (last - (counts - 1) / 2.0)[group]
 
 
-def mask_f1(value: np.ndarray, stiff: np.ndarray) -> float:
-    """Best F1 score of ``value >= threshold`` (p,) against ``stiff`` (p,) bool."""
-    return best_f1(value, stiff)
-
-
-def mask_precision(value: np.ndarray, stiff: np.ndarray) -> float:
-    """Precision at the threshold of the best F1 score."""
-    found = value >= best_threshold(value, stiff)[1]
-    return float((found & stiff).sum()) / max(int(found.sum()), 1)
-
-
-def mask_recall(value: np.ndarray, stiff: np.ndarray) -> float:
-    """Recall at the threshold of the best F1 score."""
-    found = value >= best_threshold(value, stiff)[1]
-    return float((found & stiff).sum()) / max(int(stiff.sum()), 1)
+def mask_scores(value: np.ndarray, stiff: np.ndarray) -> tuple[float, float, float]:
+    """The best F1 score of ``value >= threshold`` (p,) against ``stiff`` (p,) bool, and precision and recall there."""
+    f1, threshold = best_threshold(value, stiff)
+    found = value >= threshold
+    right = float((found & stiff).sum())
+    return f1, right / max(int(found.sum()), 1), right / max(int(stiff.sum()), 1)
 
 
 def translation_error(estimate: np.ndarray, truth: np.ndarray) -> float:

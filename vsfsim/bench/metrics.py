@@ -78,9 +78,9 @@ def _reading(name: str, score: Callable[[Sequence[Record]], float | None], doc: 
     return Metric(name, Answer.READINGS, score, doc, unit=None, ranks=True)
 
 
-def _of_mask(name: str, score: Callable[..., float], doc: str) -> Metric:
-    return Metric(name, Answer.MASK, _mean_over_objects(score, "value", "stiff"), doc, higher_is_better=True,
-                  ranks=True)
+def _of_mask(name: str, place: int, doc: str) -> Metric:
+    return Metric(name, Answer.MASK, _mean_over_objects(lambda *mask: functions.mask_scores(*mask)[place], "value",
+                                                        "stiff"), doc, higher_is_better=True, ranks=True)
 
 
 METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
@@ -111,17 +111,18 @@ METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
                                   "truth"),
                "Best F1 score of a threshold that separates the stiff points from the soft ones.",
                higher_is_better=True),
-        Metric("stiffness_nll", Answer.STIFFNESS, _mean_uncertainty(functions.log_likelihood_loss),
+        Metric("stiffness_nll", Answer.STIFFNESS,
+               _mean_uncertainty(lambda *given: float(np.mean(functions.negative_log_likelihood(*given)))),
                "Mean negative log-likelihood of the stiffness after one scale an object."),
-        Metric("stiffness_coverage50", Answer.STIFFNESS, _mean_uncertainty(functions.coverage50),
+        Metric("stiffness_coverage50", Answer.STIFFNESS, _mean_uncertainty(functions.within(functions.HALF_WIDTH_50)),
                "Fraction of points within 0.674 std of the estimate; 0.5 is right."),
-        Metric("stiffness_coverage90", Answer.STIFFNESS, _mean_uncertainty(functions.coverage90),
+        Metric("stiffness_coverage90", Answer.STIFFNESS, _mean_uncertainty(functions.within(functions.HALF_WIDTH_90)),
                "Fraction of points within 1.645 std of the estimate; 0.9 is right."),
         Metric("stiffness_std_spearman", Answer.STIFFNESS, _mean_uncertainty(functions.spearman),
                "Spearman's rank correlation of absolute error and std.", higher_is_better=True),
-        _of_mask("mask_f1", functions.mask_f1, "F1 score of the mask of stiff pixels at the best threshold."),
-        _of_mask("mask_precision", functions.mask_precision, "Precision of the mask at that threshold."),
-        _of_mask("mask_recall", functions.mask_recall, "Recall of the mask at that threshold."),
+        _of_mask("mask_f1", 0, "F1 score of the mask of stiff pixels at the best threshold."),
+        _of_mask("mask_precision", 1, "Precision of the mask at that threshold."),
+        _of_mask("mask_recall", 2, "Recall of the mask at that threshold."),
         Metric("translation_error", Answer.POSE, _mean_over_objects(functions.translation_error, "estimate", "truth"),
                "Distance between the centres of the estimated and the true object.", unit="mm", ranks=True),
         Metric("rotation_error", Answer.POSE, _mean_over_objects(functions.rotation_error, "estimate", "truth"),

@@ -98,21 +98,18 @@ class Noise:
     to 7 half as much."""
 
 
+_PUNYO = {
+    # images lag the pressure by 77 ms and the wrench by 58 ms, so the wrench lags the pressure by 19 ms
+    "force_std": 0.14, "force_lag": 0.019,
+    "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
+    "relaxation": 0.02, "relaxation_time": 0.15,
+    "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
+    # of a good force estimator at this depth noise, not of the sensor
+    "node_force_share": 0.2,
+}
+
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
-    "punyo": {
-        # images lag the pressure by 77 ms and the wrench by 58 ms, so the wrench lags the pressure by 19 ms
-        "force_std": 0.14, "force_lag": 0.019,
-        "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
-        "relaxation": 0.02, "relaxation_time": 0.15,
-        "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
-        # of a good force estimator at this depth noise, not of the sensor
-        "node_force_share": 0.2,
-    },
-    "punyo-window": {
-        "force_std": 0.14, "force_lag": 0.019, "pressure_std": 5.4, "pressure_drift": -1.6,
-        "relaxation": 0.02, "relaxation_time": 0.15, "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
-        "node_force_share": 0.2, "tracking_std": 1.5e-4, "window": 0.836,
-    },
+    "punyo": _PUNYO, "punyo-window": {**_PUNYO, "tracking_std": 1.5e-4, "window": 0.836},
     "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},
     "gen3-posed": {"force_std": 0.0, "torque_std": 0.08, "torque_pose_std": 0.4, "torque_pose_length": 0.3,
                    "torque_hysteresis": 0.3},
@@ -136,35 +133,32 @@ FREE_FORCE = 1e-6
 of any sensor."""
 
 
-def stream(noise: Noise, object_index: int, view_index: int, touch_index: int, *channel: int) -> np.random.Generator:
+def stream(noise: Noise, *channel: int, object_index: int, view_index: int, touch_index: int) -> np.random.Generator:
     """The random stream of one touch; ``channel`` separates the sensors from the force, which has none."""
     return np.random.default_rng(np.random.SeedSequence(noise.seed,
                                                         spawn_key=(object_index, view_index, touch_index, *channel)))
 
 
-def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int,
-                time: np.ndarray | None = None) -> np.ndarray:
+def noisy_force(force: np.ndarray, time: np.ndarray, known: np.ndarray, noise: Noise, **touch: int) -> np.ndarray:
     """The noise-free force of a touch as a real sensor would show it.
 
     Args:
         force: noise-free contact force on the probe (T, 3) [N]; NaN rows (unconverged frames) stay NaN.
+        time: of the frames (T,) [s].
+        known: the noise-free force that determines the contact-free frames of the tare (T, 3) [N].
         noise: its parameters.
-        object_index, view_index, touch_index: of the touch; they select the random stream.
-        time: of the frames (T,) [s]; needed with a ``force_lag``.
+        touch: object_index, view_index and touch_index, which select the random stream, here and below.
 
     Returns:
         (T, 3) [N].
     """
-    rng = stream(noise, object_index, view_index, touch_index)
+    rng = stream(noise, **touch)
     frames = len(force)
     offset = noise.offset_std * rng.standard_normal(3)
     drift = noise.drift_std * rng.standard_normal(3)
     white = noise.force_std * rng.standard_normal((frames, 3))
-    late = force
-    if noise.force_lag:
-        assert time is not None, "a late force needs the times of the frames"
-        late = delayed(force, time, noise.force_lag)
-    return tared(late + offset + drift * np.linspace(0.0, 1.0, frames)[:, None] + white, force, noise)
+    late = delayed(force, time, noise.force_lag)
+    return tared(late + offset + drift * np.linspace(0.0, 1.0, frames)[:, None] + white, known, noise)
 
 
 def tared(reading: np.ndarray, force: np.ndarray, noise: Noise) -> np.ndarray:
@@ -216,8 +210,7 @@ def relaxed(signal: np.ndarray, time: np.ndarray, share: float, seconds: float) 
     return signal + share * (signal - low)
 
 
-def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
-                   view_index: int, touch_index: int) -> np.ndarray:
+def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, **touch: int) -> np.ndarray:
     """The noise-free pressure of a touch as a real sensor would show it.
 
     Args:
@@ -229,7 +222,7 @@ def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, no
     Returns:
         (T,) [Pa]; if frames were tared, the change against their mean.
     """
-    rng = stream(noise, object_index, view_index, touch_index, _PRESSURE)
+    rng = stream(noise, _PRESSURE, **touch)
     rate = noise.pressure_drift + noise.pressure_drift_std * rng.standard_normal()
     white = noise.pressure_std * rng.standard_normal(len(pressure))
     good = np.isfinite(pressure)
@@ -239,14 +232,8 @@ def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, no
     return tared(out + rate * (time - time[0]) + white, force, noise)
 
 
-def quantised(value: np.ndarray, step: float) -> np.ndarray:
-    """Rounded to multiples of ``step``; as it is for a step of 0."""
-    return step * np.rint(value / step) if step else value
-
-
-def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int,
-                view_index: int, touch_index: int,
-                origin: tuple[float, float, float] = CAMERA_ORIGIN, tilt: float = CAMERA_TILT) -> np.ndarray:
+def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, noise: Noise, **touch: int
+                ) -> np.ndarray:
     """The read-out nodes of a touch as the inside camera would locate them.
 
     A node has its true pixel and a noisy, quantised depth, so it moves along its ray. It is delayed by ``image_lag`` in
@@ -258,33 +245,28 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
         mount_pose: mount to world (T, 4, 4) [m].
         time: of the frames (T,) [s].
         noise: its parameters.
-        object_index, view_index, touch_index: of the touch; they select the random stream.
-        origin, tilt: of the camera in the mount frame (3,) [m], [rad].
 
     Returns:
         World (T, N, 3) [m].
 
     Raises:
-        TaskError: the shapes do not fit, or a node is at or behind the camera.
+        TaskError: a node is at or behind the camera.
     """
-    position, mount_pose = np.asarray(position, np.float64), np.asarray(mount_pose, np.float64)
-    if position.ndim != 3 or position.shape[2] != 3 or mount_pose.shape != (len(position), 4, 4):
-        raise TaskError(f"noise: node positions {position.shape} and mount poses {mount_pose.shape}; they must be (T, "
-                        f"N, 3) and (T, 4, 4).")
     rotation, shift = mount_pose[:, :3, :3], mount_pose[:, :3, 3]
     local = np.einsum("tni,tij->tnj", position - shift[:, None], rotation)
     local = delayed(local, time, noise.image_lag)
-    ray = local - np.asarray(origin)
-    axis = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
+    ray = local - np.asarray(CAMERA_ORIGIN)
+    axis = np.array([math.sin(CAMERA_TILT), 0.0, math.cos(CAMERA_TILT)])
     depth = ray @ axis
     if (depth <= 0.0).any():
-        raise TaskError("noise: a node lies behind the inside camera; give the camera's origin and tilt of "
-                        "this sensor.")
-    white = noise.depth_std * stream(noise, object_index, view_index, touch_index, _NODES).standard_normal(depth.shape)
-    measured = quantised(depth + white, noise.depth_quantum)
-    local = np.asarray(origin) + ray * (measured / depth)[..., None]
+        raise TaskError("noise: a node lies behind the inside camera, which is a Punyo's.")
+    white = noise.depth_std * stream(noise, _NODES, **touch).standard_normal(depth.shape)
+    measured = depth + white
+    if noise.depth_quantum:
+        measured = noise.depth_quantum * np.rint(measured / noise.depth_quantum)
+    local = np.asarray(CAMERA_ORIGIN) + ray * (measured / depth)[..., None]
     if noise.tracking_std:
-        rng = stream(noise, object_index, view_index, touch_index, _TRACKING)
+        rng = stream(noise, _TRACKING, **touch)
         wave = rng.standard_normal((_WAVES, 2)) / noise.tracking_length
         phase = rng.uniform(0.0, 2.0 * np.pi, (2, 1, _WAVES))
         # on the skin at the first known frame; a sum of random waves has a Gaussian correlation (Rahimi, Recht 2007)
@@ -308,27 +290,19 @@ def window(rest: np.ndarray, noise: Noise) -> np.ndarray:
     return np.hypot(*(rest[:, :2] / np.abs(rest[:, :2]).max(axis=0)).T) <= noise.window
 
 
-def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,
-                     touch_index: int) -> np.ndarray:
+def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, **touch: int) -> np.ndarray:
     """Contact forces on nodes (T, N, 3) [N] with the error of an estimate: delayed like the images it is made from, and
     with a relative error.
 
     The errors are normal and independent in x, y, z and between nodes, with the standard deviation that gives the RMS
     error over the nodes in contact. Nodes without contact stay at 0, as an estimator with a sparse solution leaves
     them. NaN rows stay NaN.
-
-    Raises:
-        TaskError: the shapes do not fit.
     """
-    force = np.asarray(force, np.float64)
-    if force.ndim != 3 or force.shape[2] != 3 or np.shape(time) != force.shape[:1]:
-        raise TaskError(f"noise: node forces {force.shape} and times {np.shape(time)}; they must be (T, N, "
-                        f"3) and (T,).")
     late = delayed(force, time, noise.image_lag)
     size = np.linalg.norm(late, axis=2)
     in_contact = size > 0.0
     rms = np.sqrt((size**2).sum(axis=1) / np.maximum(in_contact.sum(axis=1), 1))
-    white = stream(noise, object_index, view_index, touch_index, _NODE_FORCE).standard_normal(force.shape)
+    white = stream(noise, _NODE_FORCE, **touch).standard_normal(force.shape)
     return late + np.where(in_contact, noise.node_force_share * rms[:, None] / math.sqrt(3.0), 0.0)[..., None] * white
 
 
@@ -340,8 +314,8 @@ _ARM_SPREAD = 0.25  # an arm's own error lies within this share of the mean over
 _STILL = 1e-5  # a joint that turns less between two frames stands still [rad]
 
 
-def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
-                 view_index: int, touch_index: int, q: np.ndarray | None = None) -> np.ndarray:
+def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *,
+                 q: np.ndarray | None = None, **touch: int) -> np.ndarray:
     """The noise-free torques of a touch as real sensors would show them.
 
     Args:
@@ -349,13 +323,12 @@ def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise:
         time: of the frames (T,) [s].
         force: noise-free contact force (T, 3) [N], which determines the contact-free frames of the tare.
         noise: its parameters.
-        object_index, view_index, touch_index: of the touch; they select the random stream.
         q: joint angles (T, J) [rad]; without them there is neither an error in posture nor hysteresis.
 
     Returns:
         (T, J) [N m].
     """
-    rng = stream(noise, object_index, view_index, touch_index, _TORQUE)
+    rng = stream(noise, _TORQUE, **touch)
     joints = torque.shape[1]
     size = np.where(np.arange(joints) < _LARGE, 1.0, _SMALL_SCALE)
     offset = noise.torque_offset_std * rng.standard_normal(joints)
@@ -363,7 +336,7 @@ def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise:
     white = noise.torque_std * rng.standard_normal(torque.shape)
     reading = torque + size * (offset + noise.torque_drift_std * np.cumsum(steps, axis=0) + white)
     if q is not None and (noise.torque_pose_std or noise.torque_hysteresis):
-        start = stream(noise, object_index, view_index, touch_index, _SIGN).choice([-1.0, 1.0], joints)
+        start = stream(noise, _SIGN, **touch).choice([-1.0, 1.0], joints)
         reading = reading + posture_error(q, noise) + size * hysteresis(q, start, noise)
     return tared(reading, force, noise)
 

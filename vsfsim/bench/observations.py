@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.noise import Noise, noisy_force, noisy_pressure, noisy_torque
+from vsfsim.bench.noise import noisy_force, noisy_pressure, noisy_torque
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import Registry
 from vsfsim.data.records import Touch
@@ -73,10 +73,6 @@ class Observation:
             raise TaskError(f"observation '{self.name}': its rows '{self.rows}' cannot be loaded: {error}.") from error
 
 
-def _noisy_force(force: np.ndarray, time: np.ndarray, _: np.ndarray, noise: Noise, **touch: int) -> np.ndarray:
-    return noisy_force(force, noise, time=time, **touch)
-
-
 def _pressure_change(touch: Touch) -> np.ndarray | None:
     if touch.pressure is None or touch.rest_pressure is None:
         return None
@@ -89,7 +85,7 @@ def _read_force(touch: Touch) -> np.ndarray | None:
     return None if unread else touch.force
 
 
-FORCE = Channel("contact force", "a force sensor", _read_force, _noisy_force)
+FORCE = Channel("contact force", "a force sensor", _read_force, noisy_force)
 PRESSURE = Channel("pressure", "a bubble, a [sensor] in the scene", _pressure_change, noisy_pressure)
 TORQUE = Channel("joint torques", "an arm, an [arm] in the scene", lambda touch: touch.torque, noisy_torque,
                  lambda touch: {"q": touch.q})

@@ -18,10 +18,9 @@ import numpy as np
 
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
-from vsfsim.bench.protocol import Trial, divide, folds_of, record, support
+from vsfsim.bench.protocol import Answers, Trial, divide, folds_of, record, support
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers
 from vsfsim.bench.trials.score import result_of
 from vsfsim.core.errors import MethodError, no_such_file
 from vsfsim.core.plain_text import plain

@@ -8,10 +8,9 @@ test object exactly once, and all views of an object are in the same fold.
 
 from __future__ import annotations
 
-import dataclasses
 import typing
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
@@ -88,7 +87,7 @@ def record(view: ObjectView, task: Task) -> Recording:
 def _query(touch: Touch, action: Action, clean: np.ndarray, protocol: Protocol) -> Query:
     if touch.planned_pose is None or touch.planned_time is None or touch.planned_frame is None:
         return Query(action, clean, counted(touch, protocol))
-    plan = dataclasses.replace(action, time=frozen(touch.planned_time), poses=frozen(touch.planned_pose),
+    plan = replace(action, time=frozen(touch.planned_time), poses=frozen(touch.planned_pose),
                                q=None if touch.planned_q is None else frozen(touch.planned_q))
     made = np.flatnonzero(counted(touch, protocol))
     frame = touch.planned_frame[made]
@@ -138,7 +137,7 @@ def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | 
         return None
     nodes, seen = touch.node_position, window(touch.node_rest, noise)
     if noise.depth_std or noise.depth_quantum or noise.image_lag or noise.tracking_std:
-        nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)  # type: ignore[arg-type]
+        nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)
     force = noisy_node_force(_where_converged(touch.node_force, touch), touch.time, noise, **which)
     return Surface(frozen(nodes[:, seen]), frozen(force[:, seen]))
 
@@ -228,6 +227,34 @@ class Trial:
     def where(self) -> str:
         """For messages."""
         return f"{self.subject}, {self.shot}-shot, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Answers:
+    """The answers of one trial; an optional one is None where the method or the task has none."""
+
+    trial: Trial
+    """Which."""
+    readings: tuple[np.ndarray, ...]
+    """Predicted (T, d), one a query touch."""
+    readings_std: tuple[np.ndarray, ...] | None = None
+    """Their standard deviations (T, d)."""
+    mean: np.ndarray | None = None
+    """Stiffness at the reached points (k,)."""
+    std: np.ndarray | None = None
+    """Its standard deviation (k,)."""
+    column_mean: np.ndarray | None = None
+    """Stiffness in the columns of the mask (q,)."""
+    pose: np.ndarray | None = None
+    """Object-to-world transform (4, 4) of the hidden object."""
+    adapt_s: float = 0.0
+    """Seconds of `adapt`."""
+    predict_s: float = 0.0
+    """Seconds of all other functions."""
+
+    def of(self, trial: Trial) -> Answers:
+        """The same answers as those of another trial, which took no time."""
+        return replace(self, trial=trial, adapt_s=0.0, predict_s=0.0)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 from vsfsim.bench.task import Task, load_task
 from vsfsim.core import shelf
@@ -15,35 +14,23 @@ from vsfsim.core.text_table import text_table
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, repr=False)
-class Catalogue(Mapping[str, T], Generic[T]):
-    """Things by name; it prints as a table."""
+class Catalogue(dict[str, T]):
+    """Things by name; it prints as a table.
 
-    kind: str
-    """What one of them is, e.g. "task"."""
-    found: Mapping[str, T]
-    """By name."""
-    head: tuple[str, ...]
-    """Headings of the table; the first column is the name."""
-    rows: tuple[tuple[str, ...], ...]
-    """Cells of the table, one row a name."""
+    Args:
+        kind: what one of them is, e.g. "task". found: by name. head: headings of the table; the first column is the
+        name. rows: its cells, one row a name.
+    """
 
-    def __getitem__(self, name: str) -> T:
+    def __init__(self, kind: str, found: Mapping[str, T], head: Sequence[str], rows: Sequence[Sequence[str]]):
+        super().__init__(found)
+        self.kind, self.head, self.rows = kind, head, rows
+
+    def __missing__(self, name: str) -> T:
         """Raises:
             VsfsimError: there is none of this name.
         """
-        if name not in self.found:
-            raise VsfsimError(f"unknown {self.kind} '{name}'. {did_you_mean(name, self.found)}")
-        return self.found[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.found
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.found)
-
-    def __len__(self) -> int:
-        return len(self.found)
+        raise VsfsimError(f"unknown {self.kind} '{name}'. {did_you_mean(name, self)}")
 
     def __repr__(self) -> str:
         return text_table(self.head, self.rows)
@@ -64,8 +51,8 @@ def tasks() -> Catalogue[Task]:
     """
     loaded = {name: load_task(name) for name in shelf.tasks()}
     found = dict(sorted(loaded.items(), key=lambda one: bool(one[1].superseded_by)))
-    rows = tuple((name, t.observation.name, t.dataset.folder, t.description, t.superseded_by)
-                 for name, t in found.items())
+    rows = [(name, t.observation.name, t.dataset.folder, t.description, t.superseded_by)
+                 for name, t in found.items()]
     return Catalogue("task", found, ("task", "observation", "dataset", "description", "superseded by"), rows)
 
 

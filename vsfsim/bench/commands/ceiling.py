@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import itertools
 import multiprocessing
 import shutil
 import time
@@ -31,10 +32,10 @@ from vsfsim.bench.identity import contents_of
 from vsfsim.bench.method import Action, Reading
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.protocol import Trial, divide, record, support, test_names
+from vsfsim.bench.protocol import Answers, Trial, divide, record, support, test_names
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers, load, save
+from vsfsim.bench.trials.answers import load, save
 from vsfsim.bench.trials.score import result_of
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
@@ -51,16 +52,16 @@ def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
     return [Choice(name, "", {}) for name, entry in ceilings().items() if asked and entry.group == CEILING_GROUP]
 
 
-def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
+def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, parameters: Mapping[str, Any],
                      processes: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None,
-                     out: Path | None = None, keep: str = "") -> Result:
+                     keep: str = "") -> Result:
     """The result of a ceiling: the same answers at every number of touches, unless it takes a support.
 
     Args:
-        name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. parameters: over those of
-        its function. processes: answers at the same time. progress: called with (answers made, of how many, object).
-        out: result file, or None; finished answers are kept beside it until all are made, and taken up again.
-        keep: as of `vsfsim.bench.evaluate.evaluate`.
+        name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. out: result file; finished
+        answers are kept beside it until all are made, and taken up again. parameters: over those of its function.
+        processes: answers at the same time. progress: called with (answers made, of how many, object). keep: as of
+        `vsfsim.bench.evaluate.evaluate`.
 
     Raises:
         MethodError: an unknown parameter.
@@ -68,26 +69,22 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     """
     entry = ceilings()[name]
     takes = {key: one.default for key, one in inspect.signature(entry.load()).parameters.items()
-             if one.kind is one.KEYWORD_ONLY}
-    takes.pop("support", None)
-    fits = entry.group == FITTED_GROUP
-    for key in parameters or {}:
+             if one.kind is one.KEYWORD_ONLY and key != "support"}
+    for key in parameters:
         if key not in takes:
             raise MethodError(f"the ceiling {name} has no parameter '{key}'. {did_you_mean(key, takes)}")
-    given = {**takes, **(parameters or {})}
-    names, trials, asked = test_names(dataset, task.protocol), [], {}
-    for one in names:
+    given, fits, runs = {**takes, **parameters}, entry.group == FITTED_GROUP, task.protocol.runs(seeded=False)
+    trials, asked = list[Trial](), dict[tuple[str, tuple[int, ...]], tuple[list[Action], list[Reading]]]()
+    for one in test_names(dataset, task.protocol):
         view = dataset.blind().load(one)
         recording, draw = record(view, task), divide(view, task.protocol)
         queries = [recording.queries[index].action for index in draw.query]
-        for shot in task.protocol.labels:
-            for run in task.protocol.runs(seeded=False):
-                known = support(view, draw, shot, task.protocol.draw_of(run), task.protocol) if fits else ()
-                trials.append(Trial(one, shot, run, known))
-                asked[one, known] = queries, [recording.readings[index] for index in known]
+        for shot, run in itertools.product(task.protocol.labels, runs):
+            known = support(view, draw, shot, task.protocol.draw_of(run), task.protocol) if fits else ()
+            trials.append(Trial(one, shot, run, known))
+            asked[one, known] = queries, [recording.readings[index] for index in known]
     began = time.perf_counter()
-    contents = contents_of(name, given)
-    part = None if out is None else out.with_suffix(".part")
+    contents, part = contents_of(name, given), out.with_suffix(".part")
     identity = repr((task.sha256, dataset.sha256, given, contents))
     said: dict[tuple[str, tuple[int, ...]], tuple[int, list[np.ndarray]]] = {}
     with contextlib.ExitStack() as held:
@@ -102,32 +99,31 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, *, parameters: Map
     answers = [Answers(trial, tuple(said[trial.subject, trial.support][1])) for trial in trials]
     notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
-    result = result_of(answers, task, dataset, task.protocol.runs(seeded=False), method=name, entry=entry.value,
-                       parameters=given, notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents,
+    result = result_of(answers, task, dataset, runs, method=name, entry=entry.value, parameters=given, notes=notes,
+                       data=fingerprint.beside_record(task, dataset), contents=contents,
                        timing={"predict_s": time.perf_counter() - began,
                                "predicts": sum(len(queries) for queries, _ in asked.values())})
-    if out is not None:
-        result.save(out)
-        shutil.rmtree(str(part), ignore_errors=True)
-        if keep:
-            Curves.of(answers, task, dataset, result.seeds).save(beside(out))
+    result.save(out)
+    shutil.rmtree(part, ignore_errors=True)
+    if keep:
+        Curves.of(answers, task, dataset, result.seeds).save(beside(out))
     return result
 
 
-def _answered(folder: Path | None, identity: str, ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any],
+def _answered(folder: Path, identity: str, ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any],
               which: tuple[str, tuple[int, ...]], asked: tuple[list[Action], list[Reading]]
               ) -> tuple[int, list[np.ndarray]]:
     """The number of frames that had no answer of their own, and readings (T, d) of each action; those that an earlier
     run with the same identity kept in the folder."""
     digest = hashlib.sha256(f"{identity} {which}".encode()).hexdigest()
-    path = None if folder is None else folder / f"{which[0]}-{digest[:24]}.answers"
-    kept = load(path, tuple[int, list[np.ndarray]]) if path is not None else None
+    path = folder / f"{which[0]}-{digest[:24]}.answers"
+    kept = load(path, tuple[int, list[np.ndarray]])
     if kept is not None:
         return kept
     (name, known), (actions, readings) = which, asked
-    more = {"support": readings} if known else {}
     out, lost = [], 0
-    for action, touch in zip(actions, ceiling.load()(recipe, name, actions, **more, **parameters), strict=True):
+    for action, touch in zip(actions, ceiling.load()(
+            recipe, name, actions, **({"support": readings} if known else {}), **parameters), strict=True):
         row = OBSERVATIONS[action.observation]
         values = row.channel.clean(touch)
         if values is None:
@@ -139,7 +135,6 @@ def _answered(folder: Path | None, identity: str, ceiling: EntryPoint, recipe: R
         frames = np.arange(len(good))
         out.append(np.stack([np.interp(frames, frames[good], column[good]) if good.any() else np.zeros(len(good))
                              for column in reading.T], axis=1))
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save(path, (lost, out))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save(path, (lost, out))
     return lost, out

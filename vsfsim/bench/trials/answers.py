@@ -17,10 +17,10 @@ import numpy as np
 from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.isolation.process import Learned, MethodHost, Process
 from vsfsim.bench.isolation.wire import decoded, encoded
-from vsfsim.bench.method import LARGEST_READING, Action, Reading, Specimen, checked_choice, frozen_view
+from vsfsim.bench.method import LARGEST_READING, Action, Specimen, checked_choice, frozen_view
 from vsfsim.bench.metric_functions import FEWEST_POINTS
 from vsfsim.bench.metrics import Answer
-from vsfsim.bench.protocol import Draw, Recording, Trial, divide, record, specimen_of, support
+from vsfsim.bench.protocol import Answers, Draw, Recording, Trial, divide, record, specimen_of, support
 from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import MethodError
@@ -43,12 +43,8 @@ class Subject:
     """What the method sees."""
     draw: Draw
     """Which touches are queries, and which may be given."""
-    pool: dict[int, Reading]
-    """The touches that may be given, by index."""
-    plans: dict[int, Action]
-    """Of the same touches before they are made."""
-    actions: tuple[Action, ...]
-    """Of the query touches."""
+    recording: Recording
+    """Of all its touches."""
     points: np.ndarray
     """Where the stiffness is asked, world (k, 3) [m]: the probed surface points that some touch reached."""
     columns: np.ndarray | None
@@ -74,15 +70,13 @@ class Subject:
             inclusions = Inclusions.of(dataset.recipe, view)
         columns = Columns.of(places, view).points if ranked is Answer.MASK else None
         hidden = inclusions.known_object()[:2] if inclusions is not None and ranked is Answer.POSE else None
-        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw,
-                   {i: recording.readings[i] for i in draw.pool}, {i: recording.queries[i].action for i in draw.pool},
-                   tuple(recording.queries[i].action for i in draw.query),
+        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw, recording,
                    places[reached_in(view, places)], columns, hidden)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Of the query touches, for messages."""
-        return tuple(f"touch {i}" for i in self.draw.query)
+    def actions(self) -> tuple[Action, ...]:
+        """Of the query touches."""
+        return tuple(self.recording.queries[i].action for i in self.draw.query)
 
     @property
     def asks_stiffness(self) -> bool:
@@ -151,34 +145,6 @@ def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
 
 
 @dataclass(frozen=True)
-class Answers:
-    """The answers of one trial; an optional one is None where the method or the task has none."""
-
-    trial: Trial
-    """Which."""
-    readings: tuple[np.ndarray, ...]
-    """Predicted (T, d), one a query touch."""
-    readings_std: tuple[np.ndarray, ...] | None = None
-    """Their standard deviations (T, d)."""
-    mean: np.ndarray | None = None
-    """Stiffness at `Subject.points` (k,)."""
-    std: np.ndarray | None = None
-    """Its standard deviation (k,)."""
-    column_mean: np.ndarray | None = None
-    """Stiffness at `Subject.columns` (q,)."""
-    pose: np.ndarray | None = None
-    """Object-to-world transform (4, 4) of the hidden object."""
-    adapt_s: float = 0.0
-    """Seconds of `adapt`."""
-    predict_s: float = 0.0
-    """Seconds of all other functions."""
-
-    def of(self, trial: Trial) -> Answers:
-        """The same answers as those of another trial, which took no time."""
-        return replace(self, trial=trial, adapt_s=0.0, predict_s=0.0)
-
-
-@dataclass(frozen=True)
 class Done:
     """What came of one training and its trials."""
 
@@ -199,11 +165,10 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
         MethodError: it raises, or answers with something that cannot be scored.
     """
     where = trial.where
-    names = [f"{name} of {where}" for name in subject.names]
-    asked = subject.actions, names
-    shapes = [(len(action.time), action.size) for action in subject.actions]
+    names, actions = [f"touch {i} of {where}" for i in subject.draw.query], subject.actions
+    asked, shapes = (actions, names), [(len(action.time), action.size) for action in actions]
     mean = std = column_mean = pose = readings_std = None
-    support = [subject.pool[i] for i in trial.support if not trial.offered]
+    support = [subject.recording.readings[i] for i in trial.support if not trial.offered]
     with host.trial(learned, subject.view, support, where) as process:
         offers = _adapt(process, where)
         if trial.offered:
@@ -244,11 +209,11 @@ def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> 
     left, made = list(trial.offered), list[int]()
     for index in trial.support:
         if chooses:
-            (answer,) = process.ask("choose", [subject.plans[k] for k in left], f"choose for {trial.where}",
-                                    shapes=[(1,)]).arrays
+            offered = [subject.recording.queries[k].action for k in left]
+            (answer,) = process.ask("choose", offered, f"choose for {trial.where}", shapes=[(1,)]).arrays
             index = left.pop(checked_choice(int(answer[0]) if np.isfinite(answer[0]) else None, len(left)))
         made.append(index)
-        process.ask("made", subject.pool[index], f"a touch for {trial.where}")
+        process.ask("made", subject.recording.readings[index], f"a touch for {trial.where}")
         if chooses or len(made) == len(trial.support):
             _adapt(process, trial.where)
     return tuple(made)
@@ -257,7 +222,7 @@ def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> 
 def _check_readings(readings: Iterable[np.ndarray], names: Iterable[str]) -> None:
     # The method's process has checked them with a better message; it may have been tampered with.
     for given, name in zip(readings, names, strict=True):
-        if not np.isfinite(given).all() or np.abs(given).max(initial=0.0) > LARGEST_READING:
+        if not (np.abs(given) <= LARGEST_READING).all():
             raise MethodError(f"prediction for {name} is not finite, or over {LARGEST_READING:g}.")
 
 

@@ -21,10 +21,10 @@ from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.identity import contents_of, versions_of
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodHost
-from vsfsim.bench.protocol import Trial
+from vsfsim.bench.protocol import Answers, Trial
 from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import ALL, Task
-from vsfsim.bench.trials.answers import Answers, Done, Reader, asked_of, load, run_trial, save
+from vsfsim.bench.trials.answers import Done, Reader, asked_of, load, run_trial, save
 from vsfsim.bench.trials.score import maps_of, result_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import MethodError, TaskError

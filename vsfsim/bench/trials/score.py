@@ -10,7 +10,7 @@ import numpy as np
 from vsfsim.bench.inclusions import Inclusions, Mask
 from vsfsim.bench.metric_functions import can_be_scored, touch_errors, touch_uncertainty
 from vsfsim.bench.metrics import Answer, record_scores, scores_of
-from vsfsim.bench.protocol import Recording, divide, record
+from vsfsim.bench.protocol import Answers, Recording, divide, record
 from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.result_file import (
@@ -24,7 +24,6 @@ from vsfsim.bench.result_file import (
     stored,
 )
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Answers
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
 
