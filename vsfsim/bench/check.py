@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench.isolation.wire import packed, unpacked
 from vsfsim.bench.method import (
     Method,
     Reading,
@@ -21,10 +22,8 @@ from vsfsim.bench.method import (
     find_method,
     frozen,
     frozen_view,
-    packed,
     parameters_of,
     plain_parameters,
-    unpacked,
 )
 from vsfsim.bench.metric_functions import rmse, touch_errors
 from vsfsim.bench.mock import mock_view

@@ -30,6 +30,7 @@ from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.curves import beside
 from vsfsim.bench.identity import SCORER, contents_of
 from vsfsim.bench.isolation.limits import Isolation
+from vsfsim.bench.isolation.process import UNKNOWN
 from vsfsim.bench.method import check_name
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
@@ -57,17 +58,16 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         task: name of a shipped task, path of a .toml file, or a loaded task; TASK-development or TASK-seed-N is TASK on
         other objects (`vsfsim.bench.task.load_task`).
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
-        parameters: of the method's constructor, over its defaults.
+        parameters: of the method's constructor, over its defaults and those of ``preset``.
         seeds: draws of the support set, None for the task's own number.
-        workers: trials that run at the same time.
+        workers: trials that run at the same time. processes: trainings that do, each in a process of its own.
         timeout: seconds that one call of the method may take, None for no limit.
         memory: memory that a process of the method may allocate [GiB], None for no limit.
         sandbox: "namespaces", a container, which hides files and network, or "process"; "" for the strongest one that
-            works here.
-        out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
-            are done, and what the method prints goes to a file beside it, RESULT.json.log.
-        preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
-        processes: trainings that run at the same time, each in a process of its own.
+        works here.
+        out: result file to write, or None; `vsfsim leaderboard` reads it. Finished trainings are kept beside it until
+        all are done, and what the method prints goes to a file beside it, RESULT.json.log.
+        preset: "paper" or "tuned", settings of a method that ships; "" for none.
         keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view`
         draws; "" writes none.
         check: test the method's contract on mock objects first.
@@ -276,7 +276,7 @@ def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan:
                 elif left[row.path] == 0 and fan.shard is None:
                     yield row, _finished(row)
     except KeyboardInterrupt as stop:
-        known = [row for row in rows if row.description is not None]
+        known = [row for row in rows if row.said is not UNKNOWN]
         done, of = sum(len(one.jobs) - len(one.left) for one in known), sum(len(one.jobs) for one in known)
         raise Interrupted("interrupted; no training was finished, so nothing is kept." if not done else
                           f"interrupted; {done} of {of} trainings are finished and kept in "

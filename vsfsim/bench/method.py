@@ -11,10 +11,8 @@ import inspect
 import json
 import operator
 import os
-import pickle
 import sys
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -229,49 +227,6 @@ def build_method(factory: type, parameters: Mapping[str, Any]) -> Method:
         if not callable(getattr(method, name, None)):
             raise MethodError(f"{label} has no function {name}(); a method needs {', '.join(REQUIRED)}.")
     return method
-
-
-def packed(method: Method) -> tuple[bytes, dict[str, bytes]]:
-    """What a method has learned: the pickled method, or the files of its `save`; `unpacked` makes it again.
-
-    Raises:
-        MethodError: it can neither be pickled nor saved.
-    """
-    try:
-        return pickle.dumps(method), {}
-    except Exception as error:  # of what a method holds, anything may refuse to be pickled
-        if not (callable(getattr(method, "save", None)) and callable(getattr(method, "load", None))):
-            raise MethodError(f"what the method learned cannot be handed to its trials: it cannot be pickled ({error}) "
-                              f"and has no save() and load(). Give it both.") from error
-        with tempfile.TemporaryDirectory() as folder:
-            method.save(Path(folder))  # type: ignore[attr-defined]
-            return b"", files_in(Path(folder))
-
-
-def unpacked(learned: tuple[bytes, dict[str, bytes]], build: Callable[[], Method]) -> Method:
-    """The method that `packed` handed on; ``build`` makes one that has not learned. It runs the method's code."""
-    if learned[0]:
-        return pickle.loads(learned[0])
-    method: Any = build()
-    with tempfile.TemporaryDirectory() as folder:
-        write_files(learned[1], Path(folder))
-        method.load(Path(folder))
-    return method
-
-
-def files_in(folder: Path) -> dict[str, bytes]:
-    """The files below a folder, by relative path, without links."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.is_symlink()}
-
-
-def write_files(files: Mapping[str, bytes], folder: Path) -> None:
-    """What `files_in` read, into another folder; a link of the same name is replaced."""
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)
-        path.write_bytes(content)
 
 
 def checked_prediction(predictions: Any, actions: Sequence[Action], where: Sequence[str]) -> list[np.ndarray]:

@@ -135,6 +135,5 @@ def _answered(folder: Path, identity: str, ceiling: EntryPoint, recipe: Recipe, 
         frames = np.arange(len(good))
         out.append(np.stack([np.interp(frames, frames[good], column[good]) if good.any() else np.zeros(len(good))
                              for column in reading.T], axis=1))
-    path.parent.mkdir(parents=True, exist_ok=True)
     save(path, (lost, out))
     return lost, out

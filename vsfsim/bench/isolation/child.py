@@ -21,19 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.isolation.wire import Reply, encoded, receive_request
+from vsfsim.bench.isolation.wire import Reply, encoded, files_in, packed, receive_request, unpacked, write_files
 from vsfsim.bench.method import (
     Method,
     build_method,
     checked_choice,
     checked_prediction,
-    files_in,
     find_method,
-    packed,
     parameters_of,
     plain_parameters,
-    unpacked,
-    write_files,
 )
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage

@@ -64,6 +64,10 @@ class Description:
     """Of that package."""
 
 
+UNKNOWN = Description("", {}, False, "", "")
+"""Of a method that was not looked at."""
+
+
 @dataclass(frozen=True)
 class Learned:
     """What a method learned in one training."""

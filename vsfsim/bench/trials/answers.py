@@ -253,7 +253,15 @@ def _pose(process: Process, hidden: tuple[np.ndarray, np.ndarray], where: str) -
 
 
 def save(path: Path, value: Any) -> None:
-    """Keep what came of a training, or another record with arrays; the file appears whole or not at all."""
+    """Keep what came of a training, or another record with arrays; the file appears whole or not at all.
+
+    Raises:
+        MethodError: it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MethodError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --out.") from error
     write_atomic(path, zlib.compress(encoded(value)), error=MethodError)
 
 

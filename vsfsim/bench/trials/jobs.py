@@ -20,7 +20,7 @@ from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.identity import contents_of, versions_of
 from vsfsim.bench.isolation.limits import Isolation
-from vsfsim.bench.isolation.process import Description, MethodHost
+from vsfsim.bench.isolation.process import UNKNOWN, Description, MethodHost
 from vsfsim.bench.protocol import Answers, Trial
 from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import ALL, Task
@@ -86,7 +86,7 @@ class Evaluation:
     keep: str = ""
     """"predictions": all of them are written beside the truth, into a file beside the result
     (`vsfsim.bench.curves.Curves`)."""
-    description: Description | None = None
+    said: Description = UNKNOWN
     """What the method said of itself, once `look` was called."""
     contents: Mapping[str, str] = field(default_factory=dict)
     """What decides its answers (`vsfsim.bench.identity.contents_of`), once `look` was called."""
@@ -130,14 +130,8 @@ class Evaluation:
         Raises:
             MethodError: it is unknown, or breaks its contract.
         """
-        self.description = self.host.look(check=check and not any(self.parts.glob("*/*.answers")))
+        self.said = self.host.look(check=check and not any(self.parts.glob("*/*.answers")))
         self.contents = contents_of(self.method, self.said.parameters)
-
-    @property
-    def said(self) -> Description:
-        """What the method said of itself."""
-        assert self.description is not None
-        return self.description
 
     @property
     def runs(self) -> tuple[int, ...]:
@@ -230,8 +224,8 @@ class Evaluation:
                 raise
         self._check_contents(opened)
         new = tuple(name for name in opened if name not in self.contents)
-        self._keep(job, Done(tuple(answers[k] for k in range(len(asked))), learned.seconds, self.host.peak_memory_mib,
-                             new))
+        save(self._file(job), Done(tuple(answers[k] for k in range(len(asked))), learned.seconds,
+                                   self.host.peak_memory_mib, new))
 
     def _check_contents(self, known: Mapping[str, str] | None = None) -> None:
         """Raises:
@@ -314,14 +308,6 @@ class Evaluation:
 
     def _file(self, job: Job) -> Path:
         return self._folder / f"{job.name}.answers"
-
-    def _keep(self, job: Job, done: Done) -> None:
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise MethodError(f"folder {self._folder} cannot be made: {error.strerror}. Choose another "
-                              f"--out.") from error
-        save(self._file(job), done)
 
 
 def log_of(result: Path) -> Path:
