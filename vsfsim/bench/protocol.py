@@ -8,10 +8,10 @@ test object exactly once, and all views of an object are in the same fold.
 
 from __future__ import annotations
 
-import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import Any
 
 import numpy as np
 
@@ -185,21 +185,9 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
     return Draw(tuple(sorted(map(int, query))), tuple(map(int, pool)))
 
 
-class Numbered(typing.Protocol):
-    """An object view, or what stands for one, with the numbers that choose its random streams."""
-
-    @property
-    def object_index(self) -> int:
-        """From 0."""
-
-    @property
-    def view_index(self) -> int:
-        """Of the view of that object, from 0."""
-
-
-def support(view: Numbered, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:
+def support(view: Any, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:
     """Indices of the support touches for shot ``label`` ("0", "5", "all") and draw ``seed``, in the order they are
-    given."""
+    given; ``view`` has the numbers of an object view, object_index and view_index, which choose its random stream."""
     if label == ALL:
         return draw.pool
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(1, view.object_index, view.view_index, seed))
