@@ -177,7 +177,8 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     # one after the other, unless trainings of several run at the same time
     for some in ([wanted] if processes > 1 or fan != HERE else [[one] for one in wanted]):
         for one, made in make(some, processes, check=check, fan=fan, progress=progress):
-            yield Made(rows[one.path], one.path, **{"failure" if isinstance(made, VsfsimError) else "result": made})
+            result, failure = (None, made) if isinstance(made, VsfsimError) else (made, None)
+            yield Made(rows[one.path], one.path, result, failure)
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
