@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from vsfsim.bench.typed_table import typed
 from vsfsim.core.errors import TaskError, did_you_mean
-from vsfsim.core.table import parse_toml, read_text
+from vsfsim.core.table import parse_toml, read_text, typed
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ _PATH = Path(__file__).with_name("figures.toml")
 _GIVEN = parse_toml(read_text(_PATH, "table of figures", TaskError), _PATH, "table of figures", TaskError)
 TEXTS: Mapping[str, str] = _GIVEN.pop("texts")
 """sha256 of the text of each paper that the cells were compared with."""
-TABLES: Mapping[str, PaperTable] = {name: typed(given, PaperTable, f"{_PATH} [{name}]")
+TABLES: Mapping[str, PaperTable] = {name: typed(given, PaperTable, f"{_PATH} [{name}]", error=TaskError)
                                    for name, given in _GIVEN.items()}
 """By paper and number."""
 
