@@ -134,7 +134,7 @@ def test_many_bodies_in_one_struct(ball, device, tmp_path):
     for k in range(5):
         assert np.abs(evaluate(bodies, k, x, device)[0] - bodies.distance(k, x)).max() < 1e-15
     # the box's own frame is the centre of its bounding box
-    assert bodies.reach(2) == pytest.approx(0.5 * np.linalg.norm((0.02, 0.01, 0.03)), rel=1e-6)
+    assert bodies.reaches[2] == pytest.approx(0.5 * np.linalg.norm((0.02, 0.01, 0.03)), rel=1e-6)
     assert sdf.support(shapes[2], np.array([0.0, 1.0, 0.0])) == pytest.approx(0.005, rel=1e-5)
 
 

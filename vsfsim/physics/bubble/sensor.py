@@ -105,7 +105,7 @@ def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray
     gap = np.full((len(bodies), len(dome)), np.inf)
     before = poses[:1]
     for pose in poses:
-        for way in increments.pieces(before, pose[None], edge, bodies):
+        for way in increments.pieces(before, pose[None], edge, bodies.reaches):
             for k in range(len(bodies)):
                 turn, at = way[0, k, :3, :3], way[0, k, :3, 3]
                 gap[k] = np.minimum(gap[k], bodies.distance(k, (dome - at) @ turn))

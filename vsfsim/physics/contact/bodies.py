@@ -48,9 +48,10 @@ class RigidBodies:
         """Signed distance (...,) [m] of ``points`` (..., 3) in the frame of body ``k``; as the kernels' `gap`."""
         return sdf.distance(self.shapes[k], points)
 
-    def reach(self, k: int) -> float:
-        """As `sdf.reach` of body ``k`` [m]."""
-        return sdf.reach(self.shapes[k])
+    @property
+    def reaches(self) -> np.ndarray:
+        """As `sdf.reach` of each body (K,) [m]."""
+        return np.array([sdf.reach(shape) for shape in self.shapes])
 
     def upload(self, functions: Any, device: str) -> Any:
         """The ``functions.Bodies`` struct on ``device``; ``functions`` are those of `sdf.functions`.

@@ -32,8 +32,7 @@ import warp as wp
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
-from vsfsim.physics.contact.local_indentation import poisson_ratio
-from vsfsim.physics.contact.patch import PENALTY, Patch
+from vsfsim.physics.contact.patch import PENALTY, Patch, poisson_ratio
 from vsfsim.physics.elements import closest_point
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
@@ -231,69 +230,63 @@ class Padded:
 
     nodes: np.ndarray
     """Nodes of the patches (B, s); -1 is padding."""
-    local: np.ndarray
-    """Positions in `nodes` of the nodes of each part (B, f, 6)."""
-    stiffness: np.ndarray
-    """Of each contact point (B, f, 6) [N/m]; a point of a body is the first of a part of its own."""
-    part: np.ndarray
-    """Row of each part in `table` (B, f)."""
-    table: np.ndarray
-    """Shape values of the points of all parts (p, 6, 6)."""
     member: np.ndarray
     """Boundary triangles of the patches (B, F) bool."""
+    local: np.ndarray
+    """Positions in `nodes` of the nodes of each part (B, f, 6)."""
+    shape: np.ndarray
+    """Shape values of the points of the parts (B, f, 6, 6)."""
+    stiffness: np.ndarray
+    """Of each contact point (B, f, 6) [N/m]; a point of a body is the first of a part of its own."""
     key: np.ndarray
-    """Of each contact point (B, 6 f): its boundary triangle, or F and its number among the points of bodies; -1 is
-    padding."""
+    """Of each part (B, f): its boundary triangle, or F and the number of the point of a body; -1 is padding."""
+    area: np.ndarray
+    """Of each part (B, f) [m^2], 0 of points of bodies."""
     host: np.ndarray
     """The body whose point a part is (B, f); -1 for parts of a face."""
     spot: np.ndarray
     """That point in the frame of its body (B, f, 3) [m]."""
-    normal: np.ndarray
+    leave: np.ndarray
     """Direction in which it leaves the object (B, f, 3) [-]."""
     share: np.ndarray
-    """Share of the stiffness that acts at first, of all points of bodies (n,) [-]."""
+    """Share of the stiffness of points of bodies that acts at first (B, f) [-]."""
     soft: np.ndarray
-    """Depth down to which it does (n,) [m]."""
+    """Depth down to which it does (B, f) [m]."""
 
     def places(self, touch: int, points: np.ndarray) -> np.ndarray:
         """The contact points of a touch (6 f, 3) [m] on a mesh whose nodes are at ``points`` (n, 3) [m]."""
-        return (self.table[self.part[touch]] @ points[self.nodes[touch][self.local[touch]]]).reshape(-1, 3)
+        return (self.shape[touch] @ points[self.nodes[touch][self.local[touch]]]).reshape(-1, 3)
 
 
-def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoints,
-        table: np.ndarray) -> Padded:
-    """The patches (B) of a mesh with the boundary triangles ``faces`` (F, 6 or 3), and the points of bodies that they
-    meet.
+def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoints) -> Padded:
+    """The patches (B) of a mesh with the boundary triangles ``faces`` (F, 6 or 3), of ``least`` parts, and the points
+    of bodies that they meet."""
+    member = np.zeros((len(patches), len(faces)), bool)
+    parts = []
+    for p, met, row in zip(patches, points.met, member, strict=True):
+        row[p.faces] = True
+        n, more = len(met.sample), (len(met.sample), 6)
+        local, shape, stiffness = np.zeros(more, np.int64), np.zeros((*more, 6)), np.zeros(more)
+        local[:, :faces.shape[1]], shape[:, 0] = np.searchsorted(p.nodes, faces[met.face]), met.values
+        stiffness[:, 0], share, soft = points.stiffness(met)
+        none = np.zeros((len(p.local), 3))
+        of_face = p.local, p.shapes, p.stiffness, np.repeat(p.faces, p.cuts**2), p.area, none[:, 0] - 1, none, none
+        of_body = (local, shape, stiffness, len(faces) + met.sample, np.zeros(n), points.body[met.sample],
+                   points.spot[met.sample], met.normal)
+        parts.append([*(np.concatenate(both) for both in zip(of_face, of_body, strict=True)),
+                      *(np.concatenate([none[:, 0], own]) for own in (share, soft))])
+    local, shape, stiffness, key, area, host, *others = (
+        _stacked(own, least, fill) for own, fill in zip(zip(*parts, strict=True), (
+            0, 0, 0, -1, 0, -1, 0, 0, 0, 0), strict=True))
+    return Padded(_stacked([p.nodes for p in patches], 1, -1), member, local.astype(np.int32), shape, stiffness, key,
+                  area, host.astype(np.int32), *others)
 
-    Args:
-        patches, faces: see above.
-        least: parts at the least.
-        points: of the bodies.
-        table: shape values of the parts of faces (p, 6, 6).
-    """
-    batch, met = len(patches), points.met
-    f = max(least, max(len(p.part) + len(m.sample) for p, m in zip(patches, met, strict=True)))
-    s = max(1, max(len(p.nodes) for p in patches))
-    more = sum(len(m.sample) for m in met)
-    out = Padded(np.full((batch, s), -1, np.int64), np.zeros((batch, f, 6), np.int32), np.zeros((batch, f, 6)),
-                 np.zeros((batch, f), np.int32), np.zeros((len(table) + more, 6, 6)),
-                 np.zeros((batch, len(faces)), bool), np.full((batch, 6 * f), -1), np.full((batch, f), -1, np.int32),
-                 np.zeros((batch, f, 3)), np.zeros((batch, f, 3)), np.zeros(more), np.zeros(more))
-    out.table[:len(table)] = table
-    done = 0
-    for b, (p, m) in enumerate(zip(patches, met, strict=True)):
-        own, count = len(p.part), len(m.sample)
-        out.nodes[b, :len(p.nodes)], out.local[b, :own], out.part[b, :own] = p.nodes, p.local, p.part
-        out.stiffness[b, :own], out.member[b, p.faces] = p.stiffness, True
-        out.key[b, :6 * own] = np.repeat(p.faces, 6 * p.cuts**2)
-        out.key[b, 6 * own:6 * (own + count):6] = len(faces) + m.sample
-        at, rows = slice(own, own + count), slice(done, done + count)
-        out.local[b, at, :faces.shape[1]] = np.searchsorted(p.nodes, faces[m.face])
-        out.part[b, at] = len(table) + np.arange(done, done + count)
-        out.table[len(table) + done:len(table) + done + count, 0] = m.values
-        out.stiffness[b, at, 0], out.share[rows], out.soft[rows] = points.stiffness(m)
-        out.host[b, at], out.spot[b, at], out.normal[b, at] = points.body[m.sample], points.spot[m.sample], m.normal
-        done += count
+
+def _stacked(rows: Sequence[np.ndarray], least: int, fill: int) -> np.ndarray:
+    """Arrays (n, ...) padded to their longest, or to ``least``."""
+    out = np.full((len(rows), max(least, *map(len, rows)), *rows[0].shape[1:]), fill, rows[0].dtype)
+    for own, row in zip(out, rows, strict=True):
+        own[:len(row)] = row
     return out
 
 

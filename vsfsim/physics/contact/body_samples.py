@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
@@ -17,6 +18,7 @@ _MOST_POINTS = 20_000  # points of one body
 _INNER = 4000  # random points for the inner radius of a mesh
 _MOST_SHARP = 2000  # points of its edges, corners and rims
 _CREASE = np.radians(30.0)  # turn of the outward side at an edge of a mesh
+_CUBE = 0.8  # edge of the cubes that hold one point each, over the spacing
 _PROJECTIONS = 3  # steps along the normal onto the rounded surface
 
 
@@ -29,18 +31,12 @@ def _kept(of_shape: Callable[[ProbeShape], T]) -> Callable[[ProbeShape], T]:
 @_kept
 def inner_radius(shape: ProbeShape) -> float:
     """Radius [m] of the largest ball inside a body, of a mesh from random points; infinite for a plane."""
-    match shape:
-        case Sphere(radius) | Capsule(radius, _):
-            return radius
-        case Cylinder(radius, height):
-            return min(radius, 0.5 * height)
-        case Box(size):
-            return 0.5 * min(size)
-        case Plane():
-            return float("inf")
-    reach = sdf.reach(shape)
-    cube = np.random.default_rng(0).uniform(-1.0, 1.0, (_INNER, 3))
-    return float(-sdf.distance(shape, reach * np.vstack([np.zeros((1, 3)), cube])).min())
+    if isinstance(shape, Plane):
+        return float("inf")
+    points = np.zeros((1, 3))  # of a solid of ours the middle is deepest
+    if isinstance(shape, MeshFile):
+        points = np.vstack([points, sdf.reach(shape) * np.random.default_rng(0).uniform(-1.0, 1.0, (_INNER, 3))])
+    return float(-sdf.distance(shape, points).min())
 
 
 def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
@@ -50,7 +46,7 @@ def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
     reaches of an object, it reaches of the object's surface.
     """
     while True:
-        points = _points(shape, spacing)
+        points = _mesh(*_surface(shape, spacing), spacing)
         if len(points) <= _MOST_POINTS:
             break
         spacing *= 1.1 * np.sqrt(len(points) / _MOST_POINTS)
@@ -87,21 +83,14 @@ def sharp_samples(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.nda
 
 def _sharp(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     match shape:
-        case Box(size):
-            half = 0.5 * np.array(size)
-            corners = np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0
-            ends = [(a, b) for i, a in enumerate(corners) for b in corners[i + 1:] if (a != b).sum() == 1]
-            return _edges([(a * half, b * half, 0.5 * (a + b)) for a, b in ends],
-                          [(c * half, c) for c in corners], spacing)
         case Cylinder(radius, height):
             # between two points of a rim it bulges by less than a hundredth of their distance
             ring = _ring(radius, 0.5 * height, min(spacing, np.sqrt(0.03 * radius * spacing)))
             points = np.vstack([ring, ring * [1.0, 1.0, -1.0]])
             outward = points / np.array([radius, radius, 0.5 * height])
             return points, outward / np.sqrt(2.0), np.full(len(points), np.pi * radius / (len(ring) / 2.0))
-        case MeshFile():
-            grid = sdf.grid(shape)
-            return _creases(np.asarray(grid.vertices), np.asarray(grid.faces), spacing)
+        case Box() | MeshFile():
+            return _creases(*_surface(shape, spacing), spacing)
     return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
 
@@ -156,48 +145,29 @@ def _creases(vertices: np.ndarray, faces: np.ndarray,
     return points, outward, length
 
 
-def _points(shape: ProbeShape, spacing: float) -> np.ndarray:
+def _surface(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (n, 3) [m] and triangles (f, 3), wound outwards, of a mesh, or of a polyhedron that is like the shape and
+    whose points the steps onto its surface bring there; none of a plane."""
     match shape:
-        case Sphere(radius):
-            return radius * _ball(radius, spacing)
-        case Capsule(radius, length):
-            ends = radius * _ball(radius, spacing)
-            ends[:, 2] += 0.5 * length * np.where(ends[:, 2] < 0.0, -1.0, 1.0)
-            return np.vstack([ends, _tube(radius, length, spacing)])
-        case Cylinder(radius, height):
-            rings = [np.zeros((1, 3)), *(_ring(r, 0.0, spacing) for r in _steps(0.0, radius, spacing)[1:])]
-            disc = np.vstack(rings)
-            top, bottom = (disc + [0.0, 0.0, z] for z in (0.5 * height, -0.5 * height))
-            return np.vstack([top, bottom, _tube(radius, height, spacing)])
-        case Box(size):
-            axes = [_steps(-0.5 * s, 0.5 * s, spacing) for s in size]
-            sides = []
-            for k in range(3):
-                one, other = (k + 1) % 3, (k + 2) % 3
-                grid = np.stack(np.meshgrid(axes[one], axes[other], indexing="ij"), axis=-1).reshape(-1, 2)
-                for end in (-0.5 * size[k], 0.5 * size[k]):
-                    side = np.empty((len(grid), 3))
-                    side[:, one], side[:, other], side[:, k] = grid[:, 0], grid[:, 1], end
-                    sides.append(side)
-            return np.vstack(sides)
         case MeshFile():
             grid = sdf.grid(shape)
-            return _mesh(np.asarray(grid.vertices), np.asarray(grid.faces), spacing)
-    return np.zeros((0, 3))
-
-
-def _steps(low: float, high: float, spacing: float) -> np.ndarray:
-    return np.linspace(low, high, max(2, int(np.ceil((high - low) / spacing)) + 1))
-
-
-def _ball(radius: float, spacing: float) -> np.ndarray:
-    """Unit vectors (m, 3): the Fibonacci lattice and the six poles."""
-    count = max(60, int(np.ceil(4.0 * np.pi * radius**2 / spacing**2)))
-    i = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * i / count
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * i
-    r = np.sqrt(1.0 - z**2)
-    return np.vstack([np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1), np.eye(3), -np.eye(3)])
+            return np.asarray(grid.vertices), np.asarray(grid.faces)
+        case Sphere() | Capsule():
+            golden = 0.5 * (1.0 + np.sqrt(5.0))
+            quarter = np.array([[0.0, one, other * golden] for one in (-1.0, 1.0) for other in (-1.0, 1.0)])
+            corners = np.vstack([np.roll(quarter, k, axis=1) for k in range(3)])  # of an icosahedron
+            corners *= shape.radius / np.hypot(1.0, golden)
+            corners[:, 2] += 0.5 * getattr(shape, "length", 0.0) * np.where(corners[:, 2] < 0.0, -1.0, 1.0)
+        case Cylinder(radius, height):
+            corners = np.vstack([_ring(radius, z, spacing) for z in (-0.5 * height, 0.5 * height)])
+        case Box(size):
+            corners = np.array(list(np.ndindex(2, 2, 2))) * np.array(size) - 0.5 * np.array(size)
+        case _:
+            return np.zeros((0, 3)), np.zeros((0, 3), int)
+    hull = ConvexHull(corners)
+    a, b, c = (corners[hull.simplices[:, k]] for k in range(3))
+    inward = np.einsum("fc,fc->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    return corners, np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
 
 
 def _ring(radius: float, z: float, spacing: float) -> np.ndarray:
@@ -206,17 +176,14 @@ def _ring(radius: float, z: float, spacing: float) -> np.ndarray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, z)], axis=1)
 
 
-def _tube(radius: float, length: float, spacing: float) -> np.ndarray:
-    return np.vstack([_ring(radius, z, spacing) for z in _steps(-0.5 * length, 0.5 * length, spacing)])
-
-
 def _mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> np.ndarray:
-    """The corners, and points on a grid over every triangle that is larger than ``spacing``."""
+    """The corners, and points on a grid over every triangle that is larger than ``spacing``, one in a cube of it."""
     corner = vertices[faces]
-    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1, initial=0.0)
     steps = np.maximum(1, np.ceil(longest / spacing)).astype(int)
     parts = [vertices]
     for n in np.unique(steps[steps > 1]):
         bary = np.array([(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]) / n
         parts.append(np.einsum("sk,fkc->fsc", bary, corner[steps == n]).reshape(-1, 3))
-    return np.vstack(parts)
+    points = np.vstack(parts)
+    return points[np.unique(np.round(points / (_CUBE * spacing)), axis=0, return_index=True)[1]]

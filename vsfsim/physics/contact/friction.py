@@ -16,7 +16,6 @@ contact where the object bulges up is anchored where it is; an anchor that follo
 creep on for ever, so it is set `ANCHORINGS` times in a step at most.
 """
 
-import torch
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
@@ -90,28 +89,3 @@ def relaxed(asked: wp.float64, present: wp.float64, renewals: int):
     if renewals > _FULL:
         part = _STEADY
     return present + part * (asked - present), (_ONE - part) * wp.abs(asked - present)
-
-
-class Relaxation:
-    """The renewals of friction limits within a step. The tensors are only ever written in place.
-
-    Args:
-        size: shape (B, ...) of the contact points. device: torch device.
-    """
-
-    def __init__(self, size: tuple[int, ...], device: str):
-        self.residual = torch.zeros(size, dtype=torch.float64, device=device)
-        """Part of the last change of each limit that was held back (B, ...) [N]."""
-        self.anchorings = torch.zeros(size, dtype=torch.int32, device=device)
-        """How often the anchor of each point was set in this step (B, ...) [-]."""
-        self.renewals = torch.zeros(size[0], dtype=torch.int32, device=device)
-        """How often the limits of each touch were renewed in this step (B,)."""
-
-    def begin_step(self) -> None:
-        """Forget the step before."""
-        for value in (self.anchorings, self.residual, self.renewals):
-            value.zero_()
-
-    def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
-        """Sum of the residuals of Coulomb's law of the touches ``columns`` (k,): (k,) [N]."""
-        return self.residual[columns].flatten(1).sum(dim=1)

@@ -73,12 +73,12 @@ def remember(tensors: tuple[torch.Tensor, ...], kept: tuple[torch.Tensor, ...], 
     apart = _APART * float(np.ptp(rest, axis=0).max())
     for b in touches:
         before = rest + moved[:, b].cpu().numpy().reshape(-1, 3)
-        was, now = (np.flatnonzero(p.key[b] >= 0) for p in points)
+        was, now = (np.flatnonzero(p.stiffness[b]) for p in points)
         for mine, nothing in zip(tensors, (0.0, -1, 0.0, 0.0), strict=True):
             mine[b] = nothing
         if not len(was):
             continue
-        there, here = (np.column_stack([p.places(b, rest)[at], apart * p.key[b, at]])
+        there, here = (np.column_stack([p.places(b, rest)[at], apart * p.key[b, at // 6]])
                        for p, at in zip(points, (was, now), strict=True))
         away, near = cKDTree(there).query(here)
         now, was = now[away < 0.5 * apart], was[near[away < 0.5 * apart]]

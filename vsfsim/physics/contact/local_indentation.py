@@ -26,7 +26,16 @@ import numpy as np
 import torch
 
 from vsfsim.core.shape import ProbeShape
-from vsfsim.physics.contact.patch import PENALTY, POINTS, WEIGHTS, Patch, nodal_sums, shape_values, smooth_radius
+from vsfsim.physics.contact.body_points import Padded
+from vsfsim.physics.contact.patch import (
+    PENALTY,
+    POINTS,
+    WEIGHTS,
+    nodal_sums,
+    poisson_ratio,
+    shape_values,
+    smooth_radius,
+)
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.linear.rest_factor import Response
 from vsfsim.physics.model import Model
@@ -59,64 +68,48 @@ _ACROSS = 0.5  # least cosine between a face's normal and that of the contact
 _CHUNK = 16  # touches whose wide footprints are made at once
 
 
-def poisson_ratio(model: Model) -> float | None:
-    """Poisson's ratio of a neo-Hookean body at small strain, its mean [-]; None for other laws and elements, on which
-    the local indentation was not measured."""
-    for block in model.blocks:
-        p = block.parameters
-        if block.law == "neo-hooke":
-            lam = float((p["lam"] + p["mean_lam"][:, None]).mean())
-            return lam / (2.0 * (lam + float(p["mu"].mean())))
-    return None
-
-
 class LocalIndentation:
     """The compliance of the contact points of B touches.
 
     Args:
         model: the object.
-        patches: the patch of each touch (B); padded to f parts.
-        area: of the boundary triangles [m^2].
+        padded: the contact points, f parts a touch.
         reach: distances to the rigid bodies (K).
         points: contact points at rest (B, 6 f, 3) [m].
+        law: share of the stiffness of each (B, f, 6) [-] that acts down to a depth (B, f) [m], which are set here.
         on: whether there is any such compliance.
         missing: what the object lacks where it is touched; None for the mean of places.
     """
 
-    def __init__(self, model: Model, patches: Sequence[Patch], area: np.ndarray, reach: Reach, points: torch.Tensor,
-                 *, on: bool, missing: MissingCompliance | None = None):
-        nu, radii = poisson_ratio(model), [smooth_radius(s) for s in reach.bodies.shapes]
-        curvature = model.mesh.curvature() if model.mesh.faces.shape[1] == 6 else np.zeros(len(model.mesh.faces))
+    def __init__(self, model: Model, padded: Padded, reach: Reach, points: torch.Tensor,
+                 law: tuple[torch.Tensor, torch.Tensor], *, on: bool, missing: MissingCompliance | None = None):
+        nu, radii, faces = poisson_ratio(model), [smooth_radius(s) for s in reach.bodies.shapes], model.mesh.faces
+        curvature = model.mesh.curvature() if faces.shape[1] == 6 else np.zeros(len(faces))
         self._round = [0.0 < r < np.inf or bool(r and curvature.any()) for r in radii]
         self._on = on and nu is not None and any(self._round)
         self._reach, self._factor, self._missing = reach, FITTED * (1.0 - (nu or 0.0) ** 2), missing
         self._points = points.transpose(0, 1).contiguous()
-        cover = np.zeros((len(patches), points.shape[1] // 6, 6))
-        edge, bent = (np.zeros(cover.shape[:2]) for _ in range(2))
-        for b, p in enumerate(patches):
-            own, parts = area[p.faces], p.cuts**2
-            cover[b, :len(p.part)] = np.repeat(own / parts, parts)[:, None] * WEIGHTS
-            edge[b, :len(p.part)] = np.repeat(np.sqrt(2.0 * own), parts)
-            bent[b, :len(p.part)] = np.repeat(curvature[p.faces], parts)
-        self._bent = torch.as_tensor(bent, device=points.device).repeat_interleave(6, dim=1)  # curvature at each point
-        self._cover = torch.as_tensor(cover, device=points.device).flatten(1)  # area of each point
-        self._edge = torch.as_tensor(edge, device=points.device)
-        self._share = torch.ones(cover.shape, dtype=torch.float64, device=points.device)
+        face = np.where(padded.key < len(faces), padded.key, -1)
+        edge = np.append(np.sqrt(2.0 * model.mesh.face_area()), 0.0)[face]
+        of_body = (padded.host >= 0)[:, :, None]
+        # area and curvature of each point; edge of the elements at each part, 0 at padding and points of bodies
+        self._cover, self._bent, self._edge, self._of_body, self._body_share, self._body_soft = (
+            torch.as_tensor(a, device=points.device) for a in (
+                (padded.area[:, :, None] * WEIGHTS).reshape(len(face), -1),
+                np.append(curvature, 0.0)[face].repeat(6, axis=1), edge, of_body, padded.share[:, :, None],
+                padded.soft))
         self._deepest = _SMALL * min((r for r in radii if r > 0.0), default=0.0)
-        self._soft = (SATURATED * self._edge).clamp(max=self._deepest)
+        self._share, self._soft = law
+        self._set(torch.ones_like(self._share), (SATURATED * self._edge).clamp(max=self._deepest))
         self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
-        self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor] | None = None
-        self.arrays = {"share": self._share, "soft": self._soft}
         if missing is not None:
-            missing.see(patches, self._cover, self._edge, points)
+            missing.see(face, self._cover, self._edge, points)
 
-    def set_parts(self, at: tuple[np.ndarray, np.ndarray], share: np.ndarray, soft: np.ndarray) -> None:
-        """Give some parts, ``at`` (touches, parts), a law of their own: the ``share`` of their stiffness (n,) [-] that
-        acts down to the depth ``soft`` (n,) [m], see `body_points`."""
-        where = tuple(torch.as_tensor(a, device=self._share.device) for a in at)
-        share_of, soft_of = (torch.as_tensor(a, device=self._share.device) for a in (share, soft))
-        self._own = where, share_of[:, None], soft_of
-        self._share[where], self._soft[where] = self._own[1:]
+    def _set(self, share: torch.Tensor, soft: torch.Tensor) -> None:
+        """Set the share of the stiffness (B, f, 6) [-] that acts down to the depth ``soft`` (B, f) [m]; points of
+        bodies have a law of their own, see `body_points`."""
+        self._share.copy_(torch.where(self._of_body, self._body_share, share))
+        self._soft.copy_(torch.where(self._of_body[:, :, 0], self._body_soft, soft))
 
     def move(self, pose: np.ndarray) -> None:
         """Set the compliance for the bodies at poses (B, K, 4, 4)."""
@@ -136,19 +129,17 @@ class LocalIndentation:
             least = torch.minimum(gap, least)
         # c E / h; a padded face has no edge and no stiffness
         radius, edge = radius.T.reshape(self._share.shape).clamp(min=1e-12), self._edge[:, :, None].clamp(min=1e-12)
-        compliance = self._mean(radius / edge)
+        compliance, soft = self._mean(radius / edge), self._soft
         if self._missing is not None:
             found, weight = own_place.view(2, 2, *self._share.shape)
             mean = torch.stack([compliance, self._mean(GROWN * radius / edge)])
             compliance, larger = mean + weight * (found / edge - mean)
             power = ((larger / compliance.clamp(min=1e-9)).clamp(min=1e-9).log() / np.log(GROWN)).clamp(-1.0, 2.0)
             deep = SATURATED + (SATURATED_BY_PLACE - SATURATED) * weight[0].amax(dim=2)
-            self._soft.copy_((deep * self._edge).clamp(max=self._deepest))
+            soft = (deep * self._edge).clamp(max=self._deepest)
             self._work = torch.where(compliance > 1e-9, (4.0 + 2.0 * power) / (4.0 + power), 1.0)
         # w_q = PENALTY E area / (h / sqrt(2)), in series with area / c
-        self._share.copy_(1.0 / (1.0 + np.sqrt(2.0) * PENALTY * compliance))
-        if self._own is not None:
-            self._share[self._own[0]], self._soft[self._own[0]] = self._own[1:]
+        self._set(1.0 / (1.0 + np.sqrt(2.0) * PENALTY * compliance), soft)
 
     def _mean(self, wide: torch.Tensor) -> torch.Tensor:
         """The compliance times E / h, the mean of places, where the contact radius over h is ``wide``."""
@@ -253,13 +244,10 @@ class MissingCompliance:
         self._area, self._table = tensor(mesh.face_area()[:, None] * WEIGHTS), tensor(table)
         self._faces, self._free = tensor(mesh.faces.astype(np.int64)).flatten(), tensor(model.free)[:, None]
 
-    def see(self, patches: Sequence[Patch], cover: torch.Tensor, edge: torch.Tensor, points: torch.Tensor) -> None:
-        """Take the ``patches`` of the touches (B): area (B, 6 f) [m^2] and rest places (B, 6 f, 3) [m] of their points,
-        and the edge (B, f) [m] of the elements of their parts, 0 at padding."""
-        normal, modulus = np.zeros((*edge.shape, 3)), np.ones(edge.shape)
-        for b, p in enumerate(patches):
-            normal[b, :len(p.part)] = np.repeat(self._normals[p.faces], p.cuts**2, axis=0)
-            modulus[b, :len(p.part)] = np.repeat(self._of_face[p.faces], p.cuts**2)
+    def see(self, face: np.ndarray, cover: torch.Tensor, edge: torch.Tensor, points: torch.Tensor) -> None:
+        """Take the parts (B, f) of the touches: their boundary triangle, -1 for none, area (B, 6 f) [m^2] and rest
+        places (B, 6 f, 3) [m] of their points, and the edge (B, f) [m] of their elements, 0 for none."""
+        normal, modulus = self._normals[face], self._of_face[face]
         self._cover, self._places = cover, points
         self._edge, self._normal, self._modulus = (
             torch.as_tensor(t, device=edge.device).repeat_interleave(6, dim=1) for t in (edge, normal, modulus))
@@ -311,15 +299,11 @@ class MissingCompliance:
         their ``weight`` (k, 6 f), twice it."""
         out = []
         shares = nodal_sums(*(part[at] for part in self._parts), weight[:, :, None], self._width)
-        pushed = torch.zeros((len(self._parts[0]), self._width), dtype=torch.bool, device=at.device)
-        pushed[at] = shares[:, :, 0] > 0.0
-        self._response.prepare(pushed)
-        compliance = self._response.compliance()
-        for b, nodes, n in zip(at.tolist(), shares[:, :, 0], normal, strict=True):
+        for b, nodes, n in zip(at.split(1), shares[:, :, 0], normal, strict=True):
             some = nodes.nonzero()[:, 0]
             force = (nodes[some, None] * n).flatten()
             dof = (3 * some[:, None] + torch.arange(3, device=some.device)).flatten()
-            out.append(force @ compliance[b][dof[:, None], dof] @ force)
+            out.append(force @ self._response.between(b, dof[None])[0] @ force)
         return torch.stack(out)
 
     def _wide(self, place: torch.Tensor, normal: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:

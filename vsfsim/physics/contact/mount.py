@@ -5,7 +5,7 @@ The probe gives way by w against the press, and the contact's force along the pr
 state of the object one w is in balance, so that w is eliminated: the contact's potential is the least over w of
 that of the bodies and k w^2 / 2, its forces are those at that w, and its stiffness is
 
-    C - (C e) (C e)^T / (k + e^T C e) = (C^-1 + e e^T / k)^-1,
+    (C^-1 + e e^T / k)^-1,
 
 e being the translation of all nodes along the press: the mount's compliance is in series with that of the body.
 """
@@ -14,12 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-
-from vsfsim.physics.contact.stiffness_block import SparseStiffness
 
 BALANCED = 1e-3
 """Difference between the contact's force and the spring's, over the force, at which a frame is in equilibrium [-]."""
@@ -80,10 +77,10 @@ class Springs:
         """Sum along the presses (k,) [N] of forces on the object (k, 3 n) [N]."""
         return (force.view(len(columns), -1, 3).sum(dim=1) * self.axis[columns]).sum(dim=1)
 
-    def yielding(self, compliance: torch.Tensor) -> torch.Tensor:
-        """Compliance A of the patches (B, 3 s, 3 s), and in series with it that of the mounts, e e^T / k [m/N]."""
-        e = self.axis.repeat(1, compliance.shape[1] // 3)
-        return compliance + e[:, :, None] * e[:, None, :] / self.stiffness
+    def compliance(self, columns: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
+        """e e^T / k (j, m, m) [m/N] of the touches ``columns`` (j,) between degrees of freedom ``dof`` (j, m)."""
+        e = self.axis[columns].gather(1, dof % 3)
+        return e[:, :, None] * e[:, None, :] / self.stiffness
 
     def settle(self, columns: torch.Tensor, look: Callable[[torch.Tensor], tuple[torch.Tensor, ...]]) -> None:
         """Bring the springs of the touches ``columns`` (k,) into balance.
@@ -122,12 +119,6 @@ class Springs:
         axis = self.axis[columns][:, None, :, None]
         return (axis.mT @ own @ axis)[..., 0, 0].sum(dim=1)
 
-    def soften(self, stiffness: Any, toward: torch.Tensor, back: torch.Tensor, own: torch.Tensor,
-               columns: torch.Tensor) -> YieldingStiffness:
-        """The stiffness of the patches with the mounts, from that without; ``toward`` and ``back`` are C e and C^T e
-        (k, 3 s) [N/m], ``own`` the stiffness of the points (k, q, 3, 3) [N/m]."""
-        return YieldingStiffness(stiffness, toward / (self.stiffness + self.slope(own, columns))[:, None], back)
-
     def moved_on(self) -> bool:
         """Whether the bodies are elsewhere than where the local indentation was set."""
         return bool(((self.give - self._seen).abs() > _FOLLOWED * self.give.abs()).any())
@@ -139,21 +130,3 @@ class Springs:
     def unbalanced(self, force: torch.Tensor) -> torch.Tensor:
         """Which springs are out of balance (B,) bool, under forces on the object (B, 3) [N]."""
         return self.excess.abs() > BALANCED * (force * self.axis).sum(dim=1).abs()
-
-
-@dataclass(frozen=True)
-class YieldingStiffness:
-    """Stiffness of contact with bodies that springs carry, as an operator: ``stiffness @ v`` for v (k, 3 s, 1)."""
-
-    fixed: torch.Tensor | SparseStiffness
-    """That of bodies that do not give way (k, 3 s, 3 s) [N/m]."""
-    toward: torch.Tensor
-    """Forces per way that the bodies would give way (k, 3 s) [N/m]."""
-    back: torch.Tensor
-    """That way's factor per displacement (k, 3 s) [-]."""
-
-    def __getitem__(self, which: torch.Tensor) -> YieldingStiffness:
-        return YieldingStiffness(self.fixed[which], self.toward[which], self.back[which])
-
-    def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
-        return torch.baddbmm(self.fixed @ v, self.toward[:, :, None], self.back[:, None] @ v, alpha=-1.0)

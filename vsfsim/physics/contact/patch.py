@@ -10,9 +10,8 @@ stiff enough that the penetration stays far under 1 % of the element size (it is
 and soft enough that float64 keeps its digits. The solver inverts this block exactly, so stiffness costs no iterations.
 """
 
-from collections.abc import Mapping, Sequence
+import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ import torch
 from vsfsim.core.shape import Capsule, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.model import Model
 
 PENALTY = 1000.0
 """Contact pressure at a penetration of one element size, in units of the modulus under the surface [-]."""
@@ -47,6 +47,7 @@ def shape_values(bary: np.ndarray) -> np.ndarray:
                      *(4 * bary[:, i] * bary[:, j] for i, j in ((0, 1), (1, 2), (2, 0)))], axis=1)
 
 
+@functools.cache
 def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
     """Shape values of the six Gauss points of every part of a surface triangle (parts, 6 points, 6 nodes).
 
@@ -65,13 +66,6 @@ def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
     if corners == 3:
         return np.concatenate([bary, np.zeros_like(bary)], axis=2)
     return shape_values(bary.reshape(-1, 3)).reshape(len(parts), len(POINTS), 6)
-
-
-def shape_tables(corners: int, cuts: Sequence[int]) -> tuple[np.ndarray, dict[int, int]]:
-    """The tables of `shape_table` for several numbers of cuts, one after the other, and the first row of each."""
-    tables = [shape_table(corners, c) for c in cuts]
-    starts = np.cumsum([0, *(len(t) for t in tables)])
-    return np.concatenate(tables), {c: int(s) for c, s in zip(cuts, starts, strict=False)}
 
 
 def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False, by_place: bool = False) -> np.ndarray:
@@ -104,6 +98,17 @@ def smooth_radius(shape: ProbeShape) -> float:
     return shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
 
 
+def poisson_ratio(model: Model) -> float | None:
+    """Poisson's ratio of a neo-Hookean body at small strain, its mean [-]; None for other laws and elements, on which
+    the local indentation was not measured."""
+    for block in model.blocks:
+        p = block.parameters
+        if block.law == "neo-hooke":
+            lam = float((p["lam"] + p["mean_lam"][:, None]).mean())
+            return lam / (2.0 * (lam + float(p["mu"].mean())))
+    return None
+
+
 @dataclass(frozen=True)
 class Patch:
     """The boundary triangles that one touch can reach."""
@@ -117,43 +122,16 @@ class Patch:
     face has three nodes, and any number in the other columns."""
     stiffness: np.ndarray
     """w_q of each Gauss point (f parts, 6) [N/m]."""
+    shapes: np.ndarray
+    """Shape values of the points on the nodes (f parts, 6 points, 6 nodes)."""
+    area: np.ndarray
+    """Of each part (f parts,) [m^2]."""
     cuts: np.ndarray
     """Parts along the edge of each triangle (f,)."""
-    part: np.ndarray
-    """Row of each part in the table of shape values (f parts,)."""
-
-    def starts(self) -> np.ndarray:
-        """First part of each triangle (f,)."""
-        return np.cumsum(self.cuts**2) - self.cuts**2
-
-
-class OnPatches:
-    """What the contacts with rigid bodies and with a soft sensor share: the degrees of freedom of the patches of B
-    touches, padded to s nodes."""
-
-    dof: torch.Tensor
-    """Degrees of freedom of the patches (B, 3 s); -1 is padding."""
-    mask: torch.Tensor
-    """1 where `dof` is no padding (B, 3 s) [-]."""
-    free: torch.Tensor
-    """1 where a degree of freedom may move (B, 3 s) [-]."""
-    _overlap: torch.Tensor  # how deep bodies lie in one another by the geometry at the last `extend_patch` (B,) [m]
-    _passage: Any  # that check; its ``tolerance`` is the depth above which a body counts as inside [m]
-
-    def gather(self, u: torch.Tensor, columns: torch.Tensor | None = None) -> torch.Tensor:
-        """Displacements [m] or forces [N] of the patches (k, 3 s) of ``columns`` (k,), None for all, out of those of
-        all nodes u (3 n, k)."""
-        dof, mask = (self.dof, self.mask) if columns is None else (self.dof[columns], self.mask[columns])
-        return u.gather(0, dof.clamp(min=0).T).T * mask
-
-    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
-        """Whether a body lies inside another where no contact point feels it, deeper than some ``times`` the tolerance
-        (k,) bool, by the geometry at the last `extend_patch`."""
-        return self._overlap[columns] > times * self._passage.tolerance
 
 
 def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, cuts: np.ndarray,
-               rows: Mapping[int, int], stiff: tuple[float, float] = (1.0, 0.0)) -> Patch:
+               stiff: tuple[float, float] = (1.0, 0.0)) -> Patch:
     """The patch of some boundary triangles.
 
     Args:
@@ -162,7 +140,6 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
         area: their areas (f,) [m^2].
         modulus: Young's modulus under them (f,) [Pa].
         cuts: parts along the edge of each (f,), see `shape_table`.
-        rows: first row of each number of cuts in the table of shape values, see `shape_tables`.
         stiff: factor on the stiffness [-], and the element size [m] that counts where elements are smaller, as along
             the edges of a body, where a stiffer contact would only cost iterations; 0 for none.
     """
@@ -173,8 +150,9 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
     pressure_per_metre = stiff[0] * PENALTY * modulus / np.maximum(np.sqrt(area), _LEAST * stiff[1])
     parts = cuts**2
     stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
-    part = np.concatenate([np.zeros(0, int), *(rows[int(c)] + np.arange(c * c) for c in cuts)])
-    return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0), cuts, part)
+    shapes = np.concatenate([np.zeros((0, 6, 6)), *(shape_table(corners, int(c)) for c in cuts)])
+    return Patch(faces, nodes, *(np.repeat(a, parts, axis=0) for a in (padded, stiffness)), shapes,
+                 np.repeat(area / parts, parts), cuts)
 
 
 def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:
@@ -200,22 +178,21 @@ def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:
 
 
 def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, at_points: torch.Tensor, nodes: int) -> torch.Tensor:
-    """Forces (k, s, c) on the s = ``nodes`` of k patches of forces ``at_points`` (k, 6 f, c).
+    """Forces (k, s, c) on the s = ``nodes`` of k patches of forces ``at_points`` (k, f q, c).
 
     Args:
-        local: nodes of the parts of faces (k, f, 6).
-        shapes: shape values of their points (k, f, 6 points, 6 nodes).
+        local: nodes of the parts (k, f, n), each with q points on n nodes.
+        shapes: shape values of their points (k, f, q, n).
         at_points, nodes: see above. Sums are taken in a fixed order, on a GPU too: there `index_put_` sorts what it
             accumulates.
     """
-    parts = (shapes.mT @ at_points.reshape(*local.shape, -1)).flatten(1, 2)
+    parts = (shapes.mT @ at_points.reshape(*shapes.shape[:3], at_points.shape[2])).flatten(1, 2)
     touch = torch.arange(len(local), device=local.device)[:, None]
     out = parts.new_zeros(len(local), nodes, parts.shape[2])
     return out.index_put_((touch, local.long().flatten(1)), parts, accumulate=True)
 
 
 def at_points(local: torch.Tensor, shapes: torch.Tensor, nodal: torch.Tensor) -> torch.Tensor:
-    """Vectors at the nodes (k, s, 3) interpolated to the points of the faces (k, 6 f, 3)."""
-    k, f = local.shape[:2]
-    at = local.reshape(k, 6 * f, 1).expand(-1, -1, 3).long()
-    return (shapes @ nodal.gather(1, at).view(k, f, 6, 3)).view(k, 6 * f, 3)
+    """Vectors at the nodes (k, s, 3) interpolated to the points of the parts (k, f q, 3)."""
+    at = local.flatten(1)[:, :, None].expand(-1, -1, 3).long()
+    return (shapes @ nodal.gather(1, at).view(*local.shape, 3)).flatten(1, 2)

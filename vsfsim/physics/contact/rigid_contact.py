@@ -16,14 +16,13 @@ from vsfsim.physics.contact import body_points, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
 from vsfsim.physics.contact.body_samples import inner_radius
-from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, remember
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.mount import Mount, Springs
-from vsfsim.physics.contact.patch import CUTS, OnPatches, Patch, at_points, make_patch, shape_tables, sheet_contact
+from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, sheet_contact
+from vsfsim.physics.contact.points import ContactPoints, bound
 from vsfsim.physics.contact.reach import Reach
-from vsfsim.physics.contact.rigid_stiffness import PointStiffness
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real
@@ -32,7 +31,7 @@ CORE = 0.2
 """Depth over a body's inner radius at which its inner body begins [-]."""
 
 
-class RigidContact(PointStiffness, OnPatches):
+class RigidContact(ContactPoints):
     """The contact of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
 
     The *patch* of a touch is the surface nodes that it can reach; all patches are padded to s nodes. ``columns`` (k,)
@@ -66,10 +65,8 @@ class RigidContact(PointStiffness, OnPatches):
     """Outward normal of that body where it touches (B, 6 f, 3) [-]."""
     force: torch.Tensor
     """Contact force at each Gauss point (B, 6 f, 3) [N]."""
-    slips: torch.Tensor
-    """1 where a Gauss point slips (B, 6 f)."""
-    limit: torch.Tensor
-    """Limit of the friction force of each Gauss point (B, 6 f) [N]."""
+    # of friction: anchors in the frame of their body, their owners, limits and normals of the tangent planes
+    _memory = "anchor", "owner", "limit", "across"
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  linear: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
@@ -79,10 +76,9 @@ class RigidContact(PointStiffness, OnPatches):
         self.has_friction = bool((friction > 0.0).any())
         self._coefficient = torch.as_tensor(friction, dtype=torch.float64, device=device)
         self.springs = None if mount is None else Springs(mount, device)
-        self.solid = (corners := model.mesh.faces.shape[1]) == 6
+        self.solid = model.mesh.faces.shape[1] == 6
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self.solid else sheet_contact(bodies, model.element_size)
         self._parts, self._finest = cuts**2, CUTS[-1] if self.solid else 0  # cuts of a linear face do not change
-        self._table, self._rows_of = shape_tables(corners, CUTS if self.solid else (cuts,))
         self._passage = Intrusion(model.mesh, bodies, model.element_size, device=device,
                                   coupled=self.solid and model.coupled, sinks=SATURATED_BY_PLACE * self._by_place,
                                   **({} if self.solid else {"steps": 3 * cuts}))
@@ -97,10 +93,9 @@ class RigidContact(PointStiffness, OnPatches):
         self.follows = not self.solid
         # measure at which the friction limits are renewed for the first time in a step
         self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
-        # factor on the contact stiffness, 0 while an object comes to rest under its weight; and 1 for touches whose
-        # friction limits are those of the normal forces at every evaluation, not of the last `update_friction` (B,)
-        self.softening, self.coulomb = (
-            torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0))
+        # 1 for touches whose friction limits are those of the normal forces at every evaluation, not of the last
+        # `update_friction` (B,)
+        self.coulomb = torch.zeros_like(self._overlap)
         # origins and rotations of the bodies, now and when the step began
         self._now, self._before = ([torch.zeros(size, dtype=torch.float64, device=device) for size in (
             (*poses.shape[1:3], 3), (*poses.shape[1:3], 3, 3))] for _ in range(2))
@@ -108,14 +103,12 @@ class RigidContact(PointStiffness, OnPatches):
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
         return make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
-                          self._cuts[b, faces], self._rows_of, (self._factor, self._body_points.least))
+                          self._cuts[b, faces], (self._factor, self._body_points.least))
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        padded = self._padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points,
-                                                self._table)
-        listed, local, part = padded.nodes, padded.local, padded.part
-        faces, nodes = local.shape[1], listed.shape[1]
+        padded = self._padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points)
+        listed, faces, nodes = padded.nodes, padded.local.shape[1], padded.nodes.shape[1]
         tensor = functools.partial(torch.as_tensor, device=self.device)
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
@@ -125,50 +118,41 @@ class RigidContact(PointStiffness, OnPatches):
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
         # of every contact point; a padded part has all its nodes at 0 and no stiffness
-        self._local, self._values = tensor(local), tensor(padded.table)[tensor(part.astype(np.int64))]
+        self._local, self._values, self._stiffness = map(tensor, (padded.local, padded.shape, padded.stiffness))
         self._member, self._of_body = tensor(padded.member), tensor(padded.host >= 0)
-        self._stiffness = tensor(padded.stiffness)
-        size = (batch, 6 * faces)
-        self.gap, self._energy = zeros(size) + 1e30, zeros(batch, faces)
-        self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
-        self._wrong_side = zeros((batch, faces), dtype=torch.int32)
-        self.normal, self.force = (zeros(*size, 3) for _ in range(2))
-        self._rows, self._geometric, self._coupling = (zeros(*size, 3, 3) for _ in range(3))
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
-        # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
-        self._anchor, self._across, self.limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
-        self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
-        self._friction = self._anchor, self._owner, self.limit, self._across
-        self._relaxation = relaxation = Relaxation(cut := (batch, faces, 6), self.device)
-        self._points = k.Points()
-        self._points.onset = self._onset
-        rigid_kernels.bind(k.Points, self._points, {
-            "shape": tensor(padded.table), "part": tensor(part), "local": self._local, "stiffness": self._stiffness,
-            "host": tensor(padded.host), "spot": tensor(padded.spot), "leave": tensor(padded.normal),
-            "softening": self.softening, "coulomb": self.coulomb, "coefficient": self._coefficient, "x": self._x,
-            "origin": self._now[0], "turn": self._now[1], "origin_before": self._before[0],
-            "turn_before": self._before[1],
-            "x_before": self._x_before, "anchor": self._anchor, "owner": self._owner, "limit": self.limit,
-            "across": self._across, **vars(relaxation),
-            "gap": self.gap, "body": self.body, "normal": self.normal,
-            "force": self.force, "rows": self._rows, "geometric": self._geometric, "coupling": self._coupling,
-            "slips": self.slips, "wrong_side": self._wrong_side, "energy": self._energy}, cut)
+        self._points, found = bound(k.Points, {
+            "shape": self._values, "local": self._local, "stiffness": self._stiffness,
+            "host": padded.host, "spot": padded.spot, "leave": padded.leave,
+            "coulomb": self.coulomb, "coefficient": self._coefficient, "onset": self._onset, "x": self._x,
+            "x_before": self._x_before, "origin": self._now[0], "turn": self._now[1],
+            "origin_before": self._before[0], "turn_before": self._before[1]}, (batch, faces, 6), self.device)
+        self._sets = [found]
+        found["gap"].fill_(1e30)
+        found["owner"].fill_(-1)
+        self.gap, self.body, self.normal, self.force, self._stiff, self._geometric = (
+            found[name].flatten(1, 2) for name in ("gap", "body", "normal", "force", "stiff", "geometric"))
         if not same:  # the same nodes may have more points
             self.response: Response = response(self.model.factor if self._linear else self.model.preconditioner,
                                                self.dof, device=self.device)
         missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
-        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, at_rest,
-                                                   on=self._sinks, missing=missing or None)
-        self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
-        rigid_kernels.bind(k.Points, self._points, self._local_indentation.arrays, cut)
+        self._local_indentation = LocalIndentation(self.model, padded, self._reach, at_rest, (
+            found["share"], found["soft"]), on=self._sinks, missing=missing or None)
 
     @property
-    def yielding(self) -> torch.Tensor:
-        """Rest-state compliance of the patches, and in series with it that of springs that carry the bodies
-        (B, 3 s, 3 s) [m/N]; 0 at nodes that have not been touched yet."""
-        compliance = self.response.compliance()
-        return compliance if self.springs is None else self.springs.yielding(compliance)
+    def symmetric(self) -> bool:
+        """Whether the contact stiffness is symmetric."""
+        return not (self.has_friction and bool(self.coulomb.any()))
+
+    def faces(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self._local[columns], self._values[columns]
+
+    def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
+        own = self._stiff[columns]
+        if geometric is not None:
+            own[geometric] += self._geometric[columns[geometric]]
+        return own
 
     def _place(self, bodies: list[torch.Tensor], pose: np.ndarray) -> None:
         for own, values in zip(bodies, (pose[..., :3, 3], pose[..., :3, :3]), strict=True):
@@ -185,7 +169,7 @@ class RigidContact(PointStiffness, OnPatches):
             self.evaluate(torch.arange(self.batch, device=self.device), self.gather(u))
             self._before[0].copy_(self._now[0])
             self._begun = self.springs.poses(before)
-        self._relaxation.begin_step()
+        self._begin_friction()
         self._body_points.begin_step()
         self._stand(u)
 
@@ -236,8 +220,7 @@ class RigidContact(PointStiffness, OnPatches):
     def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
         """Run a kernel over the parts of faces of ``columns`` (k,)."""
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)),
-            rigid_kernels.STICK])
+            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32))])
 
     def _sprung(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `Springs.settle`."""
@@ -257,48 +240,29 @@ class RigidContact(PointStiffness, OnPatches):
         else:
             self.springs.settle(columns, self._sprung)
 
-    def update_friction(self, columns: torch.Tensor) -> None:
-        """Renew the friction limit and the tangent plane from the last evaluation."""
-        if self.has_friction:
-            self._relaxation.renewals[columns] += 1
-            self._launch(self.kernels.update_friction, columns)
+    def friction_state(self) -> Any:
+        """See `ContactPoints`, with the points."""
+        return self._padded, super().friction_state()
 
-    def end_step(self, columns: torch.Tensor) -> None:
-        """End the step: slipping points drag their anchors along, points that left contact lose them."""
-        if self.has_friction and len(columns):
-            self._launch(self.kernels.end_step, columns)
-
-    def friction_state(self) -> tuple[Any, ...]:
-        """A copy of the anchors, limits and tangent planes, for `restore_friction`; empty without friction."""
-        return (self._padded, *(t.clone() for t in self._friction)) if self.has_friction else ()
-
-    def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
-        """Return to a friction state after a step that failed; a patch that has grown since takes what its old points
-        remembered."""
-        if state:
-            remember(self._friction, state[1:], (state[0], self._padded), columns.tolist(), self.model.mesh.points,
-                     self._u_before, self._before[1].cpu().numpy())
-
-    def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
-        """Sum of the differences of the friction limits from Coulomb's after `update_friction` (k,) [N]."""
-        return self._relaxation.friction_residual(columns)
-
-    def energy(self, columns: torch.Tensor) -> torch.Tensor:
-        """Potential of the contact (k,) [J]."""
-        return self._energy[columns].sum(dim=1)
+    def restore_friction(self, columns: torch.Tensor, state: Any) -> None:
+        """See `ContactPoints`; a patch that has grown since takes what its old points remembered."""
+        points, kept = state
+        if points is self._padded:
+            super().restore_friction(columns, kept)
+        elif self.has_friction:
+            mine, theirs = (tuple(found[name].flatten(1, 2) for name in self._memory)
+                            for (found,) in (self._sets, kept))
+            remember(mine, theirs, (points, self._padded), columns.tolist(), self.model.mesh.points, self._u_before,
+                     self._before[1].cpu().numpy())
 
     def carried(self, columns: torch.Tensor) -> torch.Tensor:
         """Potential of springs that carry the bodies (k,) [J]; 0 without."""
-        return torch.zeros_like(self.softening[columns]) if self.springs is None else self.springs.energy(columns)
+        return torch.zeros_like(self._overlap[columns]) if self.springs is None else self.springs.energy(columns)
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
-        own = (self._energy[columns] * self._of_body[columns]).sum(dim=1)
+        own = (self._sets[0]["energy"][columns] * self._of_body[columns]).sum(dim=1)
         return own + self._local_indentation.energy(self.gap[columns], self._stiffness[columns], columns)
-
-    def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
-        """Number of points beyond the middle of a body (k,); a solution has none."""
-        return self._wrong_side[columns].sum(dim=1)
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces on the nodes of the patches (k, 3 s) [N]."""
@@ -316,20 +280,6 @@ class RigidContact(PointStiffness, OnPatches):
         places, origin = self.places(columns, self._x[columns]), self._now[0][columns]  # origin (k, K, 3)
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
-
-    def touches(self, columns: torch.Tensor) -> torch.Tensor:
-        """Whether any point is inside a body (k,) bool."""
-        return (self.gap[columns] < 0.0).any(dim=1)
-
-    def penetration(self, columns: torch.Tensor) -> torch.Tensor:
-        """Depth of the deepest point (k,) [m]: of the Gauss points, a finer grid between them, and the bodies' own
-        points."""
-        return torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[columns])
-
-    def slipping(self, columns: torch.Tensor) -> torch.Tensor:
-        """Share of the points in contact that slip (k,) [-]; 0 without contact."""
-        inside = self.gap[columns] < 0.0  # a point that has left may still have a limit in this step
-        return (self.slips[columns] * inside).sum(dim=1) / inside.sum(dim=1).clamp(min=1)
 
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Number of points in contact (k,), the radius of a circle of their area over the element size there (k,) [-],

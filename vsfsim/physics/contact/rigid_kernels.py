@@ -17,11 +17,9 @@ positions.
 """
 
 import functools
-from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
-import torch
 import warp as wp
 
 from vsfsim.physics.contact import friction, sdf
@@ -37,16 +35,6 @@ side."""
 _ADVANCES = wp.constant(24)  # of a point along its way, each as far as it surely meets nothing
 
 
-def bind(struct: Any, points: Any, tensors: Mapping[str, torch.Tensor], cut: tuple[int, ...] = ()) -> None:
-    """Let ``points``, an instance of a Warp ``struct``, hold ``tensors`` by their names; those of contact points, whose
-    number is in their second dimension, take the form ``cut`` (touches, parts, 6)."""
-    for name, tensor in tensors.items():
-        kind = struct.vars[name].type
-        if tensor.dim() < kind.ndim + len(getattr(kind.dtype, "_shape_", ())):
-            tensor = tensor.view(*cut, *tensor.shape[2:])
-        setattr(points, name, wp.from_torch(tensor, dtype=kind.dtype))
-
-
 @functools.cache
 def kernels() -> Any:
     """The contact kernels, their types, and the signed distances that they use (``sdf``).
@@ -59,12 +47,11 @@ def kernels() -> Any:
     # loops over the points of a part end at a variable: unrolled, their six copies take Warp seconds to compile
     probe = sdf.functions(real, module)
     most_anchorings = wp.constant(friction.ANCHORINGS)
-    facing = wp.constant(real(FACING))
+    facing, stick = wp.constant(real(FACING)), wp.constant(real(STICK))
 
     class Points:
         # model
-        shape: wp.array3d(dtype=real)  # shape values of the points of all kinds of parts (p, 6, 6)
-        part: wp.array2d(dtype=wp.int32)  # row of each part there (B, f)
+        shape: wp.array4d(dtype=real)  # shape values of the points of each part (B, f, 6, 6)
         local: wp.array3d(dtype=wp.int32)  # nodes of each part (B, f, 6)
         stiffness: wp.array3d(dtype=real)  # w_q (B, f, 6) [N/m]
         share: wp.array3d(dtype=real)  # of it that acts down to the depth `soft`, see `local_indentation` [-]
@@ -72,8 +59,7 @@ def kernels() -> Any:
         host: wp.array2d(dtype=wp.int32)  # body whose point a part is, see `body_points`; -1 for parts of faces
         spot: wp.array2d(dtype=vec3)  # that point, in its body's frame [m]
         leave: wp.array2d(dtype=vec3)  # direction in which it leaves the object [-]
-        softening: wp.array(dtype=real)  # (B,), see `rigid_contact`
-        coulomb: wp.array(dtype=real)
+        coulomb: wp.array(dtype=real)  # (B,), see `rigid_contact`
         coefficient: wp.array(dtype=real)  # of friction, of each body (K,) [-]
         onset: real  # of a sheet, see `patch.sheet_contact` [m]
         # bodies (B, K) and nodes of the patches (B, s), now and when the step began
@@ -96,9 +82,8 @@ def kernels() -> Any:
         body: wp.array3d(dtype=wp.int32)
         normal: wp.array3d(dtype=vec3)
         force: wp.array3d(dtype=vec3)
-        rows: wp.array3d(dtype=mat33)
+        stiff: wp.array3d(dtype=mat33)  # [N/m], without its geometric term
         geometric: wp.array3d(dtype=mat33)
-        coupling: wp.array3d(dtype=mat33)
         slips: wp.array3d(dtype=wp.int32)
         wrong_side: wp.array2d(dtype=wp.int32)
         energy: wp.array2d(dtype=real)
@@ -110,7 +95,7 @@ def kernels() -> Any:
         # Gauss point q of part f of touch b
         out = vec3()
         for a in range(6):
-            out += c.shape[c.part[b, f], q, a] * x[b, c.local[b, f, a]]
+            out += c.shape[b, f, q, a] * x[b, c.local[b, f, a]]
         return out
 
     @wp.func(module=module)
@@ -131,7 +116,7 @@ def kernels() -> Any:
         return (force + w * more, w, real(0.5) * force * soft + force * more + real(0.5) * w * more * more)
 
     @wp.kernel(module=module, enable_backward=False)
-    def evaluate(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
+    def evaluate(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32)):
         f, k = wp.tid()
         b = columns[k]
         energy = real(0.0)
@@ -139,14 +124,13 @@ def kernels() -> Any:
         corner = c.x[b, c.local[b, f, 0]]
         outward = wp.cross(c.x[b, c.local[b, f, 1]] - corner, c.x[b, c.local[b, f, 2]] - corner)
         outward = outward / wp.max(wp.length(outward), real(1e-30))
-        for q in range(c.shape.shape[1]):
+        for q in range(c.shape.shape[2]):
             force = vec3()
-            rows = mat33()
+            stiff = mat33()
             geometric = mat33()
-            coupling = mat33()
             gap = real(1e30)
             slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
-            w = c.softening[b] * c.stiffness[b, f, q]
+            w = c.stiffness[b, f, q]
             if w > real(0.0):
                 p = place(c, c.x, b, f, q)
                 near = c.host[b, f]
@@ -176,9 +160,7 @@ def kernels() -> Any:
                     c.normal[b, f, q] = n
                     size, slope, work = push(w, c.share[b, f, q], c.soft[b, f], c.onset, -gap)
                     force = size * n
-                    root = wp.sqrt(slope)
-                    for i in range(3):
-                        rows[0, i] = root * n[i]
+                    stiff = slope * wp.outer(n, n)
                     geometric = size * geometric
                     energy += work
                     if c.coulomb[b] > real(0.0) and limit > real(0.0):
@@ -198,18 +180,15 @@ def kernels() -> Any:
                     energy += friction.energy(wp.length(d), v, limit)
                     along, sideways = friction.hessian_roots(d, m, v, limit)
                     force -= friction.force(d, v, limit)
-                    for i in range(3):
-                        rows[1, i] = along[i]
-                        rows[2, i] = sideways[i]
+                    stiff += wp.outer(along, along) + wp.outer(sideways, sideways)
                     if not friction.sticks(wp.length(d), v, limit):
                         slips = 1
                         # of a limit that follows the normal force
-                        coupling = (-c.coulomb[b] * c.coefficient[near] * slope) * wp.outer(d / wp.length(d), n)
+                        stiff -= (c.coulomb[b] * c.coefficient[near] * slope) * wp.outer(d / wp.length(d), n)
             c.gap[b, f, q] = gap
             c.force[b, f, q] = force
-            c.rows[b, f, q] = rows
+            c.stiff[b, f, q] = stiff
             c.geometric[b, f, q] = geometric
-            c.coupling[b, f, q] = coupling
             c.slips[b, f, q] = slips
         c.energy[b, f] = energy
         c.wrong_side[b, f] = wrong
@@ -232,12 +211,12 @@ def kernels() -> Any:
         f, k = wp.tid()
         b = columns[k]
         part = real(1.0)
-        for q in range(c.shape.shape[1]):
+        for q in range(c.shape.shape[2]):
             if c.stiffness[b, f, q] > real(0.0) and c.host[b, f] < 0:
                 p = place(c, c.x, b, f, q)
                 d = vec3()
                 for a in range(6):
-                    d += c.shape[c.part[b, f], q, a] * move_in[k, c.local[b, f, a]]
+                    d += c.shape[b, f, q, a] * move_in[k, c.local[b, f, a]]
                 speed = wp.length(d)
                 for j in range(count):
                     t = real(0.0)
@@ -255,17 +234,16 @@ def kernels() -> Any:
         part_out[k, f] = part
 
     @wp.kernel(module=module, enable_backward=False)
-    def update_friction(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
+    def update_friction(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32)):
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         f, k = wp.tid()
         b = columns[k]
-        for q in range(c.shape.shape[1]):
+        for q in range(c.shape.shape[2]):
             limit = real(0.0)
             g = c.gap[b, f, q]
             if g < real(0.0):
                 j = c.body[b, f, q]
-                size, _slope, _work = push(c.softening[b] * c.stiffness[b, f, q], c.share[b, f, q],
-                                          c.soft[b, f], c.onset, -g)
+                size, _slope, _work = push(c.stiffness[b, f, q], c.share[b, f, q], c.soft[b, f], c.onset, -g)
                 limit = c.coefficient[j] * size
                 c.across[b, f, q] = wp.normalize(c.normal[b, f, q])
                 owner = c.owner[b, f, q]
@@ -293,11 +271,11 @@ def kernels() -> Any:
             c.residual[b, f, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)
-    def end_step(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32), stick: real):
+    def end_step(c: Points, bodies: probe.Bodies, count: int, columns: wp.array(dtype=wp.int32)):
         # points that slipped drag their anchor along, points that left lose it
         f, k = wp.tid()
         b = columns[k]
-        for q in range(c.shape.shape[1]):
+        for q in range(c.shape.shape[2]):
             owner = c.owner[b, f, q]
             if owner < -1:
                 owner = -2 - owner

@@ -3,8 +3,10 @@
     g(x) = distance to the surface, negative inside;   n = grad g;   C = Hessian of g (curvature of the offset surface)
 
 Sphere, capsule and plane are exact. A cylinder and a box have edges rounded by a fillet, so that the normal is
-continuous: a press on a mesh cannot resolve a sharper edge. A triangle mesh is baked into a grid (`distance_grid`), a
-C2 spline whose derivatives are the normal and the curvature. A set of shapes is one struct in the kernels (`bodies`).
+continuous: a press on a mesh cannot resolve a sharper edge. All but the plane are what is nearer than a radius to a
+box, the skeleton: of a sphere a point, of a capsule a segment. A triangle mesh is baked into a grid
+(`distance_grid`), a C2 spline whose derivatives are the normal and the curvature. A set of shapes is one struct in the
+kernels (`bodies`).
 The functions for the host are `vsfsim.core.signed_distance`, and here with meshes.
 """
 
@@ -18,28 +20,30 @@ import warp as wp
 from vsfsim.core import signed_distance
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 
-SPHERE, CAPSULE, CYLINDER, BOX, PLANE, MESH = range(6)
+ROUNDED, CYLINDER, PLANE, MESH = range(4)
 FILLET = 0.02
 """Radius of the fillet, over the smallest half-size [-]."""
 
 
 def encode(shape: ProbeShape, *, fillet: float = FILLET) -> tuple[int, np.ndarray]:
-    """A probe as (kind, four numbers) for the kernels: its half-sizes and the radius of its ``fillet``, which is given
-    over the smallest half-size [m]."""
+    """A probe as (kind, four numbers) for the kernels: the half-sizes of its skeleton and the radius around that [m]. A
+    sphere is a rounded point, a capsule a rounded line, and a box or a cylinder has a ``fillet``, which is given over
+    the smallest half-size."""
     match shape:
         case Sphere(radius):
-            return SPHERE, np.array([radius, 0.0, 0.0, 0.0])
+            return ROUNDED, np.array([0.0, 0.0, 0.0, radius])
         case Capsule(radius, length):
-            return CAPSULE, np.array([radius, 0.5 * length, 0.0, 0.0])
-        case Cylinder(radius, height):
-            return CYLINDER, np.array([radius, 0.5 * height, 0.0, fillet * min(radius, 0.5 * height)])
+            return ROUNDED, np.array([0.0, 0.0, 0.5 * length, radius])
         case Box(size):
-            return BOX, np.array([*(0.5 * s for s in size), fillet * 0.5 * min(size)])
+            half, kind = 0.5 * np.array(size), ROUNDED
+        case Cylinder(radius, height):
+            half, kind = np.array([radius, np.inf, 0.5 * height]), CYLINDER
         case Plane():
             return PLANE, np.zeros(4)
         case MeshFile():
             return MESH, np.zeros(4)
-    raise AssertionError(shape)
+    rounding = fillet * half.min()
+    return kind, np.array([*(half - rounding), rounding])
 
 
 def grid(shape: MeshFile) -> Any:
@@ -105,123 +109,75 @@ def functions(real: type, module: str) -> Any:
     Bodies = wp.struct(Bodies, module=module)
 
     @wp.func(module=module)
-    def unit(v: vec3):
-        # the centre of a sphere has no normal; +z is as good as any and never NaN
-        n = wp.length(v)
-        if n < tiny:
-            return vec3(real(0.0), real(0.0), real(1.0))
-        return v / n
+    def axes(kind: int, x: vec3):
+        # columns: the axes of a box; of a cylinder, which is a box in every plane through its axis, those of the plane
+        # through x, along the radius, around and along its axis
+        c = real(1.0)
+        s = real(0.0)
+        radial = wp.length(vec2(x[0], x[1]))
+        if kind == 1 and radial > real(0.0):
+            c = x[0] / radial
+            s = x[1] / radial
+        return mat33(c, -s, real(0.0), s, c, real(0.0), real(0.0), real(0.0), real(1.0))
 
     @wp.func(module=module)
-    def nearest(kind: int, s: vec4, x: vec3):
-        # vector from the probe's skeleton (point, segment, shrunken box) to x, for the rounded shapes
-        if kind == 1:
-            return vec3(x[0], x[1], x[2] - wp.clamp(x[2], -s[1], s[1]))
-        return x
+    def excess(kind: int, s: vec4, x: vec3):
+        # how far a point is beyond the half-sizes of the skeleton, along its axes
+        y = wp.transpose(axes(kind, x)) * x
+        return vec3(wp.abs(y[0]) - s[0], wp.abs(y[1]) - s[1], wp.abs(y[2]) - s[2])
 
     @wp.func(module=module)
-    def rounded(q: vec3, r: real):
-        # q: signed excess over the shrunken half-sizes; r: fillet
+    def outside(q: vec3):
         zero = real(0.0)
-        out = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
-        return wp.length(out) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), zero) - r
+        return vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
 
     @wp.func(module=module)
     def analytic_gap(kind: int, s: vec4, x: vec3):
-        zero = real(0.0)
-        if kind == 4:
-            return x[2]
-        if kind == 3:
-            q = vec3(wp.abs(x[0]) - s[0] + s[3], wp.abs(x[1]) - s[1] + s[3], wp.abs(x[2]) - s[2] + s[3])
-            return rounded(q, s[3])
         if kind == 2:
-            radial = wp.length(vec2(x[0], x[1]))
-            p = vec3(radial - s[0] + s[3], wp.abs(x[2]) - s[1] + s[3], real(-1e9))
-            rim = vec2(wp.max(p[0], zero), wp.max(p[1], zero))
-            return wp.length(rim) + wp.min(wp.max(p[0], p[1]), zero) - s[3]
-        return wp.length(nearest(kind, s, x)) - s[0]
+            return x[2]
+        q = excess(kind, s, x)
+        return wp.length(outside(q)) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), real(0.0)) - s[3]
+
+    @wp.func(module=module)
+    def along_axes(kind: int, s: vec4, x: vec3):
+        # the normal along `axes`; where the skeleton has none, as in the centre of a sphere, any is as good
+        q = excess(kind, s, x)
+        out = outside(q)
+        y = wp.transpose(axes(kind, x)) * x
+        far = wp.length(out)
+        if far > real(0.0):
+            return wp.cw_mul(vec3(wp.sign(y[0]), wp.sign(y[1]), wp.sign(y[2])), out / far)
+        n = vec3()
+        if q[2] >= q[0] and q[2] >= q[1]:
+            n[2] = wp.sign(y[2])
+        elif q[0] >= q[1]:
+            n[0] = wp.sign(y[0])
+        else:
+            n[1] = wp.sign(y[1])
+        return n
 
     @wp.func(module=module)
     def analytic_normal(kind: int, s: vec4, x: vec3):
-        zero = real(0.0)
-        one = real(1.0)
-        if kind == 4:
-            return vec3(zero, zero, one)
-        if kind == 3:
-            sign = vec3(wp.sign(x[0]), wp.sign(x[1]), wp.sign(x[2]))
-            q = vec3(wp.abs(x[0]) - s[0] + s[3], wp.abs(x[1]) - s[1] + s[3], wp.abs(x[2]) - s[2] + s[3])
-            out = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
-            far = wp.length(out)
-            if far > zero:
-                return wp.cw_mul(sign, out / far)
-            if q[2] >= q[0] and q[2] >= q[1]:
-                return vec3(zero, zero, sign[2])
-            if q[0] >= q[1]:
-                return vec3(sign[0], zero, zero)
-            return vec3(zero, sign[1], zero)
         if kind == 2:
-            side = vec3(x[0], x[1], zero)
-            radial = wp.length(side)
-            q0 = radial - s[0] + s[3]
-            q1 = wp.abs(x[2]) - s[1] + s[3]
-            rim = vec2(wp.max(q0, zero), wp.max(q1, zero))
-            a = zero
-            b = zero
-            if wp.length(rim) > zero:
-                a = rim[0] / wp.length(rim)
-                b = rim[1] / wp.length(rim)
-            elif q0 > q1:
-                a = one
-            else:
-                b = one
-            across = vec3(one, zero, zero)
-            if radial > zero:
-                across = side / radial
-            return a * across + vec3(zero, zero, b * wp.sign(x[2]))
-        d = nearest(kind, s, x)
-        if kind == 1 and wp.length(d) == zero:
-            return vec3(one, zero, zero)  # on the axis any direction across it is as good
-        return unit(d)
+            return vec3(real(0.0), real(0.0), real(1.0))
+        return axes(kind, x) * along_axes(kind, s, x)
 
     @wp.func(module=module)
     def analytic_curvature(kind: int, s: vec4, x: vec3):
-        zero = real(0.0)
-        one = real(1.0)
-        n = analytic_normal(kind, s, x)
-        eye = mat33(real(1.0), real(0.0), real(0.0), real(0.0), real(1.0), real(0.0), real(0.0), real(0.0), real(1.0))
-        if kind == 0:
-            return (eye - wp.outer(n, n)) / wp.max(wp.length(x), tiny)
-        if kind == 1:
-            d = nearest(kind, s, x)
-            c = eye - wp.outer(n, n)
-            if wp.abs(x[2]) < s[1]:
-                c[2, 2] = real(0.0)
-            return c / wp.max(wp.length(d), tiny)
-        if kind == 3:
-            # on a fillet, across the normal: of the directions that it rounds; bounded far inside, near its middle
-            q = vec3(wp.abs(x[0]) - s[0] + s[3], wp.abs(x[1]) - s[1] + s[3], wp.abs(x[2]) - s[2] + s[3])
-            out = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
-            c = wp.diag(vec3(wp.step(-q[0]), wp.step(-q[1]), wp.step(-q[2]))) - wp.outer(n, n)
-            far = wp.length(out)
-            if far > zero:
-                return c / wp.max(far, real(0.5) * s[3])
-            return mat33()
+        # where the surface is round, across the normal, of the directions that it rounds; bounded far inside
+        c = mat33()
         if kind == 2:
-            c = mat33()
-            radial = wp.sqrt(x[0] * x[0] + x[1] * x[1])
-            q0 = radial - s[0] + s[3]
-            q1 = wp.abs(x[2]) - s[1] + s[3]
-            side = vec3(one, zero, zero)
-            if radial > zero:
-                side = vec3(x[0] / radial, x[1] / radial, zero)
-            around = vec3(-side[1], side[0], zero)
-            out_of = wp.dot(n, side)
-            c = out_of / wp.max(radial, tiny) * wp.outer(around, around)
-            if q0 > zero and q1 > zero:
-                along = wp.cross(around, n)
-                c = c + wp.outer(along, along) / wp.max(wp.sqrt(q0 * q0 + q1 * q1), real(0.5) * s[3])
             return c
-        return mat33()
+        q = excess(kind, s, x)
+        n = along_axes(kind, s, x)
+        far = wp.length(outside(q))
+        if far > real(0.0):
+            c = wp.diag(vec3(wp.step(-q[0]), wp.step(-q[1]), wp.step(-q[2]))) - wp.outer(n, n)
+            c = c / wp.max(far, real(0.5) * s[3])
+        if kind == 1:
+            c[1, 1] = n[0] / wp.max(wp.length(vec2(x[0], x[1])), tiny)
+        turn = axes(kind, x)
+        return turn * c * wp.transpose(turn)
 
     @wp.func(module=module)
     def weights(t: real, order: int):
@@ -288,7 +244,7 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def gap(bodies: Bodies, k: int, x: vec3):
-        if bodies.kind[k] < 5:
+        if bodies.kind[k] < 3:
             return analytic_gap(bodies.kind[k], bodies.size[k], x)
         inside = within(bodies, k, x)
         phi = derivative(bodies, k, inside, 0, 0, 0)
@@ -299,30 +255,24 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def normal(bodies: Bodies, k: int, x: vec3):
-        if bodies.kind[k] < 5:
+        if bodies.kind[k] < 3:
             return analytic_normal(bodies.kind[k], bodies.size[k], x)
         if wp.length(x - within(bodies, k, x)) > real(0.0):
-            return unit(from_box(bodies, k, x))
+            return wp.normalize(from_box(bodies, k, x))
         return vec3(derivative(bodies, k, x, 1, 0, 0), derivative(bodies, k, x, 0, 1, 0),
                     derivative(bodies, k, x, 0, 0, 1))
 
     @wp.func(module=module)
     def curvature(bodies: Bodies, k: int, x: vec3):
-        if bodies.kind[k] < 5:
+        if bodies.kind[k] < 3:
             return analytic_curvature(bodies.kind[k], bodies.size[k], x)
-        c = mat33()
         if wp.length(x - within(bodies, k, x)) > real(0.0):
-            return c
-        c[0, 0] = derivative(bodies, k, x, 2, 0, 0)
-        c[1, 1] = derivative(bodies, k, x, 0, 2, 0)
-        c[2, 2] = derivative(bodies, k, x, 0, 0, 2)
-        c[0, 1] = derivative(bodies, k, x, 1, 1, 0)
-        c[1, 2] = derivative(bodies, k, x, 0, 1, 1)
-        c[0, 2] = derivative(bodies, k, x, 1, 0, 1)
-        c[1, 0] = c[0, 1]
-        c[2, 1] = c[1, 2]
-        c[2, 0] = c[0, 2]
-        return c
+            return mat33()
+        xy = derivative(bodies, k, x, 1, 1, 0)
+        yz = derivative(bodies, k, x, 0, 1, 1)
+        zx = derivative(bodies, k, x, 1, 0, 1)
+        return mat33(derivative(bodies, k, x, 2, 0, 0), xy, zx, xy, derivative(bodies, k, x, 0, 2, 0), yz,
+                     zx, yz, derivative(bodies, k, x, 0, 0, 2))
 
     return SimpleNamespace(Bodies=Bodies, gap=gap, normal=normal, curvature=curvature, analytic_gap=analytic_gap,
                            analytic_normal=analytic_normal, vec3=vec3, vec4=vec4, real=real)

@@ -227,12 +227,9 @@ class Response(Protocol):
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
-    def prepare(self, nodes: torch.Tensor) -> bool:
-        """Prepare for forces on these ``nodes`` (B, s) bool of the patches. Whether `compliance` has changed."""
-
-    def compliance(self) -> torch.Tensor:
-        """Compliance of every patch (B, 3 s, 3 s) [m/N]; 0 where held, at padding, and between nodes that are not
-        prepared."""
+    def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
+        """Compliance (k, m, m) [m/N] between the degrees of freedom ``dof`` (k, m) of the patches of ``touches`` (k,);
+        0 where held and at padding."""
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
@@ -297,13 +294,10 @@ class _Dense:
         place[together] = torch.arange(len(together), device=dof.device)
         self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], 0)
 
-    def prepare(self, nodes: torch.Tensor) -> bool:
-        """All of the inverse is there."""
-        return False
-
-    def compliance(self) -> torch.Tensor:
+    def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
         """See `Response`."""
-        mask, index = (self._dof >= 0).to(torch.float64), self._dof.clamp(min=0)
+        at = self._dof[touches].gather(1, dof)
+        mask, index = (at >= 0).to(torch.float64), at.clamp(min=0)
         table = self._inverse[index[:, :, None], index[:, None, :]].to(mask.dtype) * mask[:, :, None] * mask[:, None, :]
         return 0.5 * (table + table.mT)
 
@@ -334,30 +328,31 @@ class _Sparse:
         self._whole = torch.zeros((batch, width, factor.size), device=device, dtype=(
             torch.float64 if factor.real is np.float64 else torch.float32)) if few else None
         self._compliance = torch.zeros((batch, width, width), dtype=torch.float64, device=device)
-        self._symmetric: torch.Tensor | None = None
         self._ready = np.zeros((batch, width // 3), bool)
 
-    def prepare(self, nodes: torch.Tensor) -> bool:
-        """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""
-        more = False
-        for b, asked in enumerate(nodes.cpu().numpy() & ~self._ready):
-            if not asked.any():
-                continue
-            more, self._symmetric = True, None
-            self._ready[b] |= asked
+    def _prepare(self, touches: torch.Tensor, dof: torch.Tensor) -> None:
+        """Make what `between` and `patch` need for forces on ``dof`` (k, m)."""
+        for b, row in zip(touches.tolist(), dof.cpu().numpy(), strict=True):
             own = self._nodes[b]
+            asked = np.zeros_like(self._ready[b])
+            asked[row // 3] = True
+            asked &= ~self._ready[b]
+            self._ready[b] |= asked
+            if not asked[:len(own)].any():
+                continue
+            asked[len(own):] = False
             at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
             columns = torch.as_tensor(self._factor.columns(own[asked[:len(own)]]))
             if self._whole is not None:
                 self._whole[b, at] = columns.to(self._whole)
             dof = torch.as_tensor((3 * own[:, None] + np.arange(3)).ravel())
             self._compliance[b, at, :3 * len(own)] = columns[:, dof].to(self._compliance)
-        return more
 
-    def compliance(self) -> torch.Tensor:
-        if self._symmetric is None:
-            self._symmetric = 0.5 * (self._compliance + self._compliance.mT)
-        return self._symmetric
+    def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
+        self._prepare(touches, dof)
+        table = torch.stack([self._compliance[b].index_select(0, own).index_select(1, own)
+                             for b, own in zip(touches.tolist(), dof, strict=True)])
+        return 0.5 * (table + table.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         began = clock.now()

@@ -20,7 +20,6 @@ from vsfsim.physics.contact.pair.contact import PairContact
 from vsfsim.physics.contact.pair.response import SENSOR_NODES
 from vsfsim.physics.contact.pair.sides import scale
 from vsfsim.physics.contact.pair.surfaces import farthest
-from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
@@ -29,14 +28,6 @@ from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.touches import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
-
-
-@dataclass(frozen=True)
-class Points:
-    """The nodes of two bodies."""
-
-    points: np.ndarray
-    """The object's (world), then the sensor's (its frame) (N, 3) [m]."""
 
 
 @dataclass(frozen=True)
@@ -53,60 +44,16 @@ class PairFactors:
         return np.concatenate([self.object.solve(right[:self.split]), self.sensor.solve(right[self.split:])])
 
 
-@dataclass(frozen=True)
-class PairModel:
-    """Two bodies as one model for `Solver`; the fields are those of `Model`."""
-
-    object: Model
-    sensor: Model
-    mesh: Points
-    """The nodes of both."""
-    blocks: tuple[Block, ...]
-    """The elements of both; the node numbers of the sensor's follow the object's."""
-    free: np.ndarray
-    """1 where a degree of freedom may move (3 N,) [-]."""
-    load: np.ndarray
-    """The object's weight (3 N,) [N]."""
-    factor: PairFactors
-    """The rest-state factors of both."""
-
-    @classmethod
-    def of(cls, model: Model, sensor: Model) -> PairModel:
-        """Put an object and a sensor side by side."""
-        count = len(model.mesh.points)
-        moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
-        return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])),
-                   (*model.blocks, *moved),
-                   np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
-                   PairFactors(model.preconditioner, sensor.factor, 3 * count))
-
-    @property
-    def preconditioner(self) -> PairFactors:
-        """As `Model.preconditioner`."""
-        return self.factor
-
-    def grounding(self) -> np.ndarray:
-        """As `Model.grounding`."""
-        return np.concatenate([self.object.grounding(), self.sensor.grounding()])
-
-    def least_force(self) -> float:
-        """As `Model.least_force`: a sensor that has just lost contact balances its own gas to that force only, however
-        small the object's forces are."""
-        return max(self.object.least_force(), 100.0 * self.sensor.least_force())
-
-
-class _SensorReach:
-    """What `path` needs to know of a moving body: how far it reaches from its origin."""
-
-    def __init__(self, sensor: Model):
-        self._reach = farthest(sensor)
-
-    def __len__(self) -> int:
-        return 1
-
-    def reach(self, k: int) -> float:
-        """Farthest point from the origin [m]."""
-        return self._reach
+def side_by_side(model: Model, sensor: Model) -> Model:
+    """An object (world) and a sensor (its frame) as one body whose boundary is the object's: the sensor's nodes follow
+    the object's N in all, and its own weight is left out."""
+    count = len(model.mesh.points)
+    moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
+    return replace(
+        model, mesh=replace(model.mesh, points=np.concatenate([model.mesh.points, sensor.mesh.points])),
+        blocks=(*model.blocks, *moved), free=np.concatenate([model.free, sensor.free]),
+        load=np.concatenate([model.load, np.zeros_like(sensor.free)]), soft_factor=None,
+        factor=PairFactors(model.preconditioner, sensor.factor, 3 * count))
 
 
 class CoupledSolver(Solver):
@@ -127,9 +74,11 @@ class CoupledSolver(Solver):
         if len(sensor.mesh.points) > SENSOR_NODES:
             raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} "
                              f"are allowed, since its compliance is kept whole. Give fewer nodes.")
-        self._setup(PairModel.of(model, sensor), _SensorReach(sensor), np.array([float(friction)]), device, options,
-                    False)
+        self._setup(side_by_side(model, sensor), np.array([farthest(sensor)]), np.array([float(friction)]), device,
+                    options, False)
         self.object, self.sensor = model, sensor
+        # a sensor that has just lost contact balances its own gas to that force only, however small the object's are
+        self._floor = max(model.least_force(), 100.0 * sensor.least_force())
         self._stride = _STRIDE * scale(sensor)
 
     def run(self, poses: np.ndarray, *, start: np.ndarray | None = None, keep: bool = False,
@@ -160,7 +109,7 @@ class CoupledSolver(Solver):
         first, meets = start.copy(), self._meets(contact, start)
         first[meets, :, :3, 3] -= self._stride * first[meets, :, :3, 2]  # a stride back where it barely touches
         self._inside = meets & self._meets(contact, first)
-        for pose in increments.pieces(first, poses[0], self._stride, self.bodies):
+        for pose in increments.pieces(first, poses[0], self._stride, self._reaches):
             if self._meets(contact, pose).any():
                 break
             first = pose
@@ -223,30 +172,8 @@ def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) ->
 
     Between flat facets: from every node of either surface to the other one.
     """
-    own = sensor.mesh.points @ pose[:3, :3].T + pose[:3, 3]
-    at = model.mesh.points
-    sheet, skin = own[sensor.mesh.faces[:, :3]], at[model.mesh.faces[:, :3]]
-    there = _along(own[np.unique(sensor.mesh.faces[:, :3])], skin, axis)
-    back = _along(at[np.unique(model.mesh.faces[:, :3])], sheet, -axis)
-    return float(min(there, back))
-
-
-def _along(points: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> float:
-    """Shortest way [m] of any of the points (p, 3) along ``axis`` to any of the triangles (f, 3, 3), no less than
-    -1e-9."""
-    across = np.linalg.svd(axis[None])[2][1:]  # two directions across the axis
-    p, t = points @ across.T, triangles @ across.T
-    edge1, edge2 = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
-    det = edge1[:, 0] * edge2[:, 1] - edge1[:, 1] * edge2[:, 0]
-    flat = np.abs(det) > 1e-16
-    height, best = triangles @ axis, np.inf
-    for chunk in np.array_split(np.arange(len(p)), max(1, len(p) // 200)):
-        r = p[chunk, None] - t[None, flat, 0]
-        u = (r[..., 0] * edge2[flat, 1] - r[..., 1] * edge2[flat, 0]) / det[flat]
-        v = (edge1[flat, 0] * r[..., 1] - edge1[flat, 1] * r[..., 0]) / det[flat]
-        h = height[flat]
-        way = h[:, 0] + u * (h[:, 1] - h[:, 0]) + v * (h[:, 2] - h[:, 0]) - (points[chunk] @ axis)[:, None]
-        met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > -1e-9)
-        if met.any():
-            best = min(best, float(way[met].min()))
-    return best
+    own, at = sensor.mesh.points @ pose[:3, :3].T + pose[:3, 3], model.mesh.points
+    sheet, skin = sensor.mesh.faces[:, :3], model.mesh.faces[:, :3]
+    there = increments.ways(own[np.unique(sheet)], at[skin], axis)
+    back = increments.ways(at[np.unique(skin)], own[sheet], -axis)
+    return float(min(there.min(), back.min()))

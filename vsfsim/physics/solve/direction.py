@@ -22,7 +22,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         contact: contact, evaluated at the present state.
         columns: touches (k,).
         residual: unbalanced forces (3 n, k) [N].
-        near: whose contact stiffness has its geometric term (k,) bool, see `PointStiffness.stiffness`.
+        near: whose contact stiffness has its geometric term (k,) bool, see `ContactPoints.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
         deadline: see `krylov`.
@@ -52,7 +52,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             if touched:
                 self.stiffness = stiffness if which is None else stiffness[which]
             if block is not None:
-                self.block = block if which is None else block.pick(which)
+                self.block = block if which is None else block[which]
 
     parts: dict[int, Part] = {}
 
@@ -74,7 +74,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         own = part(which)
         y = torch.empty_like(r) if len(own.factors) == r.shape[1] else response.solve(r)
         if block is not None:
-            y = y - response.patch(own.columns, own.resting * own.block.apply(contact.gather(y, own.columns)))
+            force = (own.block @ contact.gather(y, own.columns)[:, :, None])[:, :, 0]
+            y = y - response.patch(own.columns, own.resting * force)
         for j, factor in own.factors:
             y[:, j:j + 1] = torch.as_tensor(factor.solve(r[:, j:j + 1].numpy()))
         return y

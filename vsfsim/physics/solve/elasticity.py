@@ -100,58 +100,85 @@ def _add(index: wp.array, compact: int, values: wp.array, parts: wp.array, out: 
                   device=out.device)
 
 
-class Collective:
-    """A block whose elements act through one number for each touch, as a gas through its volume; see
-    `elements/block.py`.
+class Elements:
+    """The elements of one block, each on its own.
 
     Args:
         block: a block of the model.
-        model: its arguments on the device.
-        own: kernels of the element.
         device: Warp device.
     """
+
+    part: tuple[wp.array, ...]
+    """Forces on the nodes of each element (m, 3 a, B) [N], energies (m, B) [J] and least det F (m, B) [-]."""
+    state: wp.array
+    """What the elements know of their tangents (m, state_size, B)."""
+
+    def __init__(self, block: Block, device: str):
+        self.block, self._device = block, device
+        self._model, self._own = block.arguments(device), block.kernels()
+
+    def begin(self, batch: int, part: tuple[wp.array, ...], at: wp.array) -> None:
+        """Room for ``batch`` touches; ``at``: displacements of the tangent (3 n, B) [m]."""
+        self.part, self._at = part, at
+        size = len(self.block), self.block.state_size, batch
+        self.state = wp.zeros(size, dtype=real, device=self._device)
+
+    def _launch(self, kernel: Any, index: wp.array, *more: Any) -> None:
+        wp.launch(kernel, dim=(len(self.block), len(index)), inputs=[self._model, index, *more], device=self._device)
+
+    def forces(self, index: wp.array, u: wp.array) -> None:
+        """Renew `part`; see `Elasticity.forces`."""
+        self._launch(self._own.forces, index, u, *self.part)
+
+    def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
+        """See `Elasticity.tangent`."""
+        if self._own.tangent is not None:
+            self._launch(self._own.tangent, index, int(projected), u, self.state)
+
+    def multiply(self, index: wp.array, x: wp.array) -> None:
+        """Tangent times x (3 n, k) into the forces of `part`."""
+        self._launch(self._own.multiply, index, self._at, self.state, x, self.part[0])
+
+
+class Collective(Elements):
+    """A block whose elements act through one number for each touch, as a gas through its volume; see
+    `elements/block.py`."""
 
     number: wp.array
     """The number at the last `forces` (B,), float64."""
     response: wp.array
     """The response to it (RESPONSES, B), float64; see `elements/block.py`."""
 
-    def __init__(self, block: Block, model: Any, own: Any, device: str):
-        self._rows, self._model, self._own, self._device = len(block), model, own, device
-        self._responses, self._law = block.element.RESPONSES, own.law(block, device)
-
-    def begin(self, batch: int) -> None:
-        """Room for ``batch`` touches."""
-        sizes = (self._rows, batch), batch, (self._responses, batch), batch, (self._responses, batch), batch, batch
-        self._parts = wp.zeros((_CHUNKS, batch), dtype=wp.float64, device=self._device)
-        (self._shares, self.number, self.response, self._tangent_number, self._tangent_response, self._true,
-         self._change) = (wp.zeros(size, dtype=wp.float64, device=self._device) for size in sizes)
-
-    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
+    def begin(self, batch: int, part: tuple[wp.array, ...], at: wp.array) -> None:
+        """See `Elements`."""
+        super().begin(batch, part, at)
+        self._law = self._own.law(self.block, self._device)
+        new = functools.partial(wp.zeros, dtype=wp.float64, device=self._device)
+        self._shares, self._parts = new((len(self.block), batch)), new((_CHUNKS, batch))
+        self.number, self._tangent_number, self._true, self._change = (new(batch) for _ in range(4))
+        self.response, self._tangent_response = (new((self.block.element.RESPONSES, batch)) for _ in range(2))
 
     def _respond(self, index: wp.array, u: wp.array, number: wp.array, response: wp.array) -> None:
-        self._launch(self._own.share, (self._rows, len(index)), [self._model, index, u, self._shares])
+        self._launch(self._own.share, index, u, self._shares)
         _add(index, 0, self._shares, self._parts, number)
-        self._launch(self._own.respond, (len(index),), [self._law, index, number, response])
+        wp.launch(self._own.respond, dim=len(index), inputs=[self._law, index, number, response], device=self._device)
 
-    def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
-        """The number at u, the response to it, and the forces; see `Elasticity.forces`."""
+    def forces(self, index: wp.array, u: wp.array) -> None:
+        """The number at u, the response to it, and the forces."""
         self._respond(index, u, self.number, self.response)
-        self._launch(self._own.forces, (self._rows, len(index)), [self._model, index, u, self.response, *part])
+        self._launch(self._own.forces, index, u, self.response, *self.part)
 
     def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
         """Store the response at u, and whether the tangent is the true one."""
         self._respond(index, u, self._tangent_number, self._tangent_response)
         wp.to_torch(self._true)[wp.to_torch(index).long()] = float(not projected)
 
-    def multiply(self, index: wp.array, at: wp.array, x: wp.array, force: wp.array) -> None:
-        """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
-        size = self._rows, len(index)
-        self._launch(self._own.share_change, size, [self._model, index, at, x, self._shares])
+    def multiply(self, index: wp.array, x: wp.array) -> None:
+        """See `Elements`."""
+        self._launch(self._own.share_change, index, self._at, x, self._shares)
         _add(index, 1, self._shares, self._parts, self._change)
-        self._launch(self._own.multiply, size,
-                     [self._model, index, at, self._tangent_response, self._true, self._change, x, force])
+        self._launch(self._own.multiply, index, self._at, self._tangent_response, self._true, self._change, x,
+                     self.part[0])
 
 
 class Elasticity:
@@ -173,10 +200,7 @@ class Elasticity:
         self.device, self.kernels = device, kernels()
         self.blocks = model.blocks
         self._points = len(model.mesh.points)
-        self._of = [block.kernels() for block in self.blocks]
-        self._model = [block.arguments(device) for block in self.blocks]
-        self._together = {i: Collective(block, self._model[i], self._of[i], device)
-                          for i, block in enumerate(self.blocks) if block.collective}
+        self._each = [(Collective if block.collective else Elements)(block, device) for block in self.blocks]
         # slot s of the element forces belongs to node flat[s]; slots of one node in increasing order
         flat = np.concatenate([block.nodes.ravel() for block in self.blocks])
         count = np.bincount(flat, minlength=self._points)
@@ -193,22 +217,17 @@ class Elasticity:
         self._force = wp.zeros((int(slots[-1]), 3, batch), **new)
         self._energies = wp.zeros((int(rows[-1]), batch), **new)
         self._dets = wp.zeros((int(rows[-1]), batch), **new)
-        # the part of each block, as its element sees it
-        self._part = []
-        for i, block in enumerate(self.blocks):
-            force = self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1], batch))
-            own = slice(int(rows[i]), int(rows[i + 1]))
-            self._part.append((force, self._energies[own], self._dets[own]))
-        self._state = [wp.zeros((len(block), block.state_size, batch), **new) for block in self.blocks]
         self._at, self._parts = wp.zeros((3 * self._points, batch), **new), wp.zeros((_CHUNKS, batch), **new)
+        for i, elements in enumerate(self._each):
+            own, block = slice(int(rows[i]), int(rows[i + 1])), self.blocks[i]
+            force = self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1], batch))
+            elements.begin(batch, (force, self._energies[own], self._dets[own]), self._at)
         self.internal = wp.zeros((3 * self._points, batch), **new)
         self.energy = wp.zeros(batch, dtype=wp.float64, device=self.device)
         self.least_det = wp.zeros(batch, **new)
-        for collective in self._together.values():
-            collective.begin(batch)
 
     def _gas(self) -> Collective | None:
-        return next((self._together[i] for i, block in enumerate(self.blocks) if block.kind == "gas"), None)
+        return next((each for each in self._each if each.block.kind == "gas"), None)
 
     @property
     def pressure(self) -> wp.array | None:
@@ -222,20 +241,16 @@ class Elasticity:
         gas = self._gas()
         return None if gas is None else gas.number
 
-    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
+    def _gather(self, index: wp.array, free: wp.array, compact: int, out: wp.array) -> None:
+        wp.launch(self.kernels.gather, dim=(self._points, len(index)), device=self.device,
+                  inputs=[self._start, self._slot, free, index, compact, self._force, out])
 
     def forces(self, index: wp.array, u: wp.array) -> None:
         """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B)
         [m]."""
-        count = len(index)
-        for i, (block, own, model, part) in enumerate(zip(self.blocks, self._of, self._model, self._part, strict=True)):
-            if i in self._together:
-                self._together[i].forces(index, u, part)
-            else:
-                self._launch(own.forces, (len(block), count), [model, index, u, *part])
-        self._launch(self.kernels.gather, (self._points, count),
-                     [self._start, self._slot, self._every, index, 0, self._force, self.internal])
+        for elements in self._each:
+            elements.forces(index, u)
+        self._gather(index, self._every, 0, self.internal)
         at = wp.to_torch(index).long()
         _add(index, 0, self._energies, self._parts, self.energy)
         wp.to_torch(self.least_det)[at] = wp.to_torch(self._dets)[:, at].amin(dim=0)
@@ -245,18 +260,14 @@ class Elasticity:
         is."""
         at = wp.to_torch(index).long()
         wp.to_torch(self._at)[:, at] = wp.to_torch(u)[:, at]
-        for i, (block, own, model, state) in enumerate(zip(self.blocks, self._of, self._model, self._state,
-                                                           strict=True)):
-            if i in self._together:
-                self._together[i].tangent(index, u, projected)
-            elif own.tangent is not None:
-                self._launch(own.tangent, (len(block), len(index)), [model, index, int(projected), u, state])
+        for elements in self._each:
+            elements.tangent(index, u, projected)
 
     def add_matrices(self, touch: int, order: Order, values: np.ndarray) -> None:
         """Add the tangents of all elements of one touch, on a CPU, to the blocks ``values`` (b, 3, 3) [N/m] of a matrix
         in this ``order``, supports not held: products of each element with the unit vectors of its own nodes."""
         at = self._at.numpy()[:, touch]
-        for block, state in zip(self.blocks, self._state, strict=True):
+        for block, state in zip(self.blocks, (each.state for each in self._each), strict=True):
             for first in range(0, len(block), _TOGETHER):
                 rows = slice(first, first + _TOGETHER)
                 nodes = block.nodes[rows].astype(np.int64)
@@ -268,19 +279,14 @@ class Elasticity:
 
     def of_elements(self, block: int) -> np.ndarray:
         """Nodal forces of each element of one block at the last `forces` (m, 3 a, B) [N], until the next product."""
-        return self._part[block][0].numpy()
+        return self._each[block].part[0].numpy()
 
     def multiply(self, index: wp.array, x: wp.array, out: wp.array) -> None:
         """Tangent times x (3 n, k) [m] -> ``out`` (3 n, k): column j belongs to touch ``index[j]``; rows of held
         degrees of freedom are 0."""
-        each = zip(self.blocks, self._of, self._model, self._state, self._part, strict=True)
-        for i, (block, own, model, state, part) in enumerate(each):
-            if i in self._together:
-                self._together[i].multiply(index, self._at, x, part[0])
-            else:
-                self._launch(own.multiply, (len(block), len(index)), [model, index, self._at, state, x, part[0]])
-        self._launch(self.kernels.gather, (self._points, len(index)),
-                     [self._start, self._slot, self._free, index, 1, self._force, out])
+        for elements in self._each:
+            elements.multiply(index, x)
+        self._gather(index, self._free, 1, out)
 
 
 class LinearElasticity(Elasticity):

@@ -57,7 +57,7 @@ def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, 
     """
     start = poses[0] if start is None else start.reshape(poses.shape[1:])
     first = clear(start, poses[0], bodies, model)
-    reached = pieces(first, poses[0], stride(bodies, mean_thickness(model)), bodies)  # on their way in
+    reached = pieces(first, poses[0], stride(bodies, mean_thickness(model)), bodies.reaches)  # on their way in
     contact = make(poses=poses if np.array_equal(first, poses[0]) else np.stack([*reached, *poses]))
     longest = stride(bodies, min(mean_thickness(model), thinnest(model, [patch.faces for patch in contact.patches])),
                      friction=contact.has_friction)
@@ -79,7 +79,7 @@ def clear(start: np.ndarray, end: np.ndarray, bodies: RigidBodies, model: Model)
     surface, corners = mesh.points[mesh.surface_nodes()], mesh.points[mesh.faces[:, :3]]
     edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     between_nodes = edge / (3.0 if mesh.faces.shape[1] == 6 else 1.5)
-    length = _lengths(start, end, bodies)
+    length = _lengths(start, end, bodies.reaches)
     for b in range(len(start)):
         moving = np.flatnonzero(length[b])
         part = 0.0
@@ -98,27 +98,34 @@ def thinnest(model: Model, faces: Sequence[np.ndarray]) -> float:
     """Least thickness [m] of the solid under boundary faces that are in the bodies' way, lists (f,) of each touch: from
     the middle of a face straight in to the other side, of `_RAYS` of them; infinite for a membrane, and without any.
     The thinnest twentieth, at edges, does not count."""
-    mesh, ways = model.mesh, np.unique(np.concatenate(list(faces)))
-    if mesh.faces.shape[1] == 3 or not len(ways):
+    mesh, sides = model.mesh, np.unique(np.concatenate(list(faces)))
+    if mesh.faces.shape[1] == 3 or not len(sides):
         return float("inf")
-    ways = ways[np.linspace(0, len(ways) - 1, min(len(ways), _RAYS)).astype(int)]
+    sides = sides[np.linspace(0, len(sides) - 1, min(len(sides), _RAYS)).astype(int)]
     corners = mesh.points[mesh.faces[:, :3]]
-    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    inward = -np.cross(edge1, edge2)
+    inward = -np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    out = []
-    for face in ways:  # Moeller and Trumbore 1997
-        p = np.cross(inward[face], edge2)
-        det = np.einsum("fc,fc->f", edge1, p)
-        det[np.abs(det) < 1e-30] = np.inf
-        s = corners[face].mean(axis=0) - corners[:, 0]
-        u, q = np.einsum("fc,fc->f", s, p) / det, np.cross(s, edge1)
-        v, far = q @ inward[face] / det, np.einsum("fc,fc->f", edge2, q) / det
-        met = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (far > 1e-6 * np.abs(far).max())
-        met[face] = False
-        if met.any():
-            out.append(float(far[met].min()))
-    return float(np.percentile(out, 5.0)) if out else float("inf")
+    found = np.array([ways(corners[side].mean(axis=0)[None], corners, inward[side], least=1e-6 * model.element_size)[0]
+                      for side in sides])
+    found = found[np.isfinite(found)]
+    return float(np.percentile(found, 5.0)) if len(found) else float("inf")
+
+
+def ways(points: np.ndarray, triangles: np.ndarray, axis: np.ndarray, *, least: float = -1e-9) -> np.ndarray:
+    """Shortest way [m] of each of ``points`` (p, 3) along the unit ``axis`` (3,) to any of the ``triangles`` (f, 3, 3)
+    that is no shorter than ``least``; infinite where it meets none (Moeller and Trumbore 1997)."""
+    edge1, edge2 = (triangles[:, k] - triangles[:, 0] for k in (1, 2))
+    across = np.cross(axis, edge2)
+    det = np.einsum("fc,fc->f", edge1, across)
+    det[np.abs(det) < 1e-16] = np.nan  # along the axis: met nowhere
+    out = np.empty(len(points))
+    for some in np.array_split(np.arange(len(points)), max(1, len(points) // 200)):
+        s = points[some, None] - triangles[:, 0]
+        q = np.cross(s, edge1)
+        u, v, way = np.einsum("pfc,fc->pf", s, across) / det, q @ axis / det, np.einsum("pfc,fc->pf", q, edge2) / det
+        met = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (way > least)
+        out[some] = np.where(met, way, np.inf).min(axis=1, initial=np.inf)
+    return out
 
 
 def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
@@ -132,27 +139,27 @@ def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
     return out
 
 
-def pieces(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> Iterator[np.ndarray]:
+def pieces(a: np.ndarray, b: np.ndarray, longest: float, reaches: np.ndarray) -> Iterator[np.ndarray]:
     """Poses (B, K, 4, 4) on the way from a to b, ending with b, none further than ``longest`` [m] from the one
-    before."""
-    count = int(np.clip(np.ceil(_lengths(a, b, bodies).max() / longest - 1e-9), 1, _MOST_PIECES))
+    before; ``reaches``: how far each body extends from its origin (K,) [m]."""
+    count = int(np.clip(np.ceil(_lengths(a, b, reaches).max() / longest - 1e-9), 1, _MOST_PIECES))
     for i in range(1, count):
         yield between(a, b, i / count)
     yield b
 
 
-def _lengths(a: np.ndarray, b: np.ndarray, bodies: RigidBodies) -> np.ndarray:
+def _lengths(a: np.ndarray, b: np.ndarray, reaches: np.ndarray) -> np.ndarray:
     """How far any point of each body moves at most from a to b (B, K) [m]."""
     way = np.linalg.norm(b[..., :3, 3] - a[..., :3, 3], axis=-1)
     cosine = 0.5 * (np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3]) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0)) * (cosine < 1.0 - 1e-12)
-    return way + angle * np.array([min(bodies.reach(k), 1.0) for k in range(len(bodies))])
+    return way + angle * np.minimum(reaches, 1.0)
 
 
-def too_far(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> np.ndarray:
+def too_far(a: np.ndarray, b: np.ndarray, longest: float, reaches: np.ndarray) -> np.ndarray:
     """Whether `pieces` are longer than ``longest`` [m] because there would be too many (B,) bool: what a thin part does
     on such a way is not known."""
-    return (_lengths(a, b, bodies) > (_MOST_PIECES + 1e-6) * longest).any(axis=1)
+    return (_lengths(a, b, reaches) > (_MOST_PIECES + 1e-6) * longest).any(axis=1)
 
 
 def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarray:

@@ -78,8 +78,8 @@ class TangentFactors:
         values = np.zeros((len(order.neighbours), 3, 3))
         self._elasticity.add_matrices(int(column[0]), order, values)
         stiffness = self._contact.stiffness(column)
-        touched = getattr(stiffness, "fixed", stiffness).matrices[0].tocoo()  # of bodies that do not give way
-        dof = self._contact.dof[int(column[0])].numpy()
+        touched = stiffness.matrices[0].tocoo()  # of bodies that do not give way
+        dof = self._contact.dof[int(column[0])][stiffness.dof[0]].numpy()
         row, col = dof[touched.row], dof[touched.col]
         at = order.find(row // 3, col // 3)
         on = (at >= 0) & (row >= 0) & (col >= 0)

@@ -65,12 +65,13 @@ class Solver:
                  friction: float | Sequence[float] = 0.0, device: str = "cpu",
                  options: SolverOptions | None = None, linear: bool = False):
         bodies = RigidBodies(shapes)
-        self._setup(model, bodies, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device,
+        self.bodies = bodies
+        self._setup(model, bodies.reaches, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device,
                     options, linear)
 
-    def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str,
+    def _setup(self, model: Model, reaches: np.ndarray, friction: np.ndarray, device: str,
                options: SolverOptions | None, linear: bool) -> None:
-        self.model, self.bodies, self.friction = model, bodies, friction
+        self.model, self._reaches, self.friction = model, reaches, friction
         self.device, self.linear, self.options = device, linear, options or SolverOptions()
         self._mount: Mount | None = None
         self.elasticity = (LinearElasticity if linear else Elasticity)(model, device=device)
@@ -132,8 +133,8 @@ class Solver:
     def _frame(self, pose: np.ndarray, deadline: float) -> Rows:
         """Bring all touches into equilibrium with the bodies at ``pose`` (B, K, 4, 4), and look at what was found."""
         balance, contact, late = self._balance, self.contact, False
-        way = list(increments.pieces(self._at, pose, self._stride, self.bodies))
-        self._unknown = self._inside | increments.too_far(self._at, pose, self._stride, self.bodies)
+        way = list(increments.pieces(self._at, pose, self._stride, self._reaches))
+        self._unknown = self._inside | increments.too_far(self._at, pose, self._stride, self._reaches)
         balance.reset_counts()
         for part in way:
             balance.begun = balance.newton.copy(), balance.cg.copy()

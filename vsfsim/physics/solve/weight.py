@@ -10,6 +10,7 @@ from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.newton import Equilibrium
 
 _LEAST = 1 / 256  # the smallest part of the load
+_AWAY = 1e3  # how far the bodies are meanwhile [m], on the side of a plane that is solid
 
 
 def apply(balance: Equilibrium, pose: np.ndarray) -> None:
@@ -24,9 +25,10 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
         return
     deadline = clock.now() + options.seconds * len(balance.every)
     first, whole = balance.every[:1], balance.load
-    contact.begin_step(pose, balance.u)
-    contact.move(pose, balance.every)
-    contact.softening[:] = 0.0  # nothing touches yet
+    away = pose.copy()
+    away[..., :3, 3] -= _AWAY * pose[..., :3, 2]
+    contact.begin_step(away, balance.u)
+    contact.move(away, balance.every)
     linear = model.preconditioner.solve((model.load * model.free)[:, None])
     slope = torch.as_tensor(linear, dtype=torch.float64, device=balance.device)
     done, part, u = 0.0, 1.0, torch.zeros_like(slope)
@@ -46,5 +48,4 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
             part = 0.5 * share
     balance.load = whole
     balance.u[:] = u
-    contact.softening[:] = 1.0
     balance.factors.forget()

@@ -26,7 +26,7 @@ from typing import Any
 import warp as wp
 
 from vsfsim.physics.contact import friction
-from vsfsim.physics.contact.rigid_kernels import FACING
+from vsfsim.physics.contact.rigid_kernels import FACING, STICK
 from vsfsim.physics.elements import closest_point
 from vsfsim.physics.runtime import mat33, real, vec3
 
@@ -44,7 +44,7 @@ def kernels() -> Any:
     vec_most = wp.types.vector(length=CANDIDATES, dtype=real)
     module = "vsfsim_pair_contact"
     near = closest_point.functions(module)
-    facing = wp.constant(real(FACING))
+    facing, stick = wp.constant(real(FACING)), wp.constant(real(STICK))
     most = wp.constant(CANDIDATES)
     most_anchorings = wp.constant(friction.ANCHORINGS)
     fixed, new = wp.constant(FIXED), wp.constant(NEW)
@@ -52,12 +52,16 @@ def kernels() -> Any:
     class Side:
         corners: int  # nodes of a face, 3 or 6
         first: int  # number of the first node in the positions x of a touch; the others follow it
+        coefficient: real  # of friction [-]
+        # positions of all nodes now, when the step began, and if both bodies had kept their shapes since (B, S) [m]
+        x: wp.array2d(dtype=vec3)
+        x_before: wp.array2d(dtype=vec3)
+        x_swept: wp.array2d(dtype=vec3)
         facet: wp.array3d(dtype=wp.int32)  # corners of a face that each node is on (B, Q, 3)
         stiffness: wp.array2d(dtype=real)  # penalty of each node (B, Q) [N/m]; 0 is padding
         faces: wp.array3d(dtype=wp.int32)  # (B, F, corners)
         count: wp.array(dtype=wp.int32)  # faces in use (B,)
         smooth: wp.array3d(dtype=vec3)  # blended normals at the corners of the faces (B, F, corners) [-]
-        softening: wp.array(dtype=real)  # (B,), see `rigid_contact`
         candidates: wp.array3d(dtype=wp.int32)  # faces that each node may meet (B, Q, CANDIDATES); -1 is padding
         # memory of friction, and its iteration in a step, see `friction`
         anchored: wp.array2d(dtype=wp.int32)
@@ -73,11 +77,10 @@ def kernels() -> Any:
         face: wp.array2d(dtype=wp.int32)
         shape: wp.array2d(dtype=vec6)
         normal: wp.array2d(dtype=vec3)
-        slope: wp.array2d(dtype=vec3)
-        push: wp.array2d(dtype=vec3)
-        drag: wp.array2d(dtype=vec3)
-        slip: wp.array2d(dtype=vec3)
-        rows: wp.array2d(dtype=mat33)
+        push: wp.array2d(dtype=vec3)  # forces on the node [N], and their stiffness [N/m]: normal,
+        push_stiffness: wp.array2d(dtype=mat33)
+        drag: wp.array2d(dtype=vec3)  # and of friction
+        drag_stiffness: wp.array2d(dtype=mat33)
         slips: wp.array2d(dtype=wp.int32)
         wrong_side: wp.array2d(dtype=wp.int32)
         energy: wp.array2d(dtype=real)
@@ -123,7 +126,7 @@ def kernels() -> Any:
         return out
 
     @wp.kernel(module=module, enable_backward=False)
-    def search(s: Side, columns: wp.array(dtype=wp.int32), within: real, x_in: wp.array2d(dtype=vec3)):
+    def search(s: Side, columns: wp.array(dtype=wp.int32), within: real):
         # the nearest faces of the other surface to every point, no further than ``within``, nearest first
         q, k = wp.tid()
         b = columns[k]
@@ -131,14 +134,14 @@ def kernels() -> Any:
             s.candidates[b, q, i] = -1
         if s.stiffness[b, q] <= real(0.0):
             return
-        p = x_in[b, s.first + q]
+        p = s.x[b, s.first + q]
         held = int(0)  # noqa: UP018, RUF046
         worst = within
         far_of = vec_most()
         for face in range(s.count[b]):
-            x0 = x_in[b, s.faces[b, face, 0]]
-            x1 = x_in[b, s.faces[b, face, 1]]
-            x2 = x_in[b, s.faces[b, face, 2]]
+            x0 = s.x[b, s.faces[b, face, 0]]
+            x1 = s.x[b, s.faces[b, face, 1]]
+            x2 = s.x[b, s.faces[b, face, 2]]
             middle = (x0 + x1 + x2) / real(3.0)
             reach = wp.max(wp.length(x0 - middle), wp.max(wp.length(x1 - middle), wp.length(x2 - middle)))
             if wp.length(p - middle) - reach < worst:
@@ -158,13 +161,13 @@ def kernels() -> Any:
                         worst = far_of[most - 1]
 
     @wp.kernel(module=module, enable_backward=False)
-    def evaluate(s: Side, columns: wp.array(dtype=wp.int32), stick: real, x_in: wp.array2d(dtype=vec3)):
+    def evaluate(s: Side, columns: wp.array(dtype=wp.int32)):
         q, k = wp.tid()
         b = columns[k]
         push = vec3()
         drag = vec3()
-        d = vec3()
-        rows = mat33()
+        push_stiffness = mat33()
+        drag_stiffness = mat33()
         energy = real(0.0)
         gap = real(1e30)
         slips = int(0)  # noqa: UP018, RUF046
@@ -173,64 +176,59 @@ def kernels() -> Any:
         shape = vec6()
         n = vec3()
         slope = vec3()
-        w = s.softening[b] * s.stiffness[b, q]
+        w = s.stiffness[b, q]
         if w > real(0.0) and (s.candidates[b, q, 0] >= 0 or s.limit[b, q] > real(0.0)):
-            p = x_in[b, s.first + q]
+            p = s.x[b, s.first + q]
             if s.candidates[b, q, 0] >= 0:
-                face, shape, gap, slope = meet(s, p, b, q, x_in)
+                face, shape, gap, slope = meet(s, p, b, q, s.x)
                 n = vec3()
                 for i in range(s.corners):
                     n += shape[i] * s.smooth[b, face, i]
                 n = wp.normalize(n)
                 if gap < real(0.0):
-                    y0 = x_in[b, s.facet[b, q, 0]]
-                    own = wp.normalize(wp.cross(x_in[b, s.facet[b, q, 1]] - y0, x_in[b, s.facet[b, q, 2]] - y0))
+                    y0 = s.x[b, s.facet[b, q, 0]]
+                    own = wp.normalize(wp.cross(s.x[b, s.facet[b, q, 1]] - y0, s.x[b, s.facet[b, q, 2]] - y0))
                     if wp.dot(n, own) > facing:
                         # the nearest way out leads on: the point has passed the middle of the other body
                         wrong = 1
                         gap = real(0.0)
                 if gap < real(0.0):
                     push = -w * gap * n
-                    for c in range(3):
-                        rows[0, c] = wp.sqrt(w) * n[c]
+                    push_stiffness = w * wp.outer(n, slope)
                     energy += real(0.5) * w * gap * gap
             limit = s.limit[b, q]
             if limit > real(0.0):
                 m = s.across[b, q]
-                d = friction.tangential(p - place(s, b, s.anchor_face[b, q], s.anchor_shape[b, q], x_in),
+                d = friction.tangential(p - place(s, b, s.anchor_face[b, q], s.anchor_shape[b, q], s.x),
                                         m)
                 v = stick * w
                 drag = -friction.force(d, v, limit)
                 energy += friction.energy(wp.length(d), v, limit)
                 along, sideways = friction.hessian_roots(d, m, v, limit)
-                for c in range(3):
-                    rows[1, c] = along[c]
-                    rows[2, c] = sideways[c]
+                drag_stiffness = wp.outer(along, along) + wp.outer(sideways, sideways)
                 if not friction.sticks(wp.length(d), v, limit):
                     slips = 1
         s.gap[b, q] = gap
         s.face[b, q] = face
         s.shape[b, q] = shape
         s.normal[b, q] = n
-        s.slope[b, q] = slope
         s.push[b, q] = push
+        s.push_stiffness[b, q] = push_stiffness
         s.drag[b, q] = drag
-        s.slip[b, q] = d
-        s.rows[b, q] = rows
+        s.drag_stiffness[b, q] = drag_stiffness
         s.slips[b, q] = slips
         s.wrong_side[b, q] = wrong
         s.energy[b, q] = energy
 
     @wp.kernel(module=module, enable_backward=False)
-    def update_friction(s: Side, columns: wp.array(dtype=wp.int32), coefficient: real, x_before: wp.array2d(dtype=vec3),
-                        x_swept: wp.array2d(dtype=vec3)):
+    def update_friction(s: Side, columns: wp.array(dtype=wp.int32)):
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         q, k = wp.tid()
         b = columns[k]
         limit = real(0.0)
         g = s.gap[b, q]
         if g < real(0.0):
-            limit = -coefficient * s.softening[b] * s.stiffness[b, q] * g
+            limit = -s.coefficient * s.stiffness[b, q] * g
             s.across[b, q] = s.normal[b, q]
             if s.anchored[b, q] == 0 or (s.anchored[b, q] == new and s.anchorings[b, q] < most_anchorings):
                 s.anchorings[b, q] = s.anchorings[b, q] + 1
@@ -238,19 +236,19 @@ def kernels() -> Any:
                 # now if it did not, because a surface bulged up
                 face = s.face[b, q]
                 shape = s.shape[b, q]
-                face0, _shape0, g0, _n0 = meet(s, x_before[b, s.first + q], b, q, x_before)
-                face1, shape1, g1, n1 = meet(s, x_swept[b, s.first + q], b, q, x_swept)
+                face0, _shape0, g0, _n0 = meet(s, s.x_before[b, s.first + q], b, q, s.x_before)
+                face1, shape1, g1, n1 = meet(s, s.x_swept[b, s.first + q], b, q, s.x_swept)
                 if face1 >= 0 and g1 < real(0.0):
                     face = face1
                     shape = shape1
                     if face0 >= 0 and g0 > real(0.0):
                         part = g0 / (g0 - g1)
-                        p = (real(1.0) - part) * x_before[b, s.first + q] + part * x_swept[b, s.first + q]
+                        p = (real(1.0) - part) * s.x_before[b, s.first + q] + part * s.x_swept[b, s.first + q]
                         # the face that it met, at that part of its way
-                        c0 = place(s, b, face1, shape1, x_before)
-                        c1 = place(s, b, face1, shape1, x_swept)
+                        c0 = place(s, b, face1, shape1, s.x_before)
+                        c1 = place(s, b, face1, shape1, s.x_swept)
                         moved = c1 + friction.tangential(p - ((real(1.0) - part) * c0 + part * c1), n1)
-                        face, shape, _g2, _n2 = meet(s, moved, b, q, x_swept)
+                        face, shape, _g2, _n2 = meet(s, moved, b, q, s.x_swept)
                 s.anchor_face[b, q] = face
                 s.anchor_shape[b, q] = shape
                 s.anchored[b, q] = new
@@ -259,7 +257,7 @@ def kernels() -> Any:
         s.residual[b, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)
-    def end_step(s: Side, columns: wp.array(dtype=wp.int32), stick: real, x_in: wp.array2d(dtype=vec3)):
+    def end_step(s: Side, columns: wp.array(dtype=wp.int32)):
         # points that slipped drag their anchor along, points that left lose it
         q, k = wp.tid()
         b = columns[k]
@@ -268,8 +266,8 @@ def kernels() -> Any:
         elif s.anchored[b, q] > 0:
             s.anchored[b, q] = fixed
             m = s.across[b, q]
-            at = place(s, b, s.anchor_face[b, q], s.anchor_shape[b, q], x_in)
-            d = friction.tangential(x_in[b, s.first + q] - at, m)
+            at = place(s, b, s.anchor_face[b, q], s.anchor_shape[b, q], s.x)
+            d = friction.tangential(s.x[b, s.first + q] - at, m)
             way = wp.length(d)
             v = stick * s.stiffness[b, q]
             if not friction.sticks(way, v, s.limit[b, q]):
@@ -277,12 +275,12 @@ def kernels() -> Any:
                 # a few steps to find
                 left = s.limit[b, q] / v
                 for _i in range(4):
-                    face, shape, _g, _n = meet(s, at + (real(1.0) - left / way) * d, b, q, x_in)
+                    face, shape, _g, _n = meet(s, at + (real(1.0) - left / way) * d, b, q, s.x)
                     if face >= 0:
                         s.anchor_face[b, q] = face
                         s.anchor_shape[b, q] = shape
-                        at = place(s, b, face, shape, x_in)
-                        d = friction.tangential(x_in[b, s.first + q] - at, m)
+                        at = place(s, b, face, shape, s.x)
+                        d = friction.tangential(s.x[b, s.first + q] - at, m)
                         way = wp.max(wp.length(d), real(1e-15))
 
     return SimpleNamespace(search=search, evaluate=evaluate, update_friction=update_friction,

@@ -30,30 +30,19 @@ class PairResponse:
         inverse = sensor.factor.solve(np.diag(sensor.free))
         self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=self.device)
         self._object: Response = response(model.preconditioner, surfaces.dof[:, :self._split], device=self.device)
-        self._object_compliance = self._object.compliance()
 
     @property
     def took(self) -> float:
         """Time of the object's last `Response.solve` [s]."""
         return self._object.took
 
-    def between(self, columns: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
-        """Compliance (k, 3 m, 3 m) [m/N] of both bodies between some of the surface nodes (k, m) of the touches
-        ``columns`` (k,); 0 where held or padded."""
-        split, batch = self._split, self._surfaces.batch
-        asked = torch.zeros((batch, self._surfaces.mask.shape[1] // 3), dtype=torch.bool, device=self.device)
-        asked[columns] = torch.zeros_like(asked[columns]).scatter_(1, nodes, True)
-        if self._object.prepare(asked[:, :split // 3]):
-            self._object_compliance = self._object.compliance()
-        dof = (3 * nodes[:, :, None] + torch.arange(3, device=self.device)).flatten(1)
-        free, on_sensor = self._surfaces.free[columns].gather(1, dof), (dof >= split).to(torch.float64)
-        mine, theirs = dof.clamp(max=split - 1), (dof - split).clamp(min=0)
-        out = torch.zeros((*dof.shape, dof.shape[1]), dtype=torch.float64, device=self.device)
-        for part, table in ((free * (1.0 - on_sensor), self._object_compliance[
-                columns[:, None, None], mine[:, :, None], mine[:, None]]), (
-                free * on_sensor, self._sensor_compliance[theirs[:, :, None], theirs[:, None]])):
-            out += part[:, :, None] * part[:, None] * table
-        return out
+    def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
+        """See `rest_factor.Response`; bodies do not move one another."""
+        sensor, there = dof >= self._split, (dof - self._split).clamp(min=0)
+        here = torch.where(sensor, dof[:, :1].clamp(max=self._split - 1), dof)  # the object's dof come first
+        return torch.where(sensor[:, :, None] & sensor[:, None], self._sensor_compliance[
+            there[:, :, None], there[:, None]], torch.where(
+                sensor[:, :, None] | sensor[:, None], 0.0, self._object.between(touches, here)))
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 N, k) [m] under forces (3 N, k) [N] that are 0 where held."""

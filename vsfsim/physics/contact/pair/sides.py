@@ -6,7 +6,7 @@ Both bodies are at rest here; `surfaces` moves them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +14,9 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.pair.kernels import CANDIDATES, kernels
 from vsfsim.physics.contact.patch import PENALTY
-from vsfsim.physics.contact.rigid_kernels import bind
+from vsfsim.physics.contact.points import bound
 from vsfsim.physics.model import Model
 
 _BULGE = 0.25
@@ -51,10 +50,6 @@ class Side:
 
     tensors: dict[str, torch.Tensor]
     """All of them by name, as the struct ``Side`` of the kernels says."""
-    memory: dict[str, torch.Tensor]
-    """Those of them that are the friction state: anchors, limits, normals of the tangent planes (B, Q, ...)."""
-    relaxation: Relaxation
-    """Iteration of the friction limits in this step."""
     around: torch.Tensor
     """Corners that share the node of each corner (B, F n, most), as face x n + node with n nodes a face; -1 is
     padding."""
@@ -81,8 +76,8 @@ class Side:
                                              dim=2).view(batch, faces, nodes, 3)
 
 
-def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: Sequence[np.ndarray], width: int, *,
-               device: str) -> tuple[Side, Side]:
+def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: Sequence[np.ndarray], width: int,
+               both: Mapping[str, Any], *, device: str) -> tuple[Side, Side]:
     """The sensor's nodes against the object's faces, and the object's nodes against the sensor's faces.
 
     Args:
@@ -91,6 +86,7 @@ def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: 
         reach: boundary triangles of the object that each touch may meet, see `reachable`.
         nodes: their nodes, increasing; they come first in the numbers of a touch.
         width: their largest number; the sensor's nodes come after them.
+        both: what both sides share, by its names in ``Side`` of the kernels.
         device: Warp device.
     """
     mesh, own = model.mesh, sensor.mesh
@@ -125,35 +121,20 @@ def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: 
     def many(values: np.ndarray) -> np.ndarray:
         return np.broadcast_to(values, (batch, *values.shape))
 
-    return (_side(width, many(width + carried_normal), carried_stiffness, faces, [len(f) for f in reach], device),
-            _side(0, normal_of, tied, many(at), [len(at)] * batch, device))
+    return (_side(width, many(width + carried_normal), carried_stiffness, faces, [len(f) for f in reach], both, device),
+            _side(0, normal_of, tied, many(at), [len(at)] * batch, both, device))
 
 
 def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarray, count: Sequence[int],
-          device: str) -> Side:
-    size = stiffness.shape
-    k = kernels()
-
-    def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
-        return torch.zeros((*size, *more), dtype=dtype, device=device)
-
-    def whole(values: Any) -> torch.Tensor:
-        return torch.as_tensor(np.array(values), dtype=torch.int32, device=device)
-
-    state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3),
-             "slope": zeros(3), "push": zeros(3), "drag": zeros(3), "slip": zeros(3), "rows": zeros(3, 3),
-             "slips": zeros(dtype=torch.int32), "wrong_side": zeros(dtype=torch.int32), "energy": zeros()}
-    memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32),
-              "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-    relaxation = Relaxation(size, device)
-    tensors = {"facet": whole(facet), "stiffness": torch.as_tensor(stiffness, device=device), "faces": whole(faces),
-               "count": whole(count), "candidates": zeros(CANDIDATES, dtype=torch.int32) - 1,
-               "smooth": torch.zeros((*faces.shape, 3), dtype=torch.float64, device=device), **state, **memory}
-    points = k.Side()
-    points.first, points.corners = first, faces.shape[2]
-    bind(k.Side, points, {**tensors, **vars(relaxation)})
+          both: Mapping[str, Any], device: str) -> Side:
+    points, tensors = bound(kernels().Side, {
+        **both, "first": first, "corners": faces.shape[2], "facet": facet, "stiffness": stiffness, "faces": faces,
+        "count": np.array(count), "candidates": np.full((*stiffness.shape, CANDIDATES), -1),
+        "smooth": np.zeros((*faces.shape, 3))}, stiffness.shape, device)
+    tensors["gap"].fill_(1e30)
+    tensors["face"].fill_(-1)
     around = torch.as_tensor(_around(np.asarray(faces), count), device=device)
-    return Side(tensors, memory, relaxation, around, first, points)
+    return Side(tensors, around, first, points)
 
 
 def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:

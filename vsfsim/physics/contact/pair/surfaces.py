@@ -24,6 +24,7 @@ class PairSurfaces:
     Args:
         model: the object.
         sensor: the body with the touching surface, in its own frame; its displacements are 0 in the free state.
+        friction: Coulomb's coefficient [-].
         poses: all poses to come, sensor to world (T, B, 4, 4): they tell what is in reach.
         device: Warp device.
         stride: longest way of the sensor in a step [m].
@@ -40,7 +41,7 @@ class PairSurfaces:
     origin: torch.Tensor
     """Its origins (B, 1, 3) [m], world."""
 
-    def __init__(self, model: Model, sensor: Model, poses: np.ndarray, *, device: str, stride: float):
+    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
         mesh, own = model.mesh, sensor.mesh
         self.device, self.margin = device, _MARGIN * stride
         self.batch, self.count = poses.shape[1], len(mesh.points)
@@ -49,7 +50,6 @@ class PairSurfaces:
         reach = reachable(model, sensor, poses)
         nodes = [np.unique(mesh.faces[f]) for f in reach]
         batch, m, width = self.batch, len(own.points), max(1, max(len(n) for n in nodes))
-        self.sides = make_sides(model, sensor, reach, nodes, width, device=device)
         self.width = width
         listed = np.full((batch, width), -1, np.int64)
         rest = np.zeros((batch, width, 3))
@@ -68,6 +68,9 @@ class PairSurfaces:
         self._rest = torch.as_tensor(np.concatenate([rest, many(own.points)], axis=1), device=device)
         # positions now, when the step began, and where the surfaces would be if both had kept their shapes
         self.x, self.x_before, self.x_swept = (self._rest.clone() for _ in range(3))
+        self.sides = make_sides(model, sensor, reach, nodes, width, {
+            "coefficient": float(friction), "x": self.x, "x_before": self.x_before, "x_swept": self.x_swept},
+            device=device)
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
 
     def _place(self, pose: np.ndarray) -> None:
@@ -116,10 +119,10 @@ class PairSurfaces:
     def find_candidates(self, within: float, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
         """Find the faces no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions.
         The touches ``blend`` (j,) also get new normals."""
-        x, some = wp.from_torch(self.x, dtype=self.kernels.vec3), wp.from_torch(columns.to(torch.int32))
+        some = wp.from_torch(columns.to(torch.int32))
         for side in self.sides:
             wp.launch(self.kernels.search, dim=(side.tensors["stiffness"].shape[1], len(columns)), device=self.device,
-                      inputs=[side.points, some, within, x])
+                      inputs=[side.points, some, within])
             if len(blend):
                 side.tensors["smooth"][blend] = side.blended(self.x)[blend]
 

@@ -1,0 +1,102 @@
+"""The stiffness of contact points on the nodes of the patches, alone and in series with a compliance.
+
+Points come in *parts*, whose q points act on the same n nodes: six Gauss points on the six nodes of a face, or one node
+and its place on a face of another surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import scipy.sparse as sp
+import torch
+
+
+@dataclass(frozen=True)
+class ContactStiffness:
+    """The stiffness C of k patches as an operator, ``stiffness @ v`` for v (k, 3 s, 1). It need not be symmetric."""
+
+    dof: torch.Tensor
+    """Degrees of freedom of the patches that it connects (k, m); the first again is padding."""
+    matrices: list[sp.csr_matrix] | torch.Tensor
+    """C between them (m, m) [N/m], sparse of each touch on a CPU, (k, m, m) on a GPU; on a GPU in series with a
+    compliance all of the operator."""
+    factors: tuple[torch.Tensor, torch.Tensor] | None = None
+    """LU factors of 1 + A C (k, m, m) and their pivots (k, m), in series with a compliance A on a CPU."""
+
+    def __getitem__(self, which: torch.Tensor) -> ContactStiffness:
+        own = self.matrices
+        some = own[which] if isinstance(own, torch.Tensor) else [
+            own[b] for b in (which.nonzero()[:, 0] if which.dtype == torch.bool else which).tolist()]
+        return ContactStiffness(self.dof[which], some, self.factors and (self.factors[0][which],
+                                                                         self.factors[1][which]))
+
+    def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
+        dof = self.dof[:, :, None]
+        own = v.gather(1, dof)
+        if self.factors is not None:
+            own = torch.linalg.lu_solve(*self.factors, own)
+        force = self.matrices @ own if isinstance(self.matrices, torch.Tensor) else stacked(
+            [torch.as_tensor(c @ x.numpy()) for c, x in zip(self.matrices, own, strict=True)])
+        return torch.zeros_like(v).scatter_add_(1, dof, force)
+
+    def in_series(self, compliance: torch.Tensor) -> ContactStiffness:
+        """T = (C^-1 + A)^-1 = C (1 + A C)^-1 with a symmetric compliance A (k, m, m) [m/N] between `dof`: the contact
+        forces under displacements of the patches when the body responds with A."""
+        if isinstance(self.matrices, torch.Tensor):
+            bracket = compliance @ self.matrices
+            bracket.diagonal(dim1=1, dim2=2).add_(1.0)
+            return replace(self, matrices=self.matrices @ torch.linalg.inv_ex(bracket)[0])
+        bracket = stacked([torch.as_tensor(c.T @ a.numpy()).T  # A C = (C^T A)^T
+                           for c, a in zip(self.matrices, compliance, strict=True)])
+        bracket.diagonal(dim1=1, dim2=2).add_(1.0)
+        return replace(self, factors=torch.linalg.lu_factor(bracket))
+
+
+def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor, *,
+              whole: bool, turn: tuple[int, torch.Tensor] | None = None) -> ContactStiffness:
+    """The stiffness of k patches, summed in a fixed order.
+
+    Args:
+        local: nodes of the parts (k, f, n).
+        shapes: shape values of their points (k, f, q, n).
+        stiff: stiffness of the points (k, f q, 3, 3) [N/m].
+        free: 1 where a degree of freedom may move (k, 3 s).
+        whole: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
+            point begins to slip, and so would the rounding; else they are a third of them under a plane across an axis.
+        turn: a node from which on displacements are in a frame of its own, and the rotations of that frame (k, 3, 3).
+    """
+    own, n, xyz = stiff.reshape(*shapes.shape[:3], 9), local.shape[2], torch.arange(3, device=free.device)
+    touch, part = (own != 0.0).flatten(2).any(dim=2).nonzero(as_tuple=True)
+    nodes, values = local[touch, part].long(), shapes[touch, part]
+    pairs = (values[:, :, :, None] * values[:, :, None, :]).flatten(2).mT @ own[touch, part]  # (a, n n, 9)
+    pairs = pairs.view(-1, n, n, 3, 3)
+    if turn is not None:
+        frame = torch.where((nodes < turn[0])[:, :, None, None], torch.eye(3).to(free), turn[1][touch][:, None])
+        pairs = frame.mT[:, :, None] @ pairs @ frame[:, None]
+    of = touch[:, None, None, None, None].expand(-1, n, n, 3, 3)
+    row = (3 * nodes[:, :, None] + xyz).view(-1, n, 1, 3, 1).expand(-1, n, n, 3, 3)
+    col = row.permute(0, 2, 1, 4, 3)
+    pairs = pairs * free[of, row] * free[of, col]
+    of, row, col, pairs = (t[pairs != 0.0] for t in (of, row, col, pairs))
+    used = torch.zeros(free.shape, dtype=torch.bool, device=free.device)
+    used[of, row] = used[of, col] = True
+    if whole:
+        used = used.view(len(used), -1, 3).any(dim=2, keepdim=True).expand(-1, -1, 3).flatten(1)
+    count, place = used.sum(dim=1, keepdim=True), used.cumsum(dim=1) - 1
+    m = max(1, int(count.amax()))
+    dof = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :m]
+    dof = torch.where(torch.arange(m, device=free.device) < count, dof, dof[:, :1])
+    row, col = place[of, row], place[of, col]
+    if free.device.type != "cpu":
+        return ContactStiffness(dof, free.new_zeros(len(dof), m, m).index_put_((of, row, col), pairs, accumulate=True))
+    ends = torch.searchsorted(of, torch.arange(len(dof) + 1)).tolist()
+    return ContactStiffness(dof, [
+        sp.csr_matrix((pairs[a:b].numpy(), (row[a:b].numpy(), col[a:b].numpy())), shape=(m, m))
+        for a, b in pairwise(ends)])
+
+
+def stacked(parts: list[torch.Tensor]) -> torch.Tensor:
+    """As `torch.stack`, without a copy of a single one."""
+    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
