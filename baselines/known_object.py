@@ -1,9 +1,9 @@
 """The pose of a known stiff object, for methods that estimate stiffness (Neural VSF section III-E).
 
 The papers register the object's surface to the stiff points, in all six degrees of freedom
-(`vsfsim.vsf.pose.localise`; ``pose="registration"`` of a method). On the training objects of
+(`vsfsim.vsf.pose.stiffness_pose`; ``pose="registration"`` of a method). On the training objects of
 localization-mini-v1 that turns most objects upside down, while the outline of the stiff columns
-(`vsfsim.vsf.pose.outline`) finds the angle within a few degrees. docs/methods.md has both figures.
+(`vsfsim.vsf.pose.outline_pose`) finds the angle within a few degrees. docs/methods.md has both figures.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from vsfsim.core.errors import MethodError, VsfError, did_you_mean
 from vsfsim.data.records import View
 
 if TYPE_CHECKING:  # it starts Warp, and with it the driver of a GPU, which a fork could no longer use
-    from vsfsim.vsf.pose.localise import KnownObject
+    from vsfsim.vsf.pose import KnownObject
 
 POSES = ("outline", "registration")
 """How a known object is found: by the outline of the stiff columns, or by the papers' procedure."""
@@ -65,8 +65,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     Raises:
         MethodError: the view shows no object.
     """
-    from vsfsim.vsf.pose.localise import stiffness_pose
-    from vsfsim.vsf.pose.outline import outline_pose
+    from vsfsim.vsf.pose import outline_pose, stiffness_pose
 
     cloud = visible_cloud(view)
     upright = np.eye(4)
@@ -96,7 +95,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
 @functools.lru_cache(maxsize=16)
 def _known(vertices: tuple[tuple[int, ...], bytes], triangles: tuple[tuple[int, ...], bytes]) -> KnownObject:
     # The same object is located at every shot and seed, and its inside test takes seconds to build.
-    from vsfsim.vsf.pose.localise import KnownObject
+    from vsfsim.vsf.pose import KnownObject
 
     return KnownObject.of(np.frombuffer(vertices[1], float).reshape(vertices[0]),
                           np.frombuffer(triangles[1], np.int64).reshape(triangles[0]))

@@ -49,7 +49,7 @@ class Posterior:
         rows, z = model.stack(support)
         if rows.shape[0] == 0:
             return cls(model, np.maximum(prior.total_mean(), 0.0), rows, prior)
-        return cls(model, structured_map(rows, z, noise_std=model.settings.noise_std, prior=prior).mean, rows, prior)
+        return cls(model, structured_map(rows, z, noise_std=model.settings.noise_std, prior=prior), rows, prior)
 
     @classmethod
     def _alike(cls, model: ParticleModel, support: Sequence[Reading], prior: GaussianPrior) -> Posterior:
@@ -69,7 +69,7 @@ class Posterior:
         if rows.shape[0] == 0:
             return cls(model, around * shape, rows, known)
         knots = map_estimate(sparse.csr_matrix(rows @ scaled), z, noise_std=model.settings.noise_std,
-                             prior_mean=np.full(count, around), prior_var=common).mean
+                             prior_mean=np.full(count, around), prior_var=common)
         return cls(model, scaled @ knots, rows, known)
 
     def touched(self) -> np.ndarray:

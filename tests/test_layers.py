@@ -82,7 +82,7 @@ HEAVY = {
 HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 """The same for one file, which nothing imports at its top: a class that inherits from one of the package's."""
 
-HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL"},
+HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL", "jinja2"},
                 "cli": {"rich"},
                 "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`."""

@@ -80,7 +80,7 @@ def test_a_result_says_what_decided_it(author, tmp_path):
 
 def test_answers_pass_through_the_particle_model_and_ceilings_through_the_solver(monkeypatch):
     sbml, ceiling = files_of("sbml"), files_of("resim")
-    assert {"vsfsim.vsf.displacements", "vsfsim.vsf.observe", "vsfsim.core.rotation"} <= set(sbml)
+    assert {"vsfsim.vsf.sticking", "vsfsim.vsf.observe", "vsfsim.core.rotation"} <= set(sbml)
     assert {"vsfsim.generate.resim", "vsfsim.physics.solve", "vsfsim.physics.contact"} <= set(ceiling)
     for found in (sbml, ceiling):
         assert not [name for name in found if name.startswith(("vsfsim.cli", "vsfsim.bench.leaderboard",

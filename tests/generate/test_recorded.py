@@ -105,7 +105,7 @@ def write_object(place, rng, *, bubble, touches=4, frames=9, tare=5):
             turn = body[:, :3, :3]
             dome = bubble.triangles[:2 * (len(bubble.vertices) - 1) - 64]
             stuck = stick(springs, np.einsum("tij,nj->tni", turn, bubble.vertices) + body[:, None, :3, 3], dome)
-            rows = normal_force_rows(stuck.displacements(), len(springs), turn[:, :, 2]) / bubble.area
+            rows = normal_force_rows(stuck, len(springs), turn[:, :, 2]) / bubble.area
             felt = rows @ np.full(4000, 2.0)
             felt = np.where(np.arange(frames) < tare, 0.0, felt + 50.0)
             np.save(seq / "punyo_pressure.npy", (106_500.0 + felt[:, None]) / 100.0)

@@ -5,7 +5,7 @@ import numpy as np
 
 from vsfsim.bench.reached_points import reached
 from vsfsim.robot.arm import Arm, body_torque, chain_of
-from vsfsim.vsf.arm_rows import arm_displacements_each, arm_torque_rows
+from vsfsim.vsf.observations import arm_displacements_each, arm_torque_rows_each
 
 
 def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
@@ -19,7 +19,7 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     centre = chain.capsule_poses(chain.links(q))[-1, :, :3, 3]
     particles = (centre[rng.integers(5, len(centre), 400)] + rng.normal(0.0, 0.04, (400, 3)))
     stiffness = rng.uniform(1.0, 50.0, 400)
-    w = arm_torque_rows(particles, chain, q, friction=0.4)
+    (w,) = arm_torque_rows_each(particles, chain, [q], friction=0.4)
     (found,) = arm_displacements_each(particles, chain, [q], friction=0.4)
     assert len(found) > 2  # several links hold particles
     expected, data, jacobian = np.zeros((7, 7)), mujoco.MjData(arm.model), np.zeros((3, 7))

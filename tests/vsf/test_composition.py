@@ -70,7 +70,7 @@ def test_map_and_std_are_those_of_the_dense_program(m, n, s):
     expected, _ = optimize.nnls(np.concatenate([w / noise[:, None], root]),
                                 np.concatenate([z / noise, root @ prior.total_mean()]), maxiter=10_000)
     assert 0 < np.count_nonzero(expected == 0.0) < n
-    np.testing.assert_allclose(result.mean, expected, atol=1e-9 * expected.max())
+    np.testing.assert_allclose(result, expected, atol=1e-9 * expected.max())
     std = structured_std(sparse.csr_matrix(w), noise_std=noise, prior=prior)
     np.testing.assert_allclose(std, np.sqrt(np.diag(np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w))),
                                rtol=1e-9)

@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.pose.localise import KnownObject, register, stiffness_pose
+from vsfsim.vsf.pose import KnownObject, register, stiffness_pose
 
 
 def box(low, high):

@@ -15,8 +15,8 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.system.interactive import html_table
-from vsfsim.data.disk import file_sha256, write_atomic
-from vsfsim.data.hdf5 import CLOSE_IT, in_use, read_picture, read_shown, read_view
+from vsfsim.data.disk import write_atomic
+from vsfsim.data.hdf5 import fault_of, read_picture, read_shown, read_view
 from vsfsim.data.manifest import (
     MANIFEST,
     PART_MANIFEST,
@@ -28,7 +28,6 @@ from vsfsim.data.manifest import (
 )
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
-from vsfsim.data.safety import check_file
 from vsfsim.data.store import is_url, open_store
 
 if TYPE_CHECKING:
@@ -170,14 +169,9 @@ class Dataset:
                                            f"again; it makes only what is missing.")
                     path.parent.mkdir(parents=True, exist_ok=True)
                     write_atomic(path, content)
-                check_file(path, self.path)
-                if busy := in_use(path):
-                    raise DatasetError(f"{path} {busy} {CLOSE_IT}")
                 # HDF5 would read a flipped byte without a word, and a score would rest on it.
-                if path.is_file() and file_sha256(path) != entry.sha256:
-                    raise DatasetError(f"{path} was changed after it was written (its sha256 does not fit {MANIFEST}). "
-                                       f"Delete it and run the same `vsfsim generate` again, which makes only what "
-                                       f"is missing.")
+                if (fault := fault_of(path, entry.sha256)) is not None:
+                    raise DatasetError(f"{path} {' '.join(fault)}")
                 return path
         raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. "
                            f"{did_you_mean(name, self.names())}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy as np
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
-from vsfsim.data.disk import write_atomic
-from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.data.disk import file_sha256, write_atomic
+from vsfsim.data.records import ObjectView, Touch, Truth, View, values_of
 from vsfsim.data.safety import check_name, check_tree, whole_number
 from vsfsim.data.schema import (
     ATTRIBUTES,
@@ -77,31 +77,23 @@ def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch 
                  converged: np.ndarray | None, *, recorded: bool = False) -> None:
     group = parent.create_group(name, track_order=True)
     lengths: dict[str, int] = {}
-    if isinstance(record, Touch):
-        known = {f.name for f in fields_of(kind)}
-        for name in (*(f"audit/{column}" for column in record.audit), *(f"channels/{key}" for key in record.channels)):
-            if name not in known:
-                raise DatasetError(f"{where}: '{name}' is not in the schema; add a row to vsfsim/data/schema.py or "
-                                   f"leave it out.")
+    values = values_of(record)
+    for odd in sorted(values.keys() - {field.name for field in fields_of(kind)}):
+        raise DatasetError(f"{where}: '{odd}' is not in the schema; add a row to vsfsim/data/schema.py or leave it "
+                           f"out.")
     for field in fields_of(kind):
-        value = _value(record, field)
         spot = f"{where} {field.name}"
-        if value is None:
+        if field.name not in values:
             if field.required:
                 raise DatasetError(f"{spot} is missing; the schema requires it.")
             continue
-        array = check_array(field, value, spot, lengths)
+        array = check_array(field, values[field.name], spot, lengths)
         bad = first_bad(field, array, converged, recorded=recorded)
         if bad is not None:
             frame = f" in frame {bad[0]}, which is marked converged" if field.masked else f" at index {bad}"
             raise DatasetError(f"{spot} is not finite{frame}. Mark the frame as not converged, or mend the simulation; "
                                f"it is never stored as data.")
         _write_array(group, field, array)
-
-
-def _value(record: Any, field: Field) -> Any:
-    table, _, name = field.name.rpartition("/")
-    return getattr(record, table).get(name) if table else getattr(record, name)
 
 
 def _write_array(group: h5py.Group, field: Field, array: np.ndarray) -> None:
@@ -125,7 +117,8 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
     Raises:
         DatasetError: not an object file, another schema version, or a dataset that does not fit the schema.
     """
-    return _read(Path(path), blind=blind)[0]
+    with _opened(Path(path)) as file:
+        return file.view(blind=blind)
 
 
 def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
@@ -134,9 +127,8 @@ def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
     Raises:
         DatasetError: as `read_view`.
     """
-    view, places = _read(path, blind=True, places=True)
-    assert places is not None
-    return view, places
+    with _opened(path) as file:
+        return file.view(blind=True), file.field("truth/probe_points")
 
 
 def read_picture(path: Path) -> np.ndarray:
@@ -145,82 +137,160 @@ def read_picture(path: Path) -> np.ndarray:
     Raises:
         DatasetError: as `read_view`.
     """
-    with _opened(path) as (_, items):
-        return _field(items, "view/rgb", path)
+    with _opened(path) as file:
+        return file.field("view/rgb")
 
 
-def _read(path: Path, *, blind: bool, places: bool = False) -> tuple[ObjectView, np.ndarray | None]:
-    with _opened(path) as (file, items):
-        found = _field(items, "truth/probe_points", path) if places else None
-        view = View(**_read_group(items, "view", "view", f"{path} view"))
-        touches = tuple(_read_touch(items, f"touches/{name}", f"{path} touches/{name}")
-                        for name in sorted(items["touches"]))
-        truth = None if blind else Truth(**_read_group(items, "truth", "truth", f"{path} truth"))
-        attrs, probes = file.attrs, _probes(file.attrs["probe"], path)
-        odd = next((k for k, touch in enumerate(touches) if not 0 <= (touch.press or 0) < len(probes)), None)
-        if odd is not None:
-            raise DatasetError(f"{path} touches/{odd:03d}/press is {touches[odd].press}, but attribute 'probe' has "
-                               f"{len(probes)} shapes. The file is damaged; delete it and generate it again.")
-        return ObjectView(check_name(attrs["name"], f"{path} @name"),
-                          whole_number(attrs["object_index"], f"{path} @object_index"),
-                          whole_number(attrs["view_index"], f"{path} @view_index"),
-                          check_name(attrs["split"], f"{path} @split"),
-                          probes[0], view, touches, truth, probes[1:]), found
+def examine(path: Path) -> tuple[ObjectView | None, list[str]]:
+    """Read an object file and look at all that `read_view` takes on trust: units, exact dtypes, fields that are not in
+    the schema, numbers that are not finite.
+
+    Returns:
+        The object view, and what is wrong; None with anything that is.
+    """
+    faults: list[str] = []
+    try:
+        with _opened(path) as file:
+            file.faults = faults
+            view = file.view()
+    except DatasetError as error:
+        faults.append(str(error))
+    return (None if faults else view), faults
+
+
+class _File:
+    """An open object file, and every object of it by its path.
+
+    Attributes:
+        faults: where what is wrong is collected; None to raise it.
+    """
+
+    def __init__(self, path: Path, file: h5py.File):
+        self.path, self.items, self.attrs = path, check_tree(file, path), file.attrs
+        self.faults: list[str] | None = None
+        self._known = {"view", "truth", "touches"}
+
+    def view(self, *, blind: bool = False) -> ObjectView:
+        """The object view; the truth of a blind one is not read."""
+        recorded = self.faults is not None and not len(self.items["truth/points"])
+        shown = self._group("view", "view")
+        touches = [self._group(f"touches/{name}", "touches/*", recorded=recorded)
+                   for name in sorted(self.items["touches"])]
+        truth = None if blind else self._group("truth", "truth")
+        if self.faults is not None:
+            self.faults += [f"{spot} is not in the schema." for spot in self.items if spot not in self._known]
+            if self.faults:
+                raise DatasetError(self.faults.pop())
+        attrs, probes = self.attrs, _probes(self.attrs["probe"], self.path)
+        view = ObjectView(check_name(attrs["name"], f"{self.path} @name"),
+                          whole_number(attrs["object_index"], f"{self.path} @object_index"),
+                          whole_number(attrs["view_index"], f"{self.path} @view_index"),
+                          check_name(attrs["split"], f"{self.path} @split"), probes[0], View(**shown),
+                          tuple(_touch(values) for values in touches), truth and Truth(**truth), probes[1:])
+        for k, touch in enumerate(view.touches):
+            if not 0 <= (touch.press or 0) < len(probes):
+                raise DatasetError(f"{self.path} touches/{k:03d}/press is {touch.press}, but attribute 'probe' has "
+                                   f"{len(probes)} shapes. The file is damaged; delete it and generate it again.")
+        return view
+
+    def field(self, name: str) -> np.ndarray:
+        """One field of the view or the truth, e.g. "truth/probe_points"; no other is read."""
+        (field,) = (f for f in FIELDS if f.path == name)
+        return check_array(field, _array(self.items[name], field), f"{self.path} {name}", {})
+
+    def _group(self, name: str, kind: str, *, recorded: bool = False) -> dict[str, Any]:
+        """The fields of a group by their names in the schema, None where there is none."""
+        if name not in self.items:
+            raise KeyError(f"there is no group '{name}'")
+        values: dict[str, Any] = {}
+        lengths: dict[str, int] = {}
+        rows = (*fields_of(kind), *further_fields(self.items[name], kind, f"{self.path} {name}"))
+        for field in rows:
+            spot = f"{name}/{field.name}"
+            self._known |= {name, f"{name}/{field.name.rpartition('/')[0]}", spot}
+            try:
+                values[field.name] = self._value(spot, field, lengths)
+            except DatasetError as error:
+                if self.faults is None:
+                    raise
+                self.faults.append(str(error))
+        for field in rows if self.faults is not None else ():
+            if values.get(field.name) is not None:
+                self._look(f"{name}/{field.name}", field, values, recorded)
+        return values
+
+    def _value(self, spot: str, field: Field, lengths: dict[str, int]) -> Any:
+        item, where = self.items.get(spot), f"{self.path} {spot}"
+        if item is None:
+            if field.required:
+                raise DatasetError(f"{where} is missing; the file is damaged or was not written by vsfsim.")
+            return None
+        if not isinstance(item, h5py.Dataset):
+            raise DatasetError(f"{where} is a group; the schema has a dataset there.")
+        check_shape(field, item.shape, where, lengths)
+        array = check_array(field, _array(item, field), where, lengths)
+        return tuple(array) if field.dtype == TEXT else array
+
+    def _look(self, spot: str, field: Field, values: dict[str, Any], recorded: bool) -> None:
+        """Collect what is wrong with a field that has been read."""
+        assert self.faults is not None
+        item = self.items[spot]
+        for key, want in field.attributes.items():
+            if item.attrs.get(key) != want:
+                self.faults.append(f"{spot} has @{key} {item.attrs.get(key)!r}; the schema says {want!r}.")
+        if field.dtype == TEXT:
+            return
+        if item.dtype != np.dtype(field.dtype):
+            self.faults.append(f"{spot} has dtype {item.dtype}; the schema says {field.dtype}.")
+        bad = first_bad(field, values[field.name], values.get("converged"), recorded=recorded)
+        if bad is not None:
+            marked = " in a frame marked converged" if field.masked else ""
+            self.faults.append(f"{spot}{list(bad)} is not finite{marked}.")
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[tuple[h5py.File, Mapping[str, h5py.Group | h5py.Dataset]]]:
-    """An object file and every object of it by its path, after all of them were checked; what h5py raises in the block
-    means that the file is damaged."""
+def _opened(path: Path) -> Iterator[_File]:
+    """An object file, after all of it was checked; what h5py raises in the block means that the file is damaged."""
     if not path.is_file():
         raise DatasetError(f"{path} does not exist.")
     try:
         with h5py.File(path, "r") as file:
-            items = check_tree(file, path)
-            check_attributes(file, path)
-            yield file, items
+            opened = _File(path, file)
+            _check_attributes(file, path)
+            yield opened
     except _DAMAGE as error:
-        raise _damaged(path, error) from error
-
-
-def _field(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, path: Path) -> np.ndarray:
-    """One field of the view or the truth, e.g. "truth/probe_points"; no other is read."""
-    (field,) = (f for f in FIELDS if f.path == name)
-    return check_array(field, read_array(items[name], field), f"{path} {name}", {})
+        raise DatasetError(f"{path} cannot be read: {plain(error)}. It is damaged; delete it and run the same `vsfsim "
+                           f"generate` again, which makes only what is missing.") from error
 
 
 _DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError, MemoryError)
 """What h5py raises on damaged files, by what is damaged."""
 
 
-IN_USE = (BlockingIOError, PermissionError)
-"""What h5py raises on a file that is open for writing elsewhere, which HDF5 locks, or that may not be read."""
-CLOSE_IT = "Close it in the program that has it open, or allow yourself to read it; nothing says that it is damaged."
-
-
-def in_use(path: Path) -> str:
-    """Why a file cannot be opened although it may be whole, or "". HDF5 marks a file that is open for writing in its
-    bytes, so this comes before a comparison of their sha256."""
+def fault_of(path: Path, sha256: str) -> tuple[str, str] | None:
+    """Why a file of a dataset, which should have this ``sha256``, is not to be read, and what to do; None if it is."""
+    if path.is_symlink():
+        return "is a link; a dataset is one folder with plain files.", "Copy the file into it."
+    if not path.is_file():
+        return "is missing.", "Run the same `vsfsim generate` again; it makes only what is missing."
+    # HDF5 marks a file that is open for writing in its bytes, so this comes before a comparison of their sha256.
     try:
         h5py.File(path, "r").close()
-    except IN_USE as error:
-        return f"cannot be opened: {os.strerror(error.errno or 0)}."
+    except (BlockingIOError, PermissionError) as error:  # it is open for writing elsewhere, or may not be read
+        return f"cannot be opened: {os.strerror(error.errno or 0)}.", _CLOSE_IT
     except _DAMAGE:
         pass
-    return ""
+    if file_sha256(path) != sha256:
+        return "was changed after it was written (its sha256 does not fit).", MAKE_AGAIN
+    return None
 
 
-def _damaged(path: Path, error: BaseException) -> DatasetError:
-    return DatasetError(f"{path} cannot be read: {plain(error)}. It is damaged; delete it and run the same `vsfsim "
-                        f"generate` again, which makes only what is missing.")
+MAKE_AGAIN = "Delete this file and run the same `vsfsim generate` again; it makes only what is missing."
+_CLOSE_IT = "Close it in the program that has it open, or allow yourself to read it; nothing says that it is damaged."
 
 
-def check_attributes(file: h5py.File, path: Path) -> None:
-    """Refuse a file that is not an object view of this schema version.
-
-    Raises:
-        DatasetError: with what it is instead.
-    """
+def _check_attributes(file: h5py.File, path: Path) -> None:
+    """Refuse a file that is not an object view of this schema version."""
     kind = file.attrs.get("format")
     if not isinstance(kind, str) or kind != FORMAT:
         raise DatasetError(f"{path} is not an object view of vsfsim (its @format is {plain(repr(kind), longest=60)}, "
@@ -242,38 +312,16 @@ def _probes(text: str, path: Path) -> tuple[ProbeShape, ...]:
                            f"{plain(error)}") from error
 
 
-def _read_touch(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, where: str) -> Touch:
-    values = _read_group(items, name, "touches/*", where)
-    values["touched"] = bool(values["touched"])
-    values["press"] = None if values["press"] is None else int(values["press"])
-    for table in ("audit", "channels"):
-        names = [name for name in values if name.startswith(f"{table}/")]
-        columns = {name.partition("/")[2]: values.pop(name) for name in names}
-        values[table] = {name: value for name, value in columns.items() if value is not None}
-    return Touch(**values)
-
-
-def _read_group(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, kind: str, where: str) -> dict[str, Any]:
-    if name not in items:
-        raise KeyError(f"there is no group '{name}'")
-    values: dict[str, Any] = {}
-    lengths: dict[str, int] = {}
-    for field in (*fields_of(kind), *further_fields(items[name], kind, where)):
-        item = items.get(f"{name}/{field.name}")
-        if item is None:
-            if field.required:
-                raise DatasetError(f"{where}/{field.name} is missing; the file is damaged or was not "
-                                   f"written by vsfsim.")
-            values[field.name] = None
-            continue
-        if not isinstance(item, h5py.Dataset):
-            raise DatasetError(f"{where}/{field.name} is a group; the schema has a dataset there.")
-        check_shape(field, item.shape, f"{where}/{field.name}", lengths)
-        array = read_array(item, field)
-        values[field.name] = check_array(field, array, f"{where}/{field.name}", lengths)
-        if field.dtype == TEXT:
-            values[field.name] = tuple(array)
-    return values
+def _touch(values: dict[str, Any]) -> Touch:
+    tables: dict[str, dict[str, np.ndarray]] = {"audit": {}, "channels": {}}
+    for name in [name for name in values if "/" in name]:
+        table, _, column = name.partition("/")
+        value = values.pop(name)
+        if value is not None:
+            tables[table][column] = value
+    press = values.pop("press")
+    return Touch(**{**values, **tables, "touched": bool(values["touched"]),
+                    "press": None if press is None else int(press)})
 
 
 def further_fields(group: h5py.Group, kind: str, where: str) -> list[Field]:
@@ -290,7 +338,7 @@ def further_fields(group: h5py.Group, kind: str, where: str) -> list[Field]:
             for name, item in inside.items() if CHANNELS + name not in known]
 
 
-def read_array(dataset: h5py.Dataset, field: Field) -> np.ndarray:
+def _array(dataset: h5py.Dataset, field: Field) -> np.ndarray:
     """The values of an HDF5 dataset; text rows decoded to str."""
     array = dataset[()]
     if field.dtype == TEXT:

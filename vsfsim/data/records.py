@@ -9,7 +9,7 @@ object; M elements (or samples) of the truth; P probed surface points; n VSF par
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -78,6 +78,19 @@ CONTACT_COLUMNS = ("contact_points", "contact_radius")
 """Further columns of a touch by a rigid probe."""
 MESH_COLUMNS = ("mesh_error", "corner_det_f", "rotation")
 """Further columns of a touch by a rigid probe on a solid of tetrahedra."""
+
+
+def values_of(record: View | Touch | Truth) -> dict[str, Any]:
+    """What a record holds by the names of the schema's rows, ``audit/NAME`` and ``channels/NAME`` among them; what it
+    does not hold is left out."""
+    out: dict[str, Any] = {}
+    for one in fields(record):
+        value = getattr(record, one.name)
+        if isinstance(value, Mapping):
+            out |= {f"{one.name}/{name}": column for name, column in value.items()}
+        elif value is not None:
+            out[one.name] = value
+    return out
 
 
 _NO_POINTS, _NO_NUMBERS, _NO_MARKS = partial(np.zeros, (0, 3)), partial(np.zeros, 0), partial(np.zeros, 0, bool)

@@ -41,17 +41,6 @@ def check_name(name: object, where: str) -> str:
     return name
 
 
-def check_file(path: Path, folder: Path) -> None:
-    """Refuse a file that is a link, or lies outside its dataset.
-
-    Raises:
-        DatasetError: it is.
-    """
-    if path.is_symlink() or path.resolve().parent != folder.resolve():
-        raise DatasetError(f"{path} is a link, or lies outside the dataset. A dataset is one folder with plain files; "
-                           f"copy the file into it.")
-
-
 def check_tree(file: h5py.File, path: Path) -> dict[str, h5py.Group | h5py.Dataset]:
     """Refuse links, foreign storage, unknown filters and more data than the file can hold, in every object of it.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset, Progress
-from vsfsim.data.records import Touch
+from vsfsim.data.records import Touch, values_of
 
 CLOSE = 1e-3
 """Largest difference of the force, over the largest force of the touch, of touches that count as equal."""
@@ -86,10 +86,5 @@ def difference(one: Touch, other: Touch) -> float:
 
 
 def _equal(one: Touch, other: Touch) -> bool:
-    for field in dataclasses.fields(Touch):
-        p, q = getattr(one, field.name), getattr(other, field.name)
-        pairs = [(p.get(k), q.get(k)) for k in {*p, *q}] if isinstance(p, dict) and isinstance(q, dict) else [(p, q)]
-        for x, y in pairs:
-            if (x is None) != (y is None) or (x is not None and np.asarray(x).tobytes() != np.asarray(y).tobytes()):
-                return False
-    return True
+    p, q = values_of(one), values_of(other)
+    return p.keys() == q.keys() and all(np.asarray(p[k]).tobytes() == np.asarray(q[k]).tobytes() for k in p)

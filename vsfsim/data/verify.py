@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset, Progress
-from vsfsim.data.disk import file_sha256
-from vsfsim.data.hdf5 import CLOSE_IT, check_attributes, further_fields, in_use, read_array, read_view
+from vsfsim.data.hdf5 import MAKE_AGAIN, examine, fault_of
 from vsfsim.data.kept import audit_errors, broken, observed
 from vsfsim.data.manifest import CARD, MANIFEST, Entry
 from vsfsim.data.records import ObjectView, Touch
-from vsfsim.data.safety import check_tree
-from vsfsim.data.schema import TEXT, Field, check_array, fields_of, first_bad
 
 BALANCE_LIMIT = 1e-3
 """Largest |force - reaction - weight| over the larger norm in a converged frame with contact; the solver's own residual
@@ -33,7 +29,7 @@ SKIN_LIMIT = 1e-4
 """Largest difference [N] of the force on a soft sensor from the sum over the nodes of its skin, besides `BALANCE_LIMIT`
 of it: the nodes' are stored in single precision, hundreds of up to a few newtons each."""
 
-_MEND = "Delete this file and run the same `vsfsim generate` again; it makes only what is missing."
+_REPORT_IT = "report it with the scene and the seed, and do not use this touch."
 
 
 @dataclass(frozen=True)
@@ -132,27 +128,15 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
         problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
     for done, entry in enumerate(dataset.entries):
         progress(done, len(dataset.entries), entry.name)
-        file = path / entry.file
-        if not file.is_file():
-            problems.append(Problem(entry.file, f"is missing, but {MANIFEST} lists it.",
-                                    "Run the same `vsfsim generate` again; it makes only what is missing."))
+        fault = fault_of(path / entry.file, entry.sha256)
+        counts["files"] += (path / entry.file).is_file()
+        if fault is not None:
+            problems.append(Problem(entry.file, *fault))
             continue
-        if file.is_symlink():
-            problems.append(Problem(entry.file, "is a link; a dataset is one folder with plain files.",
-                                    "Copy the file into it."))
+        view, faults = examine(path / entry.file)
+        problems += [Problem(entry.file, what, MAKE_AGAIN) for what in faults]
+        if view is None:
             continue
-        counts["files"] += 1
-        if busy := in_use(file):
-            problems.append(Problem(entry.file, busy, CLOSE_IT))
-            continue
-        if file_sha256(file) != entry.sha256:
-            problems.append(Problem(entry.file, "was changed after it was written (its sha256 does not fit).", _MEND))
-            continue
-        found = _check_schema(file)
-        problems += found
-        if found:
-            continue
-        view = read_view(file)
         problems += _check_entry(view, entry)
         errors += entry.audits
         for index, touch in enumerate(view.touches):
@@ -162,18 +146,13 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
             worst = max(worst, top)
             if top > BALANCE_LIMIT:
                 frame = int(np.flatnonzero(contact & (balance == top))[0])
-                problems.append(Problem(entry.file,
-                                        f"touches/{index:03d} frame {frame}: force and reaction differ by {top:.1e} of "
-                                        f"the larger one, over {BALANCE_LIMIT:g}.",
-                                        "The solver lost force; report it with the scene and the seed, and do not use "
-                                        "this touch."))
-            lost = skin_loss(touch)
-            if lost is not None:
-                problems.append(Problem(entry.file,
-                                        f"touches/{index:03d} frame {lost[0]}: the forces on the nodes of the skin add "
-                                        f"up to {lost[1]:.2g} N off the force.",
-                                        "The read-out lost force; report it with the scene and the seed, and do not "
-                                        "use this touch."))
+                problems.append(Problem(
+                    entry.file, f"touches/{index:03d} frame {frame}: force and reaction differ by {top:.1e} of the "
+                    f"larger one, over {BALANCE_LIMIT:g}.", f"The solver lost force; {_REPORT_IT}"))
+            if (lost := skin_loss(touch)) is not None:
+                problems.append(Problem(
+                    entry.file, f"touches/{index:03d} frame {lost[0]}: the forces on the nodes of the skin add up to "
+                    f"{lost[1]:.2g} N off the force.", f"The read-out lost force; {_REPORT_IT}"))
             counts["touches"] += 1
             counts["frames"] += len(touch.time)
             counts["unconverged"] += int((~touch.converged).sum())
@@ -208,66 +187,5 @@ def contact_frames(touch: Touch) -> np.ndarray:
 def _check_entry(view: ObjectView, entry: Entry) -> list[Problem]:
     given = {"name": view.name, "split": view.split, "object_index": view.object_index, "view_index": view.view_index,
              "touches": len(view.touches), "audits": audit_errors(view)}
-    return [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.", _MEND)
+    return [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.", MAKE_AGAIN)
             for key, value in given.items() if value != getattr(entry, key)]
-
-
-def _check_schema(path: Path) -> list[Problem]:
-    """Missing, extra, misshapen, mislabelled and non-finite datasets of one object file."""
-    problems: list[Problem] = []
-
-    def wrong(what: str) -> None:
-        problems.append(Problem(path.name, what, _MEND))
-
-    try:
-        with h5py.File(path, "r") as file:
-            check_tree(file, path)
-            check_attributes(file, path)
-            for name in file:
-                if name not in ("view", "touches", "truth"):
-                    wrong(f"holds '{name}', which is not in the schema.")
-            groups = [(name, name) for name in ("view", "truth")]
-            groups += [(f"touches/{name}", "touches/*") for name in file["touches"]]
-            for name, kind in groups:
-                if name not in file:
-                    wrong(f"has no group '{name}'.")
-                else:
-                    _check_group(file[name], kind, wrong, recorded=not len(file["truth/points"]))
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError, DatasetError) as error:
-        wrong(f"cannot be read: {error}")
-    return problems
-
-
-def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None], *, recorded: bool) -> None:
-    names = {f.name: f for f in (*fields_of(kind), *further_fields(group, kind, group.name))}
-    inside: list[str] = []
-    group.visititems(lambda name, item: inside.append(name) if isinstance(item, h5py.Dataset) else None)
-    for name in inside:
-        if name not in names:
-            wrong(f"{group.name}/{name} is not in the schema.")
-    converged = np.asarray(group["converged"]) if kind == "touches/*" and "converged" in group else None
-    lengths: dict[str, int] = {}
-    for name, f in names.items():
-        if name not in group:
-            if f.required:
-                wrong(f"{group.name}/{name} is missing.")
-            continue
-        _check_dataset(group[name], f, converged, lengths, wrong, recorded)
-
-
-def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None, lengths: dict[str, int],
-                   wrong: Callable[[str], None], recorded: bool) -> None:
-    for key, want in f.attributes.items():
-        if dataset.attrs.get(key) != want:
-            wrong(f"{dataset.name} has @{key} {dataset.attrs.get(key)!r}; the schema says {want!r}.")
-    if f.dtype != TEXT and dataset.dtype != np.dtype(f.dtype):
-        wrong(f"{dataset.name} has dtype {dataset.dtype}; the schema says {f.dtype}.")
-        return
-    try:
-        array = check_array(f, read_array(dataset, f), dataset.name, lengths)
-    except DatasetError as error:
-        wrong(str(error))
-        return
-    bad = first_bad(f, array, converged, recorded=recorded)
-    if bad is not None:
-        wrong(f"{dataset.name}{list(bad)} is not finite{' in a frame marked converged' if f.masked else ''}.")

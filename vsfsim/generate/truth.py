@@ -93,7 +93,7 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
         rows.append(normal_force_rows(moved, len(particles), touch.axis)[np.flatnonzero(touch.converged)])
         values.append(touch.normal_force()[touch.converged])
     w = sparse.csr_matrix(sparse.vstack(rows))
-    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0, prior_var=1e8).mean
+    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0, prior_var=1e8)
     return Truth(
         points=mesh.points[mesh.tets[:, :4]].mean(axis=1), young_modulus=model.young_modulus.mean(axis=1),
         region=np.asarray(model.solid.region), region_names=model.solid.region_names,

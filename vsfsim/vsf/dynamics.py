@@ -27,9 +27,8 @@ from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
-from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.stick_slip import mat33, stick_slip, vec3, vec4
-from vsfsim.vsf.sticking import stick
+from vsfsim.vsf.sticking import Displacements, stick
 
 # Largest number of entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
 _CHUNK = 16_000_000
@@ -127,7 +126,7 @@ def _launched(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, frict
 def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray,
            frame_of: np.ndarray) -> Displacements:
     vertices = np.einsum("sij,nj->sni", rotation, dome.points) + origin[:, None]
-    all_steps = stick(particles[near], vertices, dome.faces).displacements()
+    all_steps = stick(particles[near], vertices, dome.faces)
     kept = [all_steps.frame(int(s)) for s in np.flatnonzero(frame_of >= 0)]
     pointer = np.concatenate([[0], np.cumsum([len(index) for index, _ in kept])]).astype(np.int64)
     return Displacements(pointer, near[np.concatenate([index for index, _ in kept])].astype(np.int64),

@@ -14,8 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.displacements import Displacements
-from vsfsim.vsf.sticking import Contacts
+from vsfsim.vsf.sticking import Contacts, Displacements
 
 
 def force_sum_rows(displacements: Displacements, particles: int) -> sparse.csr_matrix:
@@ -28,11 +27,8 @@ def force_sum_rows(displacements: Displacements, particles: int) -> sparse.csr_m
     Returns:
         W (T, n) [m]: times stiffnesses [N/m] it gives a sum of force magnitudes [N]. The stiffness absorbs the factor
         between that and a sensor's pressure, as in the paper.
-
-    Raises:
-        VsfError: a displaced particle is not among the n.
     """
-    return _rows(displacements, np.linalg.norm(displacements.displacement, axis=1), particles, "force_sum_rows")
+    return _rows(displacements, np.linalg.norm(displacements.displacement, axis=1), particles)
 
 
 def normal_force_rows(displacements: Displacements, particles: int, axis: np.ndarray) -> sparse.csr_matrix:
@@ -50,7 +46,7 @@ def normal_force_rows(displacements: Displacements, particles: int, axis: np.nda
         W (T, n) [m]. Entries may be negative (a particle dragged against the axis).
 
     Raises:
-        VsfError: a displaced particle is not among the n, or the axis is not a unit vector, or one a frame.
+        VsfError: the axis is not a unit vector, or one a frame.
     """
     axis = np.asarray(axis, np.float64)
     shapes = ((3,), (displacements.frames, 3))
@@ -58,10 +54,10 @@ def normal_force_rows(displacements: Displacements, particles: int, axis: np.nda
         raise VsfError(f"vsf.normal_force_rows: axis is {axis.tolist()}; give a unit vector (3,), the press direction "
                        f"in the world, or one a frame, ({displacements.frames}, 3).")
     if axis.ndim == 1:
-        return _rows(displacements, displacements.displacement @ axis, particles, "normal_force_rows")
+        return _rows(displacements, displacements.displacement @ axis, particles)
     frame = np.repeat(np.arange(displacements.frames), np.diff(displacements.pointer))
     values = np.einsum("ki,ki->k", displacements.displacement, axis[frame])
-    return _rows(displacements, values, particles, "normal_force_rows")
+    return _rows(displacements, values, particles)
 
 
 def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.ndarray,
@@ -80,19 +76,9 @@ def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.n
 
     Returns:
         W (T J, n) [m^2], frame by frame: times stiffnesses [N/m] it gives torques [N m].
-
-    Raises:
-        VsfError: shapes that do not fit, or a displaced particle that is not among the n.
     """
-    rest, axes, origins = (np.asarray(x, np.float64) for x in (rest, axes, origins))
     frames = displacements.frames
-    if axes.ndim != 3 or axes.shape[0] != frames or axes.shape[2:] != (3,) or origins.shape != axes.shape:
-        raise VsfError(f"vsf.joint_torque_rows: axes {axes.shape} and origins {origins.shape}; both must be (T, J, 3) "
-                       f"with T = {frames} frames.")
     joints = axes.shape[1]
-    if len(displacements.particle) and int(displacements.particle.max()) >= len(rest):
-        raise VsfError(f"vsf.joint_torque_rows: the touch displaces particle {int(displacements.particle.max())}, but "
-                       f"{len(rest)} rest positions are given.")
     frame = np.repeat(np.arange(frames), np.diff(displacements.pointer))
     u = displacements.displacement
     arm = (rest[displacements.particle] + u)[:, None] - origins[frame]
@@ -115,16 +101,8 @@ def dense_force_rows(contacts: Contacts, particles: int, triangles: np.ndarray, 
     Returns:
         W (T N 3, n) [m], frame by frame, vertex by vertex, x y z: times stiffnesses [N/m] it gives the force of the
         object on each vertex, world [N].
-
-    Raises:
-        VsfError: a held particle is not among the n, or a triangle not among the given ones.
     """
-    triangles = np.asarray(triangles)
-    if len(contacts.particle) and (int(contacts.particle.max()) >= particles
-                                   or int(contacts.triangle.max()) >= len(triangles)):
-        raise VsfError(f"vsf.dense_force_rows: contacts name particle {int(contacts.particle.max())} and triangle "
-                       f"{int(contacts.triangle.max())}, but there are {particles} and {len(triangles)}.")
-    frames = len(contacts.pointer) - 1
+    frames = contacts.frames
     frame = np.repeat(np.arange(frames), np.diff(contacts.pointer))
     values = -contacts.weight[:, :, None] * contacts.displacement[:, None, :]
     row = ((frame[:, None] * vertices + triangles[contacts.triangle])[:, :, None] * 3 + np.arange(3))
@@ -132,12 +110,6 @@ def dense_force_rows(contacts: Contacts, particles: int, triangles: np.ndarray, 
     return sparse.csr_matrix((values.ravel(), (row.ravel(), column.ravel())), shape=(frames * vertices * 3, particles))
 
 
-def _rows(displacements: Displacements, values: np.ndarray, particles: int, where: str) -> sparse.csr_matrix:
-    if len(displacements.particle) and int(displacements.particle.max()) >= particles:
-        raise VsfError(
-            f"vsf.{where}: the touch displaces particle {int(displacements.particle.max())}, but the VSF is "
-            f"said to have "
-            f"{particles}; give the number of particles that `simulate` was run with."
-        )
+def _rows(displacements: Displacements, values: np.ndarray, particles: int) -> sparse.csr_matrix:
     shape = (displacements.frames, particles)
     return sparse.csr_matrix((values, displacements.particle, displacements.pointer), shape=shape)

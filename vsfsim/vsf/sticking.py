@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.displacements import Displacements
 
 # Number of triangles, nearest by their centres, that are tested for passing over a particle.
 _CANDIDATES = 12
@@ -25,23 +24,36 @@ _EDGE = 1e-6
 
 
 @dataclass(frozen=True)
-class Contacts:
-    """Where a touch holds particles, in CSR form by frame."""
+class Displacements:
+    """Where a touch moves particles, in CSR form by frame: the result of every motion model, and the input of every
+    observation."""
 
     pointer: np.ndarray
-    """Entries of frame t are pointer[t] : pointer[t + 1] (T + 1,)."""
+    """Entries of frame t are pointer[t] : pointer[t + 1] (T + 1,) int64."""
     particle: np.ndarray
-    """Index of the particle, increasing within a frame (k,) int."""
+    """Index of the displaced particle, increasing within a frame (k,) int64."""
+    displacement: np.ndarray
+    """u = p - p0 of that particle, world (k, 3) float64 [m]."""
+
+    @property
+    def frames(self) -> int:
+        """Number of frames T."""
+        return len(self.pointer) - 1
+
+    def frame(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """Particles (j,) and displacements (j, 3) [m] of frame ``t``."""
+        part = slice(self.pointer[t], self.pointer[t + 1])
+        return self.particle[part], self.displacement[part]
+
+
+@dataclass(frozen=True)
+class Contacts(Displacements):
+    """Where a touch holds particles."""
+
     triangle: np.ndarray
-    """Triangle that it sticks to (k,) int."""
+    """Triangle that each sticks to (k,) int."""
     weight: np.ndarray
     """Its barycentric coordinates on the triangle (k, 3) [-]."""
-    displacement: np.ndarray
-    """u = p - p0 of the particle, world (k, 3) [m]."""
-
-    def displacements(self) -> Displacements:
-        """The displacements without the triangles, for the other observation models."""
-        return Displacements(self.pointer, self.particle, self.displacement)
 
 
 def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Contacts:
@@ -83,9 +95,9 @@ def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) ->
         off = np.einsum("ki,ki->k", moved, normal) < 0.0
         held[index[off]] = -1
         index, moved = index[~off], moved[~off]
-        parts.append((index, held[index].copy(), weight[index].copy(), moved))
+        parts.append((index, moved, held[index].copy(), weight[index].copy()))
     pointer = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])]).astype(np.int64)
-    empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    empty = (np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 3)))
     return Contacts(pointer, *(np.concatenate(column) for column in zip(empty, *parts)))
 
 

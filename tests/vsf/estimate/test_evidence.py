@@ -6,7 +6,7 @@ import torch
 from scipy import sparse, stats
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.evidence import Evidence
+from vsfsim.vsf.estimate.evidence import ByParticles, Evidence
 
 torch.set_num_threads(1)
 
@@ -39,6 +39,47 @@ def test_value_and_gradient_are_those_of_the_joint_gaussian(m, n, s):
                             torch.autograd.grad(expected, prior, allow_unused=True)):
         if theirs is not None and theirs.numel():
             torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-10 * float(theirs.abs().max()))
+
+
+def touches(particles=300, count=60, frames=12, wide=25, seed=0):
+    """Rows (m, n) of touches that each move some particles near each other, and the touch of each row."""
+    rng = np.random.default_rng(seed)
+    w = np.zeros((count * frames, particles))
+    for touch in range(count):
+        first = int(rng.integers(0, particles - wide))
+        w[touch * frames:(touch + 1) * frames, first:first + wide] = rng.uniform(0, 0.02, (frames, wide))
+    return sparse.csr_matrix(w), np.arange(count * frames) // frames
+
+
+@pytest.mark.parametrize("shared", [0, 2])
+@pytest.mark.parametrize("noise, digits", [(0.1, 1e-9), (1e-3, 1e-6)])  # U^T C^-1 U is what the noise leaves of U^T U
+def test_touches_with_more_readings_than_particles(device, shared, noise, digits):
+    w, touch = touches()
+    rng = np.random.default_rng(6)
+    n = w.shape[1]
+    group = sparse.csr_matrix((np.ones(n), (np.arange(n), np.arange(n) % max(shared, 1))), shape=(n, max(shared, 1)))
+    z = w @ rng.uniform(0, 100, n) + noise * rng.normal(size=w.shape[0])
+    given = [rng.uniform(0, 100, n), rng.uniform(1, 1e4, n), rng.uniform(0, 50, shared), rng.uniform(1, 1e3, shared)]
+    spread = (w.multiply(given[1]) @ w.T).toarray() + noise**2 * np.eye(len(z))
+    error = z - w @ given[0]
+    if shared:
+        wg = (w @ group).toarray()
+        spread, error = spread + (wg * given[3]) @ wg.T, error - wg @ given[2]
+    inverse = np.linalg.inv(spread)
+    weight = inverse @ error
+    columns = [w.toarray(), (w @ group).toarray()] if shared else [w.toarray()]
+    wanted = [part for a in columns for part in (
+        -a.T @ weight, 0.5 * (np.einsum("ij,ij->j", a, inverse @ a) - (a.T @ weight) ** 2))]
+    for on in {"cpu", device}:
+        one = Evidence.of(w, z, noise_std=noise, membership=group if shared else None, touch=touch, device=on)
+        prior = [torch.tensor(x, requires_grad=True, device=on) for x in given]
+        value = one.nll(prior[0][one.touched], prior[1][one.touched], *(prior[2:] if shared else ()))
+        value.backward()
+        assert {type(block) for block in one.blocks} == {ByParticles}
+        assert value.item() == pytest.approx(0.5 * (error @ weight + np.linalg.slogdet(2.0 * np.pi * spread)[1]),
+                                             rel=digits)
+        for ours, theirs in zip(prior, wanted):
+            np.testing.assert_allclose(ours.grad.cpu(), theirs, rtol=100 * digits, atol=digits * np.abs(theirs).max())
 
 
 def test_no_contact_is_a_constant():

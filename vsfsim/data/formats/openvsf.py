@@ -27,31 +27,6 @@ from vsfsim.data.records import View
 
 TARE = 20
 """Frames without contact at the start of a sequence; openvsf's own number for joint torques."""
-_LINKS = ("Shoulder_Link, HalfArm1_Link, HalfArm2_Link, ForeArm_Link, SphericalWrist1_Link, SphericalWrist2_Link, "
-          "Bracelet_Link")
-_YAML = f"""# What openvsf's scripts/point_vsf_estimate.py --batch reads. Put the arm's URDF and meshes of its
-# repository (knowledge/robot_model) into assets/; they are not ours to ship.
-world:
-  kinova: {{type: robot, file_name: !relative_path assets/kinova_gen3.urdf}}
-simulator:
-  type: quasistatic
-  deformables:
-    vsf:
-      model: {{type: point, path: !relative_path object/vsf_empty.npz}}
-      config: {{friction_mu: 0.5, sim_slide: False, slide_step: 0.0001, geometry_padding1: 0.001,
-               geometry_padding2: 0.001}}
-sensors:
-  kinova_joint_torques: {{name: kinova_joint_torques, type: JointTorqueSensor, attachment_name: kinova,
-                         link_names: [{_LINKS}]}}
-calibrators:
-  kinova_joint_torques: {{type: tare, num_samples: {TARE}}}
-dataset:
-  keys: {{kinova_state: 7, kinova_joint_torques: 7}}
-  control_keys: {{kinova: kinova_state}}
-  sensor_keys: {{kinova_joint_torques: kinova_joint_torques}}
-estimator: {{optimizer: quad_prog, max_buffer_length: 100000, down_sample_rate: 1}}
-prior: {{type: gaussian, mu: 0.0, var: 10000.0}}
-"""
 
 
 def export(dataset: Dataset, folder: Path) -> None:
@@ -60,6 +35,7 @@ def export(dataset: Dataset, folder: Path) -> None:
     Raises:
         DatasetError: its touches are not an arm's.
     """
+    yaml = Path(__file__).with_suffix(".yaml").read_text().replace("{{ tare }}", str(TARE))
     for view in dataset:
         if any(touch.q is None or touch.torque is None for touch in view.touches):
             raise DatasetError(f"export --to openvsf: {view.name} was not touched by an arm, and openvsf reads joint "
@@ -69,7 +45,7 @@ def export(dataset: Dataset, folder: Path) -> None:
         place = folder / view.name
         (place / "object").mkdir(parents=True)
         (place / "ground_truth").mkdir()
-        (place / "openvsf.yaml").write_text(_YAML)
+        (place / "openvsf.yaml").write_text(yaml)
         _write_picture(place, view.view)
         (place / "manifest.json").write_text(json.dumps({
             "torques": "contact", "frames_of_reference": "world: the arm's Base_Link, z up",

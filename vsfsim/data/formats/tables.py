@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vsfsim.core.extras import missing_package
-from vsfsim.data.records import ObjectView
+from vsfsim.data.records import ObjectView, values_of
 from vsfsim.data.schema import fields_of
 
 
@@ -63,6 +63,11 @@ def write_table(path: Path, columns: Mapping[str, Any], *, index: str = "") -> N
     pa.parquet.write_table(table, path, compression="zstd")
 
 
+def columns_of(names: Iterable[str], rows: Sequence[Sequence[Any]]) -> dict[str, list[Any]]:
+    """Rows as columns, each under its name."""
+    return {name: [row[k] for row in rows] for k, name in enumerate(names)}
+
+
 def fixed(values: np.ndarray) -> Any:
     """Rows (T, k) as a parquet column of lists of one length, or (T,) as a plain one."""
     pa = arrow()
@@ -74,10 +79,10 @@ def fixed(values: np.ndarray) -> Any:
 
 def truth_columns(views: Sequence[ObjectView]) -> dict[str, Any]:
     """The truth of some views, one row each: every field of the schema as a flat list beside its shape."""
+    held = [{} if view.truth is None else values_of(view.truth) for view in views]
     out: dict[str, Any] = {"view": [view.name for view in views]}
     for field in fields_of("truth"):
-        values = [None if view.truth is None else getattr(view.truth, field.name, None) for view in views]
-        arrays = [None if v is None else np.asarray(v) for v in values]
+        arrays = [np.asarray(values[field.name]) if field.name in values else None for values in held]
         out[field.name] = [None if a is None else a.reshape(-1).tolist() for a in arrays]
         out[f"{field.name}_shape"] = [None if a is None else list(a.shape) for a in arrays]
     return out

@@ -16,8 +16,7 @@ import numpy as np
 
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats.tables import png
-from vsfsim.data.records import Touch
-from vsfsim.data.schema import TEXT, fields_of
+from vsfsim.data.records import Touch, Truth, values_of
 
 SIZE = 256 << 20
 """Of a tar file, from which the next one is begun [byte]."""
@@ -37,7 +36,8 @@ def export(dataset: Dataset, folder: Path) -> None:
                         out.close()
                     out = tarfile.open(folder / f"{split}-{number:06d}.tar", "w")
                     number += 1
-                arrays = touch_arrays(touch)
+                arrays = arrays_of(touch)
+                del arrays["reason_names"]  # texts
                 about = {"view": view.name, "touch": index, "split": view.split, "arrays": sorted(arrays),
                          "reason_names": list(touch.reason_names)}
                 # readers take all before the first dot for the key; no name of a view has a %
@@ -48,22 +48,14 @@ def export(dataset: Dataset, folder: Path) -> None:
                     item.size = len(content)
                     out.addfile(item, io.BytesIO(content))
             if view.truth is not None:
-                fields = {f.name: getattr(view.truth, f.name) for f in fields_of("truth")}
-                (folder / "truth" / f"{view.name}.npz").write_bytes(packed(
-                    {name: np.asarray(value) for name, value in fields.items() if value is not None}))
+                (folder / "truth" / f"{view.name}.npz").write_bytes(packed(arrays_of(view.truth)))
         if out is not None:
             out.close()
 
 
-def touch_arrays(touch: Touch) -> dict[str, np.ndarray]:
-    """Every recorded array of a touch by its name in the schema."""
-    out = {}
-    for field in fields_of("touches/*"):
-        table, _, name = field.name.rpartition("/")
-        value = getattr(touch, table).get(name) if table else getattr(touch, name)
-        if value is not None and field.dtype != TEXT:
-            out[field.name.replace("/", ".")] = np.asarray(value)
-    return out | {f"channels.{name}": np.asarray(value) for name, value in touch.channels.items()}
+def arrays_of(record: Touch | Truth) -> dict[str, np.ndarray]:
+    """Every array of a record by its name in the schema, with a dot for the slash."""
+    return {name.replace("/", "."): np.asarray(value) for name, value in values_of(record).items()}
 
 
 def packed(arrays: dict[str, np.ndarray]) -> bytes:

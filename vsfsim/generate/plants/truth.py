@@ -13,8 +13,8 @@ from vsfsim.core.plant import Plant
 from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.aim import cloud_normals, voxel_sample
 from vsfsim.physics.rods.model import RodModel
-from vsfsim.vsf.arm_rows import arm_torque_rows_each
 from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.observations import arm_torque_rows_each
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
 PROBE_VOXEL = 0.01  # SBML appendix C.4 [m]
@@ -85,7 +85,7 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
         values.append(touch.torque[k][good].ravel())
     w = sparse.csr_matrix(sparse.vstack(rows))
     fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0,
-                          prior_var=1e8).mean if len(particles) else np.zeros(0)
+                          prior_var=1e8) if len(particles) else np.zeros(0)
     return replace(segments(model.plant), probe_points=points[keep], probe_normals=normals[keep],
                    probe_stiffness=stiffness[keep], vsf_points=particles, vsf_stiffness=fitted,
                    vsf_touched=np.diff(w.tocsc().indptr) > 0, notes=notes or None)

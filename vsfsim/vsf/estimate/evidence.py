@@ -13,8 +13,7 @@ formed once, and S = diag(sqrt(d)),
 
     log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
 
-which needs products of G with a few vectors only. Where many touches each move few of a block's particles, P is sparse,
-and on a CPU a factor by `fronts` takes a hundredth of the work. The gradient has the closed form
+which needs products of G with a few vectors only. The gradient has the closed form
 
     dNLL/dmu = -A^T a,   dNLL/dd_j = 1/2 (a_j^T C^-1 a_j - (a_j^T a)^2),   a = C^-1 e,  a_j column j of A
 
@@ -23,15 +22,143 @@ so no computation graph is kept.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.touch_blocks import ByParticles, ByReadings
+
+_RANK = 1e-9
+"""Singular values below this fraction of the largest are treated as zero: under a prior of a million times the noise
+they add 1e-6 of the noise's variance."""
+_RIDGE = 1e-12
+"""Part of the largest diagonal entry of A^T A that is added to it, so that it has a factor."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What the likelihood needs of a block's C^-1, with e = z - A mean - U group_mean."""
+
+    log_det: torch.Tensor
+    """log det C."""
+    inner: torch.Tensor
+    """[e, U]^T C^-1 [e, U] (1 + s, 1 + s)."""
+    left: torch.Tensor
+    """A^T C^-1 [e, U] (k, 1 + s)."""
+    sizes: Callable[[], torch.Tensor]
+    """a_j^T C^-1 a_j of every particle (k,); a third of the work, and only the gradient needs it."""
+
+
+@dataclass(frozen=True)
+class ByReadings:
+    """Touches that share particles, with no more readings than these, reduced by an orthogonal matrix."""
+
+    particle: torch.Tensor
+    """HE components that they move (k,)."""
+    matrix: torch.Tensor
+    """Reduced rows of W, A (r, k)."""
+    value: torch.Tensor
+    """Reduced readings (r,)."""
+    shared: torch.Tensor
+    """Reduced rows of W G, U (r, s)."""
+
+    @classmethod
+    def of(cls, particle: np.ndarray, rows: sparse.csr_matrix, value: np.ndarray, shared: np.ndarray, *,
+           device: str) -> tuple[ByReadings, float]:
+        """The block of ``rows`` (m, k), readings (m,) and shared rows (m, s), and 1/2 |readings that no stiffness
+        explains|^2."""
+        left, size, right = np.linalg.svd(rows.toarray(), full_matrices=False)
+        keep = size > _RANK * size[0]
+        left = left[:, keep]
+        reduced = left.T @ value
+        block = cls(*(torch.as_tensor(x, device=device)
+                      for x in (particle, size[keep, None] * right[keep], reduced, left.T @ shared)))
+        return block, 0.5 * max(float(value @ value - reduced @ reduced), 0.0)
+
+    def solved(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor) -> Solved:
+        """What the likelihood needs, for the means and variances of its particles (k,) and the means of the shared
+        components (s,)."""
+        e = self.value - self.matrix @ mean - self.shared @ group_mean
+        spread = (self.matrix * var) @ self.matrix.T
+        spread.diagonal().add_(1.0)
+        factor = torch.linalg.cholesky(spread)
+        white = torch.linalg.solve_triangular(factor, torch.cat([e[:, None], self.shared], dim=1), upper=False)
+        left = self.matrix.T @ torch.linalg.solve_triangular(factor.T, white, upper=True)
+
+        def sizes() -> torch.Tensor:
+            return torch.linalg.solve_triangular(factor, self.matrix, upper=False).square().sum(dim=0)
+
+        return Solved(2.0 * factor.diagonal().log().sum(), white.T @ white, left, sizes)
+
+
+@dataclass(frozen=True)
+class ByParticles:
+    """Touches with more readings than particles, of which A^T A is kept, and no row.
+
+    Readings enter by their distance from those of one point ``at`` near the least squares solution. What is written
+    out here holds for any point; that it is near keeps large terms from cancelling.
+    """
+
+    particle: torch.Tensor
+    """HE components that they move (k,)."""
+    matrix: torch.Tensor
+    """G = A^T A (k, k)."""
+    at: torch.Tensor
+    """The point, in the unit of a stiffness (k,)."""
+    rest: torch.Tensor
+    """A^T (z - A at) (k,)."""
+    size: torch.Tensor
+    """|z - A at|^2."""
+    joint: torch.Tensor
+    """A^T U (k, s)."""
+    among: torch.Tensor
+    """U^T U (s, s)."""
+    met: torch.Tensor
+    """U^T (z - A at) (s,)."""
+
+    @classmethod
+    def of(cls, particle: np.ndarray, rows: sparse.csr_matrix, value: np.ndarray, shared: np.ndarray, *,
+           device: str) -> ByParticles:
+        """The block of ``rows`` (m, k), readings (m,) and shared rows (m, s)."""
+        columns = sparse.csr_matrix(rows.T)
+        gram = (columns @ rows).toarray()
+        ridge = _RIDGE * max(float(gram.diagonal().max()), 1e-300) * np.eye(len(gram))
+        at = linalg.solve(gram + ridge, columns @ value, assume_a="pos")
+        left = value - rows @ at
+        arrays = (particle, gram, at, columns @ left, np.asarray(left @ left), columns @ shared, shared.T @ shared,
+                  shared.T @ left)
+        return cls(*(torch.as_tensor(x, device=device) for x in arrays))
+
+    def solved(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor) -> Solved:
+        """As of `ByReadings`. With P = 1 + S G S, S = diag(sqrt(var)), y = P^-1 S A^T e and x = mean + S y the
+        quadratic form is |z - U g - A x|^2 + |y|^2, and C^-1 e = z - U g - A x."""
+        s, g = var.sqrt(), group_mean
+        precision = self.matrix * s
+        precision *= s[:, None]
+        precision.diagonal().add_(1.0)
+        factor = torch.linalg.cholesky(precision)
+        right = self.rest + self.matrix @ (self.at - mean) - self.joint @ g
+        y = torch.cholesky_solve(s[:, None] * torch.cat([right[:, None], self.joint], dim=1), factor)
+        moved = s[:, None] * y
+        apart = self.at - mean - moved[:, 0]
+        pushed = self.matrix @ torch.cat([apart[:, None], moved[:, 1:]], dim=1)
+        along = self.rest + pushed[:, 0] - self.joint @ g
+        across = self.met + self.joint.T @ apart - self.among @ g
+        # |z - A at|^2 + 2 (z - A at)^T (A apart - U g) + |A apart - U g|^2, in which the last bracket is across + met
+        # and along + rest, seen from U and A.
+        own = self.size + apart @ (self.rest + along) - g @ (self.met + across) + y[:, 0] @ y[:, 0]
+        inner = torch.cat([torch.cat([own[None], across])[None],
+                           torch.cat([across[:, None], self.among - self.joint.T @ moved[:, 1:]], dim=1)])
+
+        def sizes() -> torch.Tensor:
+            return (1.0 - torch.cholesky_inverse(factor).diagonal()) / var
+
+        return Solved(2.0 * factor.diagonal().log().sum(), inner,
+                      torch.cat([along[:, None], self.joint - pushed[:, 1:]], dim=1), sizes)
 
 
 @dataclass(frozen=True)
@@ -105,7 +232,7 @@ class Evidence:
         """Negative log-likelihood of the readings, constants included (a scalar, differentiable).
 
         Args:
-            mean, var: of the heterogeneous components of `touched` (k,), var >= 0.
+            mean, var: of the heterogeneous components of `touched` (k,), var > 0.
             group_mean, group_var: of the shared components (s,), or None without any.
         """
         device = self.blocks[0].particle.device if self.blocks else mean.device
@@ -119,46 +246,32 @@ class _MarginalNll(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, evidence, mean, var, group_mean, group_var):
-        need = any(ctx.needs_input_grad)
-        value = torch.zeros((), dtype=mean.dtype, device=mean.device)
         s = len(group_mean)
         root = group_var.clamp_min(0.0).sqrt()
-        # C = blockdiag(C_b) + U diag(group_var) U^T; inside: U^T blockdiag(C_b)^-1 U, across: U^T blockdiag(C_b)^-1 e.
-        inside = torch.zeros(s, s, dtype=mean.dtype, device=mean.device)
-        across = torch.zeros(s, dtype=mean.dtype, device=mean.device)
-        kept = []
-        for block in evidence.blocks:
-            found = block.solved(mean[block.particle], var[block.particle], group_mean)
-            value = value + 0.5 * (found.quadratic + found.log_det)
-            inside = inside + found.inside
-            across = across + found.across
-            kept.append((block, found))
-        if s:
-            small = torch.eye(s, dtype=mean.dtype, device=mean.device) + root[:, None] * inside * root
-            small_factor = torch.linalg.cholesky(0.5 * (small + small.T))
-            half = torch.linalg.solve_triangular(small_factor, (root * across)[:, None], upper=False)
-            value = value - 0.5 * (half * half).sum() + small_factor.diagonal().log().sum()
-        if need:
+        # C = blockdiag(C_b) + U diag(group_var) U^T; inner sums [e, U]^T C_b^-1 [e, U].
+        solved = [(block.particle, block.solved(mean[block.particle], var[block.particle], group_mean))
+                  for block in evidence.blocks]
+        inner = sum((found.inner for _, found in solved), mean.new_zeros(1 + s, 1 + s))
+        across, inside = inner[1:, 0], inner[1:, 1:]
+        small = torch.eye(s, dtype=mean.dtype, device=mean.device) + root[:, None] * inside * root
+        factor = torch.linalg.cholesky(0.5 * (small + small.T))
+        half = torch.linalg.solve_triangular(factor, (root * across)[:, None], upper=False)
+        value = 0.5 * (inner[0, 0] + sum((found.log_det for _, found in solved), mean.new_zeros(()))
+                       - half.square().sum()) + factor.diagonal().log().sum()
+        if any(ctx.needs_input_grad):
+            # a = C^-1 e, seen from the members of the shared components and from the particles
+            shift = root * torch.cholesky_solve((root * across)[:, None], factor)[:, 0]
+            pull = across - inside @ shift
             grad_mean, grad_var = torch.zeros_like(mean), torch.zeros_like(var)
-            grad_group, grad_group_var = torch.zeros_like(group_mean), torch.zeros_like(group_var)
-            shift = root * torch.cholesky_solve((root * across)[:, None], small_factor)[:, 0] if s else across
-            pull = torch.zeros_like(group_mean)
-            for block, found in kept:
-                along, own = found.weighed(shift)
-                size = block.sizes(var[block.particle], found)
-                if s:
-                    crossed = root[:, None] * found.left[:, 1:].T
-                    cross = torch.linalg.solve_triangular(small_factor, crossed, upper=False)
-                    size = size - (cross * cross).sum(dim=0)
-                    pull = pull + own
-                grad_mean.index_add_(0, block.particle, -along)
-                grad_var.index_add_(0, block.particle, 0.5 * (size - along * along))
-            if s:
-                # u^T C^-1 u = (K^-1 + diag(group_var))^-1 on the diagonal, with K = U^T blockdiag(C)^-1 U.
-                reduced = torch.linalg.solve_triangular(small_factor, root[:, None] * inside, upper=False)
-                grad_group = -pull
-                grad_group_var = 0.5 * (inside.diagonal() - (reduced * reduced).sum(dim=0) - pull * pull)
-            ctx.save_for_backward(grad_mean, grad_var, grad_group, grad_group_var)
+            for particle, found in solved:
+                along = found.left[:, 0] - found.left[:, 1:] @ shift
+                cross = torch.linalg.solve_triangular(factor, root[:, None] * found.left[:, 1:].T, upper=False)
+                grad_mean.index_add_(0, particle, -along)
+                grad_var.index_add_(0, particle, 0.5 * (found.sizes() - cross.square().sum(dim=0) - along.square()))
+            # u^T C^-1 u = (K^-1 + diag(group_var))^-1 on the diagonal, with K = U^T blockdiag(C)^-1 U.
+            reduced = torch.linalg.solve_triangular(factor, root[:, None] * inside, upper=False)
+            ctx.save_for_backward(grad_mean, grad_var, -pull, 0.5 * (
+                inside.diagonal() - reduced.square().sum(dim=0) - pull.square()))
         return value
 
     @staticmethod

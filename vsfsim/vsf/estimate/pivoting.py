@@ -1,5 +1,4 @@
-"""Exact non-negative least squares with a prior, by principal pivoting: for problems with one side small enough for a
-dense matrix, or with an A^T A that has a sparse factor.
+"""Exact non-negative least squares with a prior, by principal pivoting.
 
     minimise  1/2 |b - A x|^2 + 1/2 |x - x0|^2   subject to  x >= 0
 
@@ -9,11 +8,12 @@ same point,
 
     x_F = x0_F + (1 + A_F^T A_F)^-1 A_F^T (b - A x0)      y = (1 + A_F A_F^T)^-1 (b - A_F x0_F) = b - A x
 
-so the smaller one is factorised. Block principal pivoting exchanges all unknowns of the wrong sign at once, a free
-x_i < 0 and a held x0_i + a_i y > 0 (Portugal, Judice and Vicente 1994). It starts with all unknowns free and takes few
-steps where the readings do not outweigh the prior by much. It may cycle; a step of it is a Newton step of the dual at
-its full length, so an exact line search makes it converge in finitely many steps (semi-smooth Newton). Where the
-readings outweigh the prior by many orders the minimiser is approached by raising their weight in stages.
+so the smaller one is factorised, or a sparse A^T A where no side is small. Block principal pivoting exchanges all
+unknowns of the wrong sign at once, a free x_i < 0 and a held x0_i + a_i y > 0 (Portugal, Judice and Vicente 1994). It
+starts with all unknowns free and takes few steps where the readings do not outweigh the prior by much. It may cycle; a
+step of it is a Newton step of the dual at its full length, so an exact line search makes it converge in finitely many
+steps (semi-smooth Newton). Where the readings outweigh the prior by many orders, as in the truth of a dataset, the
+minimiser is approached by raising their weight in stages; without these the same steps end far away.
 
 The normal equations square the condition of A. Solutions on a face are therefore refined with residuals through A
 itself (corrected seminormal equations, Bjorck 1987), and beyond `_CHOLESKY_LIMIT` a face is solved by an orthogonal
@@ -23,12 +23,10 @@ factorisation that never squares A.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse
-
-from vsfsim.vsf.estimate.fronts import Fronts
+from scipy.sparse.linalg import splu
 
 _SQUARE = 2
 """Unknowns a row up to which the unknowns' side is factorised."""
@@ -47,12 +45,12 @@ _ROUNDING = 1e-13
 """Signs of quantities below this fraction of the largest are rounding errors."""
 GOOD = 1e-9
 """KKT residual that needs no orthogonal factorisation."""
+_DENSE = 4000
+"""Smaller side up to which nothing sparse is looked for (a dense factor takes 130 MB and seconds a step)."""
 _PRODUCTS = 1e9
-"""Multiplications that A^T A may take where a sparse factor of it is looked for."""
+"""Multiplications that A^T A may take where it is looked at."""
 _SPARSE = 0.15
-"""Share of its entries that may not be zero for that."""
-_FILLED = 0.1
-"""Share of a dense factor's work up to which a sparse one is taken."""
+"""Share of its entries up to which it counts as sparse."""
 _CHOLESKY_LIMIT = 1e14
 """Largest eigenvalue of A A^T for which the normal equations are factorised: float64 holds 1 beside it."""
 _FIRST_STAGE, _RAISE, _STAGE_TOLERANCE = 1e6, 10.0, 1e-4
@@ -70,26 +68,24 @@ def kkt_residual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndar
 
 
 def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, scale: np.ndarray,
-                       tolerance: float, known: SparseGram | None = None) -> tuple[np.ndarray, int]:
-    """The minimiser (n,) and the number of steps.
+                       tolerance: float = 1e-11) -> np.ndarray:
+    """Minimise 1/2 |b - A x|^2 + 1/2 |x - x0|^2 subject to x >= 0.
 
     Args:
-        a: (m, n); a dense matrix of the size of the smaller side is made.
+        a: (m, n).
         b: (m,).
         x0: (n,).
         scale: units of the unknowns in the KKT residual (n,).
         tolerance: KKT residual at which to stop.
-        known: A^T A, where no dense matrix of its size is to be made. With it only block exchanges are made; where
-            they cycle, the point is not the minimiser.
 
-    Raises:
-        LinAlgError: with ``known``, if rounding makes 1 + A^T A indefinite.
+    Returns:
+        The minimiser (n,).
     """
-    problem = _Problem(a, b, x0, scale, known=known)
+    problem = _Problem(a, b, x0, scale)
     free = np.ones(len(x0), bool)
-    found, _, steps = _block_exchanges(problem, free, _STEPS)
-    if known is not None or problem.residual(found) <= max(tolerance, GOOD):
-        return found, steps
+    found = _block_exchanges(problem, free, _STEPS)[0]
+    if problem.residual(found) <= max(tolerance, GOOD):
+        return found
     strength = max(_largest_eigenvalue(a), 1e-300)
     stages, weight = [], _FIRST_STAGE
     while weight < 0.1 * strength:
@@ -101,46 +97,23 @@ def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, s
         share = 1.0 if last else float(np.sqrt(stage / strength))
         weighted = _Problem(a * share, b * share, x0, scale, exact=stage > _CHOLESKY_LIMIT)
         # The same x = x0 + (share A)^T y at the new weight.
-        x, y, more = _newton(weighted, free, y * (before / share), tolerance if last else _STAGE_TOLERANCE)
-        free, steps, before = x > 0.0, steps + more, share
-    if problem.residual(x) > GOOD:
-        x, _, more = _newton(_Problem(a, b, x0, scale, exact=True), free, y, tolerance)
-        steps += more
-    return min((found, x), key=problem.residual), steps
-
-
-@dataclass(frozen=True)
-class SparseGram:
-    """A^T A that has a sparse factor."""
-
-    order: Fronts
-    """In which it is factored."""
-    entries: np.ndarray
-    """Its entries in that order (q,)."""
-
-    @classmethod
-    def of(cls, a: sparse.csr_matrix) -> SparseGram | None:
-        """None if it has no sparse factor, or if finding out would take long."""
-        count, size = np.diff(a.indptr).astype(np.float64), a.shape[1]
-        if size > a.shape[0] or count @ count > _PRODUCTS:
-            return None
-        gram = sparse.csr_matrix(a.T @ a)
-        if gram.nnz > _SPARSE * size**2:
-            return None
-        order = Fronts.of(gram)
-        return cls(order, gram.data[order.kept]) if order.work <= _FILLED * size**3 / 6 else None
+        x, y = _newton(weighted, free, y * (before / share), tolerance if last else _STAGE_TOLERANCE)
+        free, before = x > 0.0, share
+    if problem.residual(x) > GOOD and problem.sparse is None:
+        x = _newton(_Problem(a, b, x0, scale, exact=True), free, y, tolerance)[0]
+    return min((found, x), key=problem.residual)
 
 
 class _Problem:
     """A, b and x0, and the solution on a face; by orthogonal factorisations if ``exact``."""
 
-    def __init__(self, a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, *, exact: bool = False,
-                 known: SparseGram | None = None):
+    def __init__(self, a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, *, exact: bool = False):
         self.a, self.at, self.columns = a, sparse.csr_matrix(a.T), a.tocsc()
         self.b, self.x0, self.scale, self.exact = b, x0, scale, exact
-        self.by_unknowns = known is not None or a.shape[1] <= _SQUARE * a.shape[0]
-        self.right, self.known = self.at @ b + x0, known
-        if self.by_unknowns and known is None and not exact:
+        self.right = self.at @ b + x0
+        self.sparse = None if exact or min(a.shape) <= _DENSE else _sparse_hessian(a)
+        self.by_unknowns = self.sparse is not None or a.shape[1] <= _SQUARE * a.shape[0]
+        if self.by_unknowns and self.sparse is None and not exact:
             self.hessian = (self.at @ a).toarray()
             self.hessian[np.diag_indices_from(self.hessian)] += 1.0
 
@@ -156,8 +129,7 @@ class _Problem:
             try:
                 return self._by_unknowns(x, inside) if self.by_unknowns else self._by_rows(x, inside)
             except linalg.LinAlgError:  # rounding made the normal equations indefinite
-                if self.known is not None:
-                    raise
+                pass
         x[inside] = _least_squares(self.columns[:, inside].toarray(), self.b, self.x0[inside])
         return x, self.b - self.a @ x
 
@@ -171,21 +143,12 @@ class _Problem:
 
     def _factored(self, inside: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """What solves with 1 + A^T A of the unknowns ``inside``."""
-        if self.known is None:
-            matrix = self.hessian[np.ix_(inside, inside)] if len(inside) < len(self.x0) else self.hessian
-            dense = linalg.cho_factor(matrix, lower=True, check_finite=False)
-            return lambda right: linalg.cho_solve(dense, right, check_finite=False)
-        kept = np.zeros(len(self.x0))  # the others have rows of the identity, which change no solution
-        kept[inside] = 1.0
-        order = self.known.order
-        factor = order.factor(self.known.entries * kept[order.row] * kept[order.column])
-
-        def solve(right: np.ndarray) -> np.ndarray:
-            full = np.zeros((len(kept), 1))
-            full[inside, 0] = right
-            return factor.solve(full)[inside, 0]
-
-        return solve
+        if self.sparse is not None:
+            return splu(self.sparse[inside][:, inside], permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+                        options={"SymmetricMode": True}).solve
+        matrix = self.hessian[np.ix_(inside, inside)] if len(inside) < len(self.x0) else self.hessian
+        dense = linalg.cho_factor(matrix, lower=True, check_finite=False)
+        return lambda right: linalg.cho_solve(dense, right, check_finite=False)
 
     def _by_rows(self, x: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         part = self.columns[:, inside]
@@ -201,37 +164,45 @@ class _Problem:
         return x, y
 
 
-def _block_exchanges(problem: _Problem, free: np.ndarray, limit: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """A feasible point, its y and the number of steps, from the free unknowns ``free``; the point is the minimiser
+def _sparse_hessian(a: sparse.csr_matrix) -> sparse.csc_matrix | None:
+    """1 + A^T A (n, n); None if it is not sparse, or if finding out would take long."""
+    count = np.diff(a.indptr).astype(np.float64)
+    if count @ count > _PRODUCTS:
+        return None
+    found = sparse.csc_matrix(a.T @ a + sparse.identity(a.shape[1]))
+    return found if found.nnz <= _SPARSE * a.shape[1] ** 2 else None
+
+
+def _block_exchanges(problem: _Problem, free: np.ndarray, limit: int) -> tuple[np.ndarray, np.ndarray]:
+    """A feasible point and its y, from the free unknowns ``free``; the point is the minimiser
     unless the exchanges cycled or reached the limit."""
     fewest, patience, free = len(free) + 1, _PATIENCE, free.copy()
     rounding = _ROUNDING * float(np.abs(problem.right).max())
-    steps = 0
-    while True:
-        steps += 1
+    for step in range(limit):
         x, y = problem.face(free)
         pull = problem.at @ y + problem.x0 - x
         wrong = np.where(free, x < -_ROUNDING * np.abs(x).max(), pull > rounding)
         number = int(np.count_nonzero(wrong))
         patience = _PATIENCE if number < fewest else patience - 1
         fewest = min(fewest, number)
-        if number == 0 or patience == 0 or steps == limit:
-            return np.maximum(x, 0.0), y, steps
+        if number == 0 or patience == 0 or step == limit - 1:
+            break
         free ^= wrong
+    return np.maximum(x, 0.0), y
 
 
-def _newton(problem: _Problem, free: np.ndarray, y: np.ndarray,
-            tolerance: float) -> tuple[np.ndarray, np.ndarray, int]:
+def _newton(problem: _Problem, free: np.ndarray, y: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Block exchanges from the free unknowns ``free``; if they cycle, Newton steps with a line search from ``y``.
-    Returns x, y and the number of steps."""
+    Returns x and y."""
     limit = _EXACT_STEPS if problem.exact else _NEWTON_STEPS
-    x, target, steps = _block_exchanges(problem, free, min(limit, _STEPS))
+    x, target = _block_exchanges(problem, free, min(limit, _STEPS))
     best, best_residual = (x, target), problem.residual(x)
     if best_residual <= tolerance:
-        return *best, steps
+        return best
     patience = _STALLED
-    while steps < limit and patience > 0 and best_residual > tolerance:
-        steps += 1
+    for _ in range(limit):
+        if patience == 0 or best_residual <= tolerance:
+            break
         pull = problem.x0 + problem.at @ y
         direction = problem.face(pull > 0.0)[1] - y
         length = _line_search(pull, problem.at @ direction, y, direction, problem.b)
@@ -245,7 +216,7 @@ def _newton(problem: _Problem, free: np.ndarray, y: np.ndarray,
         patience = _STALLED if residual < best_residual or best_residual > 1e-5 else patience - 1
         if residual < best_residual:
             best, best_residual = (x, y), residual
-    return *best, steps
+    return best
 
 
 def _line_search(p: np.ndarray, q: np.ndarray, y: np.ndarray, d: np.ndarray, b: np.ndarray) -> float:

@@ -14,8 +14,6 @@ F are the particles with theta > 0, A the particles held at 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import linalg, sparse
 
@@ -31,22 +29,8 @@ _BLOCK = 1024
 """Particles or readings whose standard deviations are computed at one time."""
 
 
-@dataclass(frozen=True)
-class StructuredResult:
-    """The most probable stiffnesses."""
-
-    mean: np.ndarray
-    """theta >= 0 (n,) [N/m]."""
-    shared: np.ndarray
-    """The shared components g (s,) [N/m]."""
-    steps: int
-    """Newton steps on g."""
-    decrement: float
-    """Newton decrement of the last step: an estimate of how far the negative log-posterior is above its minimum [-]."""
-
-
 def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
-                   prior: GaussianPrior) -> StructuredResult:
+                   prior: GaussianPrior) -> np.ndarray:
     """Solve SBML eq. 16 for any composition structure.
 
     Args:
@@ -55,28 +39,29 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
         noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
         prior: on the n stiffnesses.
 
+    Returns:
+        theta >= 0 (n,) [N/m].
+
     Raises:
         VsfError: shapes that do not fit, values that are not finite, a variance that is not positive.
     """
     g = prior.membership
     w = sparse.csr_matrix(w)
     if g.shape[1] == 0:
-        return StructuredResult(map_estimate(w, z, noise_std=noise_std, prior_mean=prior.mean,
-                                             prior_var=prior.var).mean, np.zeros(0), 0, 0.0)
+        return map_estimate(w, z, noise_std=noise_std, prior_mean=prior.mean, prior_var=prior.var)
     if not ((prior.group_var > 0.0).all() and np.isfinite(prior.group_mean).all()):
         raise VsfError("vsf.structured_map: the shared components need finite means and variances greater than 0.")
     z = np.asarray(z, np.float64)
     noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
     shared = prior.group_mean.astype(np.float64)
     value, theta = _inner(w, z, noise, prior, shared)
-    decrement = np.inf
-    for step in range(_NEWTON_STEPS):
+    for _ in range(_NEWTON_STEPS):
         gradient = (shared - prior.group_mean) / prior.group_var - g.T @ ((theta - prior.mean - g @ shared) / prior.var)
         factor = linalg.cho_factor(_hessian(w, noise, prior, theta))
         direction = -linalg.cho_solve(factor, gradient)
         decrement = float(-0.5 * gradient @ direction)
         if decrement <= _DECREMENT * max(1.0, abs(value)):
-            return StructuredResult(theta, shared, step, decrement)
+            return theta
         length = 1.0
         for _ in range(40):
             trial, moved = _inner(w, z, noise, prior, shared + length * direction)
@@ -84,10 +69,9 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
                 break
             length *= 0.5
         else:
-            # The remaining descent is below rounding.
-            return StructuredResult(theta, shared, step, decrement)
+            return theta  # the remaining descent is below rounding
         shared, value, theta = shared + length * direction, trial, moved
-    return StructuredResult(theta, shared, _NEWTON_STEPS, decrement)
+    return theta
 
 
 def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
@@ -152,7 +136,7 @@ def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: Gaussi
            shared: np.ndarray) -> tuple[float, np.ndarray]:
     """Value and stiffnesses of the program at fixed shared components."""
     centre = prior.mean + prior.membership @ shared
-    theta = map_estimate(w, z, noise_std=noise, prior_mean=centre, prior_var=prior.var).mean
+    theta = map_estimate(w, z, noise_std=noise, prior_mean=centre, prior_var=prior.var)
     misfit = (z - w @ theta) / noise
     value = 0.5 * (misfit @ misfit + np.sum((theta - centre) ** 2 / prior.var)
                    + np.sum((shared - prior.group_mean) ** 2 / prior.group_var))

@@ -20,7 +20,6 @@ torch 2.13.0+cpu). `references/dinov2` has the comparison of this transformer wi
 from __future__ import annotations
 
 import functools
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import VsfError
+from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import FeatureImage, Projection
@@ -67,7 +67,7 @@ class VisionTransformer(nn.Module):
         a = self.architecture = architecture
         self.cls_token = nn.Parameter(torch.zeros(1, 1, a.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + a.grid**2, a.width))
-        self.patch_embed = _PatchEmbed(a)
+        self.patch_embed = nn.ModuleDict({"proj": nn.Conv2d(3, a.width, a.patch, stride=a.patch)})
         self.blocks = nn.ModuleList([_Block(a) for _ in range(a.depth)])
         self.norm = nn.LayerNorm(a.width, eps=1e-6)
         nn.init.trunc_normal_(self.pos_embed, std=0.02)
@@ -77,7 +77,7 @@ class VisionTransformer(nn.Module):
         """Class token (b, D) and patch tokens (b, h / patch, w / patch, D), both after the last norm."""
         patch = self.architecture.patch
         rows, columns = images.shape[2] // patch, images.shape[3] // patch
-        x = self.patch_embed(images)
+        x = self.patch_embed["proj"](images).flatten(2).transpose(1, 2)
         x = torch.cat([self.cls_token.expand(len(x), -1, -1), x], dim=1) + self.positions(rows, columns)
         for block in self.blocks:
             x = block(x)
@@ -96,56 +96,22 @@ class VisionTransformer(nn.Module):
         return torch.cat([self.pos_embed[:, :1], stretched.permute(0, 2, 3, 1).flatten(1, 2)], dim=1)
 
 
-class _PatchEmbed(nn.Module):
-    def __init__(self, a: Architecture):
-        super().__init__()
-        self.proj = nn.Conv2d(3, a.width, a.patch, stride=a.patch)
-
-    def forward(self, images: torch.Tensor) -> torch.Tensor:
-        return self.proj(images).flatten(2).transpose(1, 2)
-
-
 class _Block(nn.Module):
+    """Attention and a perceptron, each after a norm, scaled and added."""
+
     def __init__(self, a: Architecture):
         super().__init__()
-        self.norm1, self.attn, self.ls1 = nn.LayerNorm(a.width, eps=1e-6), _Attention(a), _LayerScale(a.width)
-        self.norm2, self.mlp, self.ls2 = nn.LayerNorm(a.width, eps=1e-6), _Mlp(a.width), _LayerScale(a.width)
+        self.heads, wide = a.heads, 4 * a.width
+        self.norm1, self.norm2 = nn.LayerNorm(a.width, eps=1e-6), nn.LayerNorm(a.width, eps=1e-6)
+        self.attn = nn.ModuleDict({"qkv": nn.Linear(a.width, 3 * a.width), "proj": nn.Linear(a.width, a.width)})
+        self.mlp = nn.ModuleDict({"fc1": nn.Linear(a.width, wide), "fc2": nn.Linear(wide, a.width)})
+        self.ls1, self.ls2 = (nn.ParameterDict({"gamma": torch.ones(a.width)}) for _ in range(2))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        x = x + self.ls1(self.attn(self.norm1(x)))
-        return x + self.ls2(self.mlp(self.norm2(x)))
-
-
-class _Attention(nn.Module):
-    def __init__(self, a: Architecture):
-        super().__init__()
-        self.heads = a.heads
-        self.qkv, self.proj = nn.Linear(a.width, 3 * a.width), nn.Linear(a.width, a.width)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        count, tokens, width = x.shape
-        parts = self.qkv(x).reshape(count, tokens, 3, self.heads, width // self.heads)
-        query, key, value = parts.permute(2, 0, 3, 1, 4)
-        weight = (query @ key.transpose(-2, -1) / math.sqrt(width // self.heads)).softmax(dim=-1)
-        return self.proj((weight @ value).transpose(1, 2).reshape(count, tokens, width))
-
-
-class _Mlp(nn.Module):
-    def __init__(self, width: int):
-        super().__init__()
-        self.fc1, self.fc2 = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return self.fc2(functional.gelu(self.fc1(x)))
-
-
-class _LayerScale(nn.Module):
-    def __init__(self, width: int):
-        super().__init__()
-        self.gamma = nn.Parameter(torch.full((width,), 1.0))
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return x * self.gamma
+        parts = self.attn["qkv"](self.norm1(x)).unflatten(2, (3, self.heads, -1))
+        mixed = functional.scaled_dot_product_attention(*parts.permute(2, 0, 3, 1, 4)).transpose(1, 2).flatten(2)
+        x = x + self.ls1["gamma"] * self.attn["proj"](mixed)
+        return x + self.ls2["gamma"] * self.mlp["fc2"](functional.gelu(self.mlp["fc1"](self.norm2(x))))
 
 
 ARCHITECTURES: dict[str, Architecture] = {"small": SMALL, "base": BASE}
@@ -261,14 +227,9 @@ def _loaded(size: str, path: str, sha256: str, wanted: str) -> VisionTransformer
                        f"short; fetch it again.")
     state = {name: value for name, value in _state(path).items() if name not in _UNUSED}
     model = VisionTransformer(ARCHITECTURES[size])
-    own = model.state_dict()
-    missing, extra = sorted(set(own) - set(state)), sorted(map(str, set(state) - set(own)))
-    wrong = [f"{name} {tuple(state[name].shape)} instead of {tuple(value.shape)}"
-             for name, value in own.items() if name in state and state[name].shape != value.shape]
-    faults = (("missing", missing), ("unknown", extra), ("wrong shape", wrong))
-    if missing or extra or wrong:
-        words = "; ".join(f"{fault}: {', '.join(names[:3])}" for fault, names in faults if names)
-        raise VsfError(f"weights {path} are not of DINOv2 {size} ({words}). Give {FILES[size]} or timm's "
-                       f"{TIMM_NAMES[size]}, without registers.")
-    model.load_state_dict(state)
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        raise VsfError(f"weights {path} are not of DINOv2 {size} ({plain(error, longest=400)}). Give {FILES[size]} or "
+                       f"timm's {TIMM_NAMES[size]}, without registers.") from error
     return model.eval().requires_grad_(False)

@@ -177,7 +177,7 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
                        "meet the objects.")
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     # On the CPU, synchronising threads over many small matrices costs up to fifteen times what they gain.
-    largest = max(block.largest for task in tasks for block in task.evidence.blocks)
+    largest = max(block.matrix.numel() for task in tasks for block in task.evidence.blocks)
     with torch_threads(1 if largest < _SMALL else torch.get_num_threads()):
         return _descend(prior, tasks, validation, rate, epochs, patience, seed, rng, progress)
 

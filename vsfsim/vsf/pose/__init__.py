@@ -1,1 +1,0 @@
-"""The pose of a known object from an estimate of stiffness."""
