@@ -136,10 +136,10 @@ def test_folds_of_a_task_without_cross_validation_need_trainings_and_draws():
     ('baseline = "all"', 'baseline = "none"', "has no variant 'none'"),
     ("share_of_objects = 0.5", "share_of_objects = 2.0", "share_of_objects is 2.0"),
     ("share_of_objects = 0.5", 'world = "moon"', "world is 'moon'"),
-    ('worse = ["half", "0"]', 'worse = "half"', "1: worse is 'half'; it must be a list, got text"),
-    ("share_of_objects = 0.5", 'extra = [{ data = "more" }]', r"\[\[variant\]\] 2 extra 1: 'objects' is missing"),
+    ('worse = ["half", "0"]', 'worse = "half"', "1: worse is 'half'; it must be a list"),
+    ("share_of_objects = 0.5", 'extra = [{ data = "more" }]', r"variant\]\] 2: extra\[0\]: 'objects' is missing"),
     ("share_of_objects = 0.5", 'extra = [{ data = "more", objects = 1 }]', "variant 'half': data is 'more'"),
-    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper is {'0': 'two'}; it must be a number")])
+    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper.0 is 'two'; it must be a number")])
 def test_a_wrong_file_is_refused(old, new, message):
     with pytest.raises(TaskError, match=message):
         parse_study(TEXT.replace(old, new), Path("toy.toml"))

@@ -153,6 +153,8 @@ def value(given: Any, hint: Any, place: str, error: type[VsfsimError] = SceneErr
         bare = [getattr(one, "__origin__", one) if hasattr(one, "__metadata__") else one for one in members]
         for key, item, kind in (found for one in bare for found in _items(given, one)):
             value(item, kind, f"{place}{key}", error)
+        for one in filter(dataclasses.is_dataclass, bare):
+            typed(given, one, place, error=error)  # type: ignore[type-var]
         words = [word for one in bare if get_origin(one) is Literal for word in get_args(one)]
         if words and given not in words and isinstance(given, str):
             raise error(f"{place} is {given!r}. {did_you_mean(given, words)}") from problem
