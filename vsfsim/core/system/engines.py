@@ -18,7 +18,7 @@ from typing import Any
 
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.extras import missing_package
-from vsfsim.core.system.threads import ONE_THREAD
+from vsfsim.core.system.processes import ONE_THREAD
 
 MOST = 100_000
 """Shards of one work."""

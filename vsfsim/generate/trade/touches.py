@@ -14,7 +14,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import SceneFile
-from vsfsim.core.system.process_memory import held_memory, peak_memory
+from vsfsim.core.system.processes import peak_memory, reset_peak_memory
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import effector_of, kernels_of
 from vsfsim.generate.job import jobs_of
@@ -147,7 +147,7 @@ class DatasetTouches:
 
     def _run(self, subject: Subject, aims: list[Aim], setting: Setting, alone: bool = False) -> Run:
         reach = self._effector.manner(subject.scene).reach
-        held_memory(reset=True)
+        reset_peak_memory()
         began = time.process_time()
         own = (near(subject, aims[0], reach, setting.options()) if alone
                else subject.again(setting.tier, setting.options()))
