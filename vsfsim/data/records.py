@@ -58,8 +58,8 @@ AUDIT = {
         "How well the contact is resolved: radius of a circle of its area over the edge of the "
         "elements there; of a rigid probe.", optional=True),
     "mesh_error": Row("float64", "T", "1",
-        "Estimated error of the force because the contact is small against the elements; of a "
-        "rigid probe on tetrahedra.", masked=True, optional=True),
+        "Estimated error of the force by the size of the elements; of a rigid probe on tetrahedra.",
+        masked=True, optional=True),
     "corner_det_f": Row("float64", "T", "1",
         "Smallest det F at the corners of the tetrahedra in contact; of a rigid probe on "
         "tetrahedra.", masked=True, optional=True),
@@ -154,7 +154,7 @@ class Touch:
     audit: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Columns by name, each (T, ...): those of `AUDIT`."""
     resolved: Annotated[np.ndarray | None, Row("bool", "T", "1",
-        "The frame is an equilibrium, its mesh_error is 0.1 at most, no corner of an element is "
+        "The frame is an equilibrium, its mesh_error is 0.115 at most, no corner of an element is "
         "inside out, at a tier of small strain none turns by more than 0.13 rad, and the mesh "
         "holds the parts inside; of a rigid probe on tetrahedra.")] = None
     q: Annotated[np.ndarray | None, Row("float64", "T 7", "rad", "Joint angles of the arm.")] = None

@@ -41,9 +41,13 @@ Hertz under a plate, 1, 1.5 and 2 % of the diameter deep, with a of 0.66, 0.66 a
 ball like it at 0.66: elements end at the place of the touch. A frame is marked below 0.74 of an element."""
 EDGES_SHARE = 0.114
 """The same times a / h under a body with edges [-]."""
-LIMIT = 0.10
-"""Estimated error of the force from which a frame is marked as unresolved [-]: a contact radius of 0.47 of an
-element, or of 1.1 under a body with edges."""
+ELSEWHERE = 0.015
+"""Error of the force by the mesh away from the contact [-]: facets of a curved body, walls that bend, layers. Of 63
+frames of `vsfsim measure trust --cells 27 --limit 30` without a mark 79 % are within what their contact alone says and
+97 % with it."""
+LIMIT = 0.115
+"""Estimated error of the force from which a frame is marked as unresolved [-]: 0.1 by the contact, which is a contact
+radius of 0.47 of an element, or of 1.1 under a body with edges."""
 TURNED = 0.13
 """Largest rotation of an element up to which small strain keeps the force within 5 % [rad]. Above `fem-coarse` is
 `linear` on a cantilever plate of 3 mm by 3.6, 6.9 and 21 % at 0.09, 0.18 and 0.35 rad, on one of 10 mm by 2.3 and 8.8 %
@@ -68,7 +72,7 @@ def mesh_error(radius: np.ndarray, force: np.ndarray, share: np.ndarray | float 
     size = np.linalg.norm(np.nan_to_num(force), axis=2)
     wide = np.maximum(radius, 0.01)
     own = np.maximum(small * share / wide**2, np.where(edges, EDGES_SHARE / wide, 0.0))
-    return (size * np.where(size > 0.0, own, 0.0)).sum(axis=1) / np.maximum(size.sum(axis=1), 1e-300)
+    return (size * np.where(size > 0.0, own + ELSEWHERE, 0.0)).sum(axis=1) / np.maximum(size.sum(axis=1), 1e-300)
 
 
 def corner_det_f(mesh: QuadraticMesh, nodes: np.ndarray, u: np.ndarray) -> float:
@@ -77,9 +81,7 @@ def corner_det_f(mesh: QuadraticMesh, nodes: np.ndarray, u: np.ndarray) -> float
     The solver integrates over four Gauss points inside a tetrahedron. Under a contact that is smaller than the element
     its corners may turn inside out while det F is positive at those points.
     """
-    on = np.zeros(len(mesh.points), bool)
-    on[nodes] = True
-    at = np.flatnonzero(on[mesh.tets].any(axis=1))
+    at = np.flatnonzero(np.isin(mesh.tets, nodes).any(axis=1))
     if not len(at):
         return 1.0
     rest, bent = (jacobians(x[mesh.tets[at]], np.eye(4))[1] for x in (mesh.points, mesh.points + u))
@@ -119,16 +121,12 @@ def in_words(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, 
     words = []
     if bent.any():
         words.append(f"In {int(bent.sum())} of {len(error)} frames elements turn by up to "
-                     f"{float(np.max(turned)):.2g} rad, which the tier does not follow: the force is wrong. "
-                     f"Take --tier fem, or needs = [\"large-deformation\"].")
-    if not (small | folded).any():
-        return " ".join(words)
+                     f"{np.max(turned):.2g} rad, too far for this tier: take --tier fem.")
     if small.any():
-        most = float(error[small].max())
         words.append(f"The mesh does NOT resolve the contact in {int(small.sum())} of {len(error)} frames: it is small "
-                     f"against the elements, and the force is off there by "
-                     f"{'more than 100' if most > 1.0 else f'about {100 * most:.0f}'} % at most.")
+                     f"against the elements, and the force is off there by up to {100 * error[small].max():.0f} %.")
     if folded.any():
-        words.append(f"In {int(folded.sum())} of {len(error)} frames a corner of an element is inside out (det F "
-                     f"{float(corner[folded].min()):.2f}).")
-    return " ".join(words) + " Give a smaller resolution in [object], and compare meshes with --refine 3."
+        words.append(f"In {int(folded.sum())} of {len(error)} frames a corner of an element is inside out.")
+    if (small | folded).any():
+        words.append("Give a smaller resolution in [object], and compare meshes with --refine 3.")
+    return " ".join(words)
