@@ -56,7 +56,7 @@ PHYSICS = ({"laws", "elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"b
 
 HEAVY = {
     "core": {"numpy", "scipy", "filelock", "msgspec"},
-    "data": {"numpy", "h5py", "filelock"},
+    "data": {"numpy", "h5py", "msgspec", "filelock"},
     "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},

@@ -30,7 +30,7 @@ def test_a_dataset_with_the_digest_of_a_record_is_copied(kept, tmp_path):
     assert "digest of the task's record" in said[0] and [done for done, *_ in told] == [0, 1]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["archive", "here"]
     assert archive.taken(tmp_path / "here", NAME) is None, "what is there is gone on with, not replaced"
-    with pytest.raises(DatasetError, match="cannot be made"):
+    with pytest.raises(DatasetError, match="cannot be written"):
         archive.taken(tmp_path / "here" / "dataset.json" / "below", NAME)
 
 

@@ -37,12 +37,12 @@ def load_all(folder):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (lambda f: f[0].update(file="../secret.h5"), "is no name of an object view or its file"),
-    (lambda f: f[0].update(file="/etc/passwd"), "is no name of an object view or its file"),
-    (lambda f: f[0].update(name="a\x1b[2Jb"), "is no name of an object view or its file"),
-    (lambda f: f[0].update(split="<b>"), "is no name of an object view or its file"),
-    (lambda f: f[0].update(frames="many"), "files.frames is many; it must be a whole number"),
-    (lambda f: f[0].update(object_index=-1), "files.object_index is -1"),
+    (lambda f: f[0].update(file="../secret.h5"), "must be a name: letters"),
+    (lambda f: f[0].update(file="/etc/passwd"), "must be a name: letters"),
+    (lambda f: f[0].update(name="a\x1b[2Jb"), "must be a name: letters"),
+    (lambda f: f[0].update(split="<b>"), "must be a name: letters"),
+    (lambda f: f[0].update(frames="many"), "frames is 'many'; it must be a whole number"),
+    (lambda f: f[0].update(object_index=-1), "object_index is -1; it must be"),
     (lambda f: f.append(dict(f[0])), "the name mock-0000-v0 is there twice"),
     (lambda f: f.append({**f[0], "name": "x", "object_index": 7}), "the file mock-0000-v0.h5 is there twice"),
     (lambda f: f.append({**f[0], "name": "x", "file": "x.h5", "object_index": 7}), "the content .* is there twice"),

@@ -10,17 +10,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import tomllib
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 
 from vsfsim.core import shelf
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import write_atomic
-from vsfsim.data.manifest import MANIFEST
+from vsfsim.data.disk import whole_folder
+from vsfsim.data.manifest import MANIFEST, content_sha256, entries_of, parse_manifest
 from vsfsim.data.store import open_store
 
 VARIABLE = "VSFSIM_ARCHIVE"
@@ -59,28 +57,21 @@ def taken(folder: Path, name: str, *, progress: Callable[[int, int, str], None] 
     manifest = store.get(MANIFEST)
     if manifest is None:
         return None
-    part = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}")
-    try:
-        part.mkdir(parents=True)
-    except OSError as error:
-        raise DatasetError(f"folder {part} cannot be made: {error.strerror}. Choose another --out.") from error
-    try:
-        write_atomic(part / MANIFEST, manifest)
-        dataset = Dataset.open(part)
-        if dataset.sha256 not in digests:
-            said(f"{origin} holds another dataset than the record of its task ({dataset.sha256[:12]}, not "
-                 f"{', '.join(sorted(d[:12] for d in digests))}); it is not taken")
-            return None
-        for done, entry in enumerate(dataset.entries):
+    spot = Path(origin) / MANIFEST
+    entries = entries_of(parse_manifest(manifest, spot)["files"], spot)
+    if (found := content_sha256(entries)) not in digests:
+        said(f"{origin} holds another dataset than the record of its task ({found[:12]}, not "
+             f"{', '.join(sorted(d[:12] for d in digests))}); it is not taken")
+        return None
+    with whole_folder(folder) as part:
+        for done, entry in enumerate(entries):
             if progress is not None:
-                progress(done, len(dataset.entries), entry.file)
+                progress(done, len(entries), entry.file)
             content = store.get(entry.file)
             if content is None or hashlib.sha256(content).hexdigest() != entry.sha256:
                 raise DatasetError(f"{origin}/{entry.file} is missing or is not the file that its dataset.json names. "
                                    f"Mend the archive, or unset {VARIABLE} to make the dataset here.")
-            write_atomic(part / entry.file, content)
-        part.rename(folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+            (part / entry.file).write_bytes(content)
+        (part / MANIFEST).write_bytes(manifest)
     said(f"taken from {origin} with the digest of the task's record; unset {VARIABLE} to make it here")
     return Dataset.open(folder)

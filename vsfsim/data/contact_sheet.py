@@ -54,17 +54,23 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None
     for row, object_view in zip(panels, views):
         colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, max(len(object_view.touches), 1)))
         window = _window(object_view.view)
-        _picture(row[0], object_view.view, window)
-        row[0].set_title(f"{object_view.name}  ({object_view.split})", fontsize=9, loc="left")
-        _depth(figure, row[1], object_view.view, window)
+        seen = object_view.view
+        _image(row[0], seen.rgb, window, f"{object_view.name}  ({object_view.split})")
+        depth = _image(row[1], np.where(seen.mask, seen.depth, np.nan), window, "depth [m]", cmap="magma_r")
+        row[1].set_facecolor("0.92")
+        _bar(figure, row[1], depth)
         _targets(row[2], object_view, colours, window)
         _curves(row[3], object_view, colours, "normal force [N]", lambda touch: touch.normal_force())
         if air:
             _curves(row[4], object_view, colours, "pressure change [Pa]", _pressure_change)
             number, frame = _hardest(object_view)
-            _skin(figure, row[5], object_view, number, frame)
+            touch = object_view.touches[number] if object_view.touches else None
+            _skin(figure, row[5], touch, frame, f"touch {number}, frame {frame}, mount frame")
             if inside:
-                _inside(row[6], object_view, number, frame)
+                row[6].set(xticks=[], yticks=[])
+                if touch is not None and touch.inside_rgb is not None:
+                    row[6].imshow(touch.inside_rgb[frame])
+                    row[6].set_title("from inside", fontsize=9, loc="left")
     if out_png is not None:
         write_figure(figure, out_png)
     return figure
@@ -88,30 +94,25 @@ def _span(first: int, last: int, length: float, limit: int) -> tuple[int, int]:
     return start, min(start + int(length), limit)
 
 
-def _framed(axes, window: tuple[int, int, int, int]) -> None:
+def _image(axes, pixels: np.ndarray, window: tuple[int, int, int, int], title: str, **options: Any) -> Any:
+    """A picture cut to the window."""
     top, bottom, left, right = window
+    shown = axes.imshow(pixels, **options)
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[])
+    axes.set_title(title, fontsize=9, loc="left")
+    return shown
 
 
-def _picture(axes, view: View, window: tuple[int, int, int, int]) -> None:
-    axes.imshow(view.rgb)
-    _framed(axes, window)
-
-
-def _depth(figure, axes, view: View, window: tuple[int, int, int, int]) -> None:
-    shown = axes.imshow(np.where(view.mask, view.depth, np.nan), cmap="magma_r")
-    axes.set_facecolor("0.92")
-    _framed(axes, window)
-    axes.set_title("depth [m]", fontsize=9, loc="left")
-    bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
-    bar.ax.tick_params(labelsize=7)
+def _bar(figure, axes, shown: Any) -> None:
+    figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01).ax.tick_params(labelsize=7)
 
 
 def _targets(axes, object_view: ObjectView, colours: np.ndarray, window: tuple[int, int, int, int]) -> None:
     faded = 0.65 * object_view.view.rgb.mean(axis=2, keepdims=True) + 0.35 * 255.0
-    axes.imshow(np.repeat(faded.astype(np.uint8), 3, axis=2))
-    to_camera = np.linalg.inv(object_view.view.camera_pose)
     touched = sum(bool(touch.touched) for touch in object_view.touches)
+    _image(axes, np.repeat(faded.astype(np.uint8), 3, axis=2), window,
+           f"{len(object_view.touches)} touches, {touched} in contact")
+    to_camera = np.linalg.inv(object_view.view.camera_pose)
     for touch, colour in zip(object_view.touches, colours):
         ends = np.stack([touch.target, touch.target - 0.02 * touch.axis])
         camera = ends @ to_camera[:3, :3].T + to_camera[:3, 3]
@@ -120,8 +121,6 @@ def _targets(axes, object_view: ObjectView, colours: np.ndarray, window: tuple[i
         axes.plot(*pixel.T, color=colour, lw=1.2)
         axes.plot(*pixel[0], "o" if touch.touched else "x", color=colour, ms=5,
                   mec="black" if touch.touched else colour, mew=0.6 if touch.touched else 1.5)
-    _framed(axes, window)
-    axes.set_title(f"{len(object_view.touches)} touches, {touched} in contact", fontsize=9, loc="left")
 
 
 def _curves(axes, object_view: ObjectView, colours: np.ndarray, title: str, of: Callable[[Touch], np.ndarray]) -> None:
@@ -154,9 +153,8 @@ def _hardest(object_view: ObjectView) -> tuple[int, int]:
     return number, int(np.argmax(size[number])) if size else 0
 
 
-def _skin(figure, axes, object_view: ObjectView, number: int, frame: int) -> None:
+def _skin(figure, axes, touch: Touch | None, frame: int, words: str) -> None:
     """The read-out mesh in the mount's frame: its dent as shades, contact forces on its nodes as dots."""
-    touch = object_view.touches[number] if object_view.touches else None
     axes.set(xticks=[], yticks=[], aspect="equal")
     if (touch is None or touch.node_position is None or touch.node_force is None or touch.node_rest is None
         or not touch.converged[frame]):
@@ -170,15 +168,6 @@ def _skin(figure, axes, object_view: ObjectView, number: int, frame: int) -> Non
     size = np.linalg.norm(touch.node_force[frame].astype(float), axis=1)
     axes.scatter(*(1e3 * touch.node_rest[:, :2].T), s=60.0 * size / max(float(size.max()), 1e-12), c="white",
                  edgecolors="black", linewidths=0.4)
-    bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
-    bar.ax.tick_params(labelsize=7)
+    _bar(figure, axes, shown)
     axes.set_title(f"dent [mm]; dots: forces to {size.max():.2f} N", fontsize=9, loc="left")
-    axes.set_xlabel(f"touch {number}, frame {frame}, mount frame", fontsize=8)
-
-
-def _inside(axes, object_view: ObjectView, number: int, frame: int) -> None:
-    axes.set(xticks=[], yticks=[])
-    touch = object_view.touches[number] if object_view.touches else None
-    if touch is not None and touch.inside_rgb is not None:
-        axes.imshow(touch.inside_rgb[frame])
-        axes.set_title("from inside", fontsize=9, loc="left")
+    axes.set_xlabel(words, fontsize=8)

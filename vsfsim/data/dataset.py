@@ -23,7 +23,6 @@ from vsfsim.data.manifest import (
     Entry,
     content_sha256,
     entries_of,
-    left_out_of,
     read_manifest,
 )
 from vsfsim.data.recipe import Recipe
@@ -84,7 +83,7 @@ class Dataset:
                                f"generate --out` made.")
         table = read_manifest(manifest)
         return cls(path, Recipe.read(table["recipe"], str(manifest)), table["made_by"],
-                   entries_of(table["files"], manifest), blind, left_out_of(table, manifest), origin, progress)
+                   entries_of(table["files"], manifest), blind, table["left_out"], origin, progress)
 
     @property
     def sha256(self) -> str:

@@ -10,13 +10,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import from_json, plain
+from vsfsim.core.table import Count, typed, value
 from vsfsim.data.kept import observed
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.safety import check_name, whole_number
+from vsfsim.data.safety import NAME
 from vsfsim.data.schema import SCHEMA_VERSION
 
 FORMAT = "vsfsim-dataset"
@@ -26,6 +29,7 @@ LOCK = "dataset.lock"
 CARD = "README.md"
 """What the folder is, for people; no part of the content."""
 _OPTIONAL = ("made_on", "audits")
+Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z", description="a name: letters, digits and . _ + -, no path")]
 LARGEST_MANIFEST = 64 << 20
 """A dataset.json with more bytes is not read."""
 
@@ -34,29 +38,29 @@ LARGEST_MANIFEST = 64 << 20
 class Entry:
     """One object file as dataset.json lists it."""
 
-    name: str
+    name: Name
     """Of the object view."""
-    file: str
+    file: Name
     """File name."""
-    split: str
+    split: Name
     """"train", "test", ..."""
-    object_index: int
+    object_index: Count
     """From 0."""
-    view_index: int
+    view_index: Count
     """Of the view of that object, from 0."""
-    touches: int
+    touches: Count
     """Number of touches."""
-    frames: int
+    frames: Count
     """Of all touches."""
-    unconverged: int
+    unconverged: Count
     """Frames that are marked as not converged."""
-    bytes: int
+    bytes: Count
     """Size of the file."""
-    sha256: str
+    sha256: Name
     """Of the file."""
     made_on: str = ""
     """The kind of CPU, or of GPU and CPU, that made it; "" in a dataset of a version that did not say."""
-    audits: tuple[float, ...] = ()
+    audits: tuple[Annotated[float, msgspec.Meta(ge=0.0)], ...] = ()
     """Errors of its touches that were solved again one level finer, see `vsfsim.data.kept` [-]."""
 
     def table(self) -> dict[str, Any]:
@@ -123,37 +127,36 @@ def parse_manifest(content: bytes, path: Path) -> dict[str, Any]:
     """
     try:
         table = from_json(content)
-        format_ = table["format"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        format_, version = table["format"], table.get("schema_version")
+        whole = manifest_bytes(table) == content
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DatasetError(f"{path} cannot be read as a dataset's manifest: {plain(repr(error))}. It is damaged; "
                            f"delete the folder and generate the dataset again, or restore the file.") from error
     if format_ != FORMAT:
         raise DatasetError(f"{path} is not the manifest of a vsfsim dataset (format "
                            f"{plain(repr(format_), longest=60)}).")
-    if table.get("schema_version") != SCHEMA_VERSION:
-        raise DatasetError(f"{path} has schema version {plain(table.get('schema_version'), longest=60)}; this vsfsim "
-                           f"reads {SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it "
-                           f"again.")
-    try:
-        whole = manifest_bytes(table) == content
-    except (ValueError, RecursionError):
-        whole = False
+    if version != SCHEMA_VERSION:
+        raise DatasetError(f"{path} has schema version {plain(version, longest=60)}; this vsfsim reads "
+                           f"{SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it again.")
     if not whole:
         raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or "
                            f"delete the folder and run the same `vsfsim generate` again.")
-    for key in ("made_by", "recipe", "files"):
-        if key not in table and not (path.name == PART_MANIFEST and key == "files"):
-            raise DatasetError(f"{path} has no '{key}'; it is damaged.")
-    if not isinstance(table["made_by"], dict):
-        raise DatasetError(f"{path}: made_by is {plain(table['made_by'], longest=60)}; it must be a table.")
+    asked = {"made_by": dict[str, str | None], "recipe": dict[str, Any], "left_out": dict[str, str], "files": list}
+    if path.name == PART_MANIFEST:
+        del asked["files"]
+    for key, kind in asked.items():
+        table[key] = value(table.get(key, {} if key == "left_out" else None), kind, f"{path}: {key}", DatasetError)
     return table
 
 
-def entries_of(rows: Any, path: Path) -> tuple[Entry, ...]:
+def entries_of(rows: list[Any], path: Path) -> tuple[Entry, ...]:
     """The entries of ``files``, none of them twice, and no object in two splits."""
-    if not isinstance(rows, list) or not rows:
-        raise DatasetError(f"{path}: files is {plain(rows, longest=60)}; it must be a list of at least one entry.")
-    entries = tuple(_entry(row, path) for row in rows)
+    if not rows:
+        raise DatasetError(f"{path}: files is empty; a dataset has at least one entry.")
+    try:
+        entries = tuple(typed(row, Entry, f"{path} files[{k}]", error=DatasetError) for k, row in enumerate(rows))
+    except DatasetError as error:
+        raise DatasetError(f"{plain(error, longest=500)} The dataset is damaged; generate it again.") from None
     for what, keys in (("name", [e.name for e in entries]), ("file", [e.file for e in entries]),
                        ("object and view", [(e.object_index, e.view_index) for e in entries]),
                        ("content", [e.sha256 for e in entries])):
@@ -167,31 +170,6 @@ def entries_of(rows: Any, path: Path) -> tuple[Entry, ...]:
             raise DatasetError(f"{path}: object {entry.object_index} is in the splits {splits[entry.object_index]} and "
                                f"{entry.split}; an object belongs to one.")
     return entries
-
-
-def left_out_of(table: Mapping[str, Any], path: Path) -> dict[str, str]:
-    found = table.get("left_out", {})
-    if not isinstance(found, dict) or not all(isinstance(reason, str) for reason in found.values()):
-        raise DatasetError(f"{path}: left_out is {plain(found, longest=60)}; it must be a table of reasons.")
-    return found
-
-
-def _entry(row: Any, path: Path) -> Entry:
-    names = {f.name for f in dataclasses.fields(Entry)}
-    if not isinstance(row, Mapping) or set(row) | set(_OPTIONAL) != names:
-        raise DatasetError(f"{path}: an entry of files is {plain(row, longest=200)}; it must have "
-                           f"{', '.join(sorted(names))}.")
-    where = f"{path} files"
-    for key in ("object_index", "view_index", "touches", "frames", "unconverged", "bytes"):
-        whole_number(row[key], f"{where}.{key}")
-    for key in ("name", "file", "split", "sha256"):
-        check_name(row[key], f"{where}.{key}")
-    if not isinstance(row.get("made_on", ""), str):
-        raise DatasetError(f"{where}.made_on is {plain(row['made_on'], longest=60)}; it must be a text.")
-    audits = row.get("audits", [])
-    if not isinstance(audits, list) or not all(isinstance(v, float | int) and v >= 0.0 for v in audits):
-        raise DatasetError(f"{where}.audits is {plain(audits, longest=60)}; it must be a list of errors.")
-    return Entry(**{**row, "audits": tuple(audits)})
 
 
 def card(recipe: Recipe, made_by: Mapping[str, str | None], entries: Sequence[Entry],

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from vsfsim.core.errors import DatasetError, unknown_key
-from vsfsim.core.plain_text import plain
+from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.content import differences
+from vsfsim.core.table import typed
 
 
 @dataclass(frozen=True)
@@ -62,26 +62,9 @@ class Recipe:
         """The recipe in a dataset.json.
 
         Raises:
-            DatasetError: a key is missing or unknown.
+            DatasetError: a key is missing or unknown, or a value is not allowed.
         """
-        names = [f.name for f in dataclasses.fields(cls)]
-        if not isinstance(table, Mapping):
-            raise DatasetError(f"{where}: recipe is {table!r}; it must be a table.")
-        for key in table:
-            if key not in names and key != "scene_sha256":
-                raise DatasetError(unknown_key(f"{where} recipe", key, names))
-        table = {"files": {}, **table}
-        for name in names:
-            if name not in table:
-                raise DatasetError(f"{where}: the recipe has no '{name}'; the file is damaged or of another version.")
-        for name, kind in _KINDS.items():
-            if not isinstance(table[name], kind) or isinstance(table[name], bool):
-                raise DatasetError(f"{where}: the recipe's {name} is {plain(table[name], longest=60)}; the file is "
-                                   f"damaged or of another version.")
-        if not all(isinstance(text, str) for text in table["files"].values()):
-            raise DatasetError(f"{where}: the recipe's files are {plain(table['files'], longest=60)}; the file is "
-                               f"damaged or of another version.")
-        return cls(**{name: table[name] for name in names})
+        return typed(table, cls, f"{where}: the recipe", also=("scene_sha256",), error=DatasetError)
 
     def differences(self, other: Recipe) -> list[str]:
         """Differences of ``other`` from this recipe, the one on disk; a phrase a field: "seed 0 there, 1 asked for"."""
@@ -95,11 +78,6 @@ class Recipe:
             else:
                 out.append(f"{key} {mine[key]!r} there, {theirs[key]!r} asked for")
         return out + differences(self.files, other.files)
-
-
-_KINDS = {"scene": str, "scene_text": str, "seed": int, "objects": int, "views": int, "touches": int, "splits": dict,
-          "device": str, "tier": str, "precision": str, "renderer": str, "options": dict,
-          "files": dict}
 
 
 def text_sha256(text: str) -> str:

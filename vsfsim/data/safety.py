@@ -26,7 +26,8 @@ LARGEST_ATTRIBUTE = 16 << 20
 """Bytes of an attribute."""
 
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
+NAME = r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}"
+"""Of an object view or its file, as a regular expression."""
 
 
 def check_name(name: object, where: str) -> str:
@@ -35,7 +36,7 @@ def check_name(name: object, where: str) -> str:
     Raises:
         DatasetError: it cannot; ``where`` begins the message.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
+    if not isinstance(name, str) or not re.fullmatch(NAME, name):
         raise DatasetError(f"{where}: '{plain(name, longest=100)}' is no name of an object view or its file: letters, "
                            f"digits and . _ + - are allowed, and no path. The dataset is damaged; generate it again.")
     return name

@@ -25,7 +25,6 @@ from vsfsim.data.manifest import (
     make_manifest,
     manifest_bytes,
     parse_manifest,
-    read_manifest,
 )
 from vsfsim.data.provenance import machine_kind, made_by
 from vsfsim.data.recipe import Recipe
@@ -94,9 +93,9 @@ class DatasetWriter:
         if self._finished is not None:
             return []
         done, sizes = lines.finished_names(self.store), self.store.sizes()
-        own = self.shard is None and self.path is not None
-        for name in [name for name in self.names if name in done] if own else ():
-            if not self._is_whole(name, sizes):
+        for name in self.names if self.shard is None and self.path is not None else ():
+            line = lines.read_line(self.store, name) if name in done else None
+            if name in done and (line is None or not self._is_whole(line, sizes)):
                 lines.forget(self.store, name)
                 self.notes.append(f"{file_name(name)} was damaged and is made again.")
                 done.discard(name)
@@ -142,15 +141,14 @@ class DatasetWriter:
     def _entries(self, names: list[str]) -> tuple[Entry, ...]:
         sizes = self.store.sizes()
         found = {name: lines.read_line(self.store, name) for name in names}
-        gone = [name for name, line in found.items() if line is None or sizes.get(line.file) != line.bytes]
+        gone = [repr(name) for name, line in found.items() if line is None or sizes.get(line.file) != line.bytes]
         if gone or not names:
-            raise DatasetError(f"{self.store.where}: object view{'s' * (len(gone) > 1)} "
-                               f"{', '.join(repr(name) for name in gone[:5])}{', ...' * (len(gone) > 5)} "
-                               f"{'are' if len(gone) > 1 else 'is'} missing; the dataset cannot be finished. Run "
-                               f"`vsfsim generate` again, which makes what is missing.")
+            raise DatasetError(f"{self.store.where}: {len(gone)} object views, {', '.join(gone[:5])}"
+                               f"{', ...' * (len(gone) > 5)}, are missing; the dataset cannot be finished. Run `vsfsim "
+                               f"generate` again, which makes what is missing.")
         entries = tuple(line for line in found.values() if line is not None)
-        for entry in entries if self.path is not None else ():
-            if file_sha256(self.path / entry.file) != entry.sha256:  # type: ignore[operator]
+        for entry in entries:
+            if not self._is_whole(entry, sizes):
                 lines.forget(self.store, entry.name)
                 raise DatasetError(f"{entry.file} was changed after it was written; it was removed. Run `vsfsim "
                                    f"generate` again, which makes what is missing.")
@@ -189,9 +187,9 @@ class DatasetWriter:
         code: Any = None
         where = Path(self.store.where)
         if MANIFEST in files:
-            there = self._open_finished().recipe
+            there = Dataset.open(self.store.where).recipe
         elif PART_MANIFEST in files:
-            table = self._begun()
+            table = parse_manifest(self.store.get(PART_MANIFEST) or b"", where / PART_MANIFEST)
             there, code = Recipe.read(table["recipe"], str(where / PART_MANIFEST)), table["made_by"]
         else:
             names = files if self.path is None else [p.name for p in self.path.iterdir()]
@@ -211,13 +209,6 @@ class DatasetWriter:
                                f"here. Files of two versions are not mixed: "
                                f"check out that version to finish it, or delete the folder and start again.")
 
-    def _begun(self) -> dict[str, Any]:
-        spot = Path(self.store.where) / PART_MANIFEST
-        return read_manifest(spot) if self.path else parse_manifest(self.store.get(PART_MANIFEST) or b"", spot)
-
-    def _open_finished(self) -> Dataset:
-        return Dataset.open(self.store.where)
-
     def _begin(self) -> dict[str, str | None]:
         self._refuse_other()  # again, now that no other process can write
         self._finished: Dataset | None = None
@@ -227,7 +218,7 @@ class DatasetWriter:
                 if _OUR_PART.search(part.name):
                     part.unlink(missing_ok=True)
         if MANIFEST in files:
-            finished = self._open_finished()
+            finished = Dataset.open(self.store.where)
             if not self._damaged(finished, files):
                 self._finished = finished
                 if self.shard is None:
@@ -248,11 +239,7 @@ class DatasetWriter:
 
     def _damaged(self, finished: Dataset, files: dict[str, int]) -> bool:
         """Whether files of a finished dataset are missing or damaged; the others get their lines again."""
-        if self.path is None:
-            bad = [e for e in finished.entries if files.get(e.file) != e.bytes]
-        else:
-            bad = [e for e in finished.entries if not (self.path / e.file).is_file()
-                   or file_sha256(self.path / e.file) != e.sha256]
+        bad = [entry for entry in finished.entries if not self._is_whole(entry, files)]
         if not bad and set(finished.names()) | set(finished.left_out) == set(self.names):
             return False
         if dict(finished.made_by) != made_by():
@@ -268,25 +255,24 @@ class DatasetWriter:
                 lines.put_line(self.store, entry, self.recipe)
         return True
 
-    def _is_whole(self, name: str, sizes: dict[str, int]) -> bool:
-        line = lines.read_line(self.store, name)
-        return (line is not None and self.path is not None and sizes.get(line.file) == line.bytes
-                and file_sha256(self.path / line.file) == line.sha256)
-
-    @property
-    def _lock_name(self) -> str:
-        return LOCK if self.shard is None else f"shard-{self.shard[0]}-of-{self.shard[1]}.lock"
+    def _is_whole(self, entry: Entry, sizes: dict[str, int]) -> bool:
+        """Whether a file is what its line says: by its bytes in a folder, by its size in an object store."""
+        return sizes.get(entry.file) == entry.bytes and (self.path is None or
+                                                         file_sha256(self.path / entry.file) == entry.sha256)
 
     def _take_lock(self) -> FileLock | None:
         """A lock on a file of the folder: the system lets go of it when we die, so a stale lock cannot outlive its
         process. Shards have one each; the owner refuses to begin beside them."""
         if self.path is None:
             return None
-        path = self.path / self._lock_name
+        if self.shard is None:
+            name, others = LOCK, [p for p in self.path.iterdir() if _SHARD_LOCK.fullmatch(p.name)]
+        else:
+            name, others = f"shard-{self.shard[0]}-of-{self.shard[1]}.lock", [*self.path.glob(LOCK)]
         try:
-            for other in self._others():
+            for other in others:
                 release(take(other, unlocked=True)[0])
-            lock, before = take(path, unlocked=self.shard is not None)
+            lock, before = take(self.path / name, unlocked=self.shard is not None)
         except Held as held:
             raise DatasetError(f"folder {self.path} is being written by process {held}. Wait for it, stop it, or "
                                f"choose another --out.") from None
@@ -296,13 +282,6 @@ class DatasetWriter:
         if before:
             self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
         return lock
-
-    def _others(self) -> list[Path]:
-        """Locks that nobody may hold while this writer writes."""
-        assert self.path is not None
-        if self.shard is not None:
-            return [self.path / LOCK] if (self.path / LOCK).exists() else []
-        return [p for p in self.path.iterdir() if _SHARD_LOCK.fullmatch(p.name)]
 
 
 def _code(made: object) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vsfsim.core.errors import VsfsimError, did_you_mean
 from vsfsim.data.dataset import Dataset, Progress
-from vsfsim.data.formats.target import whole_folder
+from vsfsim.data.disk import whole_folder
 
 FORMATS = ("lerobot", "croissant", "webdataset", "openvsf")
 

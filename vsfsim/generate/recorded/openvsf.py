@@ -29,7 +29,7 @@ from vsfsim.core.extras import missing_package
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.formats.target import whole_folder
+from vsfsim.data.disk import whole_folder
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, Truth, View
 from vsfsim.data.writer import DatasetWriter
