@@ -7,8 +7,7 @@ or (volume / tetrahedra)^(1/3) for a scan, whose triangles are of all sizes:
     p = |ln |e32 / e21| + q(p)| / ln r21,    q(p) = ln((r21^p - s) / (r32^p - s)),    s = sign(e32 / e21)
     e21 = F2 - F1,    F = F1 + (F1 - F2) / (r21^p - 1),    error = 1.25 |F1 - F2| / (r21^p - 1)
 
-A sequence that is not monotone, or whose steps grow, has no order: then there is no extrapolation, and the error is the
-spread.
+A single quantity that goes up and down, or whose steps do not shrink, is not extrapolated, and its error is the spread.
 """
 
 from __future__ import annotations
@@ -55,34 +54,14 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
     """
     h, f = np.asarray(edge, float), np.asarray(force, float)
     assert len(h) == len(f) >= 3 and (np.diff(h) < 0.0).all()
-    if not np.isfinite(f[-3:]).all():
-        return Convergence(h, f, None, None, float("nan"),
-                           f"No order of convergence is observed: at full depth a frame did not converge, so there is "
-                           f"no {name} on every mesh.")
-    e21, e32 = f[-2] - f[-1], f[-3] - f[-2]
-    spread = float(np.ptp(f[-3:]))
-    size = max(abs(float(f[-1])), 1e-300)
-    noise = 2.0 * tolerance * size
-    share = f"{100 * spread / size:.2g} %"
-    if spread == 0.0 or spread <= noise:
-        error = max(spread, tolerance * size)
+    limit = curve_limit(h, f[:, None], tolerance=tolerance, flat=0.0)
+    order, value, error = limit.order, float(limit.value[0]), float(limit.error[0])
+    if order is None or value == f[-1]:
+        error = max(error, float(np.ptp(f[-3:])))
         return Convergence(h, f, None, None, error,
-                           f"The last three meshes agree to {share}, the solver's own tolerance: no order can be "
-                           f"observed; the {name} is {f[-1]:.5g} {unit}, error about {error:.1g} {unit} "
-                           f"({100 * error / size:.2g} %).")
-    r21, r32 = h[-2] / h[-1], h[-3] / h[-2]
-    # Smallest ratio of two steps that a positive order can give; 1 for equal ratios of the edges.
-    if e21 * e32 <= 0.0 or e32 / e21 <= np.log(r32) / np.log(r21):
-        why = "goes up and down" if e21 * e32 < 0.0 else "does not change less and less from mesh to mesh"
-        return Convergence(h, f, None, None, spread,
-                           f"No order of convergence is observed: the {name} {why}. It is {f[-1]:.5g} {unit} on the "
-                           f"finest mesh, and the spread of the last three, {spread:.2g} {unit} ({share}), stands for "
-                           f"its error. More meshes, or a finer first mesh, may show one.")
-    order = _order(r21, r32, float(e32 / e21))
-    used = min(order, STEEP)
-    gain = r21**used - 1.0
-    value = float(f[-1] - e21 / gain)
-    error = SAFETY * abs(float(e21)) / gain
+                           f"No order of convergence is observed: {limit.why}. The {name} is {f[-1]:.5g} {unit} on the "
+                           f"finest mesh, error about {error:.2g} {unit} "
+                           f"({100 * error / max(abs(float(f[-1])), 1e-300):.2g} %).")
     words = (f"Observed order of convergence {order:.2f}; extrapolated {name} {value:.5g} {unit}, error {error:.2g} "
              f"{unit} ({100 * error / max(abs(value), 1e-300):.2g} %); the finest mesh is off by "
              f"{100 * abs(f[-1] / value - 1.0):.2g} %.")
@@ -90,7 +69,7 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
         words += f" More than {STEEP:g} is chance with quadratic elements: {STEEP:g} was used."
     if order < 0.5:
         words += " So low an order extrapolates far: take a finer first mesh before trusting it."
-    return Convergence(h, f, float(order), value, error, words)
+    return Convergence(h, f, order, value, error, words)
 
 
 def _order(r21: float, r32: float, ratio: float) -> float:
@@ -132,12 +111,12 @@ class Limit:
         return float(np.sqrt(np.mean(self.error**2)) / max(float(np.abs(self.value).max(initial=0.0)), 1e-300))
 
 
-def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) -> Limit:
+def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float, flat: float = FLAT) -> Limit:
     """The limit of a whole curve, from the last three meshes.
 
     One order is observed for the curve: the equation above with the root mean squares of both steps over all frames and
     components, because single frames scatter with the place of the contact on the elements; it is taken as at least
-    `FLAT` and at most `STEEP`. Where the second step goes
+    ``flat`` and at most `STEEP`. Where the second step goes
     on in the direction of the first, the curve is extrapolated. Where it turns back, the finest mesh's curve is taken,
     and its error is at least the last step. Where the steps do not shrink there is no order: the finest mesh's curve is
     taken with `SAFETY` times the spread of the three as its error. A limit whose error is over `LARGEST` is not known.
@@ -146,6 +125,7 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
         edge: h of each mesh, coarsest first (k,) [m].
         values: on each mesh (k, T, ...).
         tolerance: relative error of each value left by the solver [-].
+        flat: the least order [-].
     """
     h, f = np.asarray(edge, float)[-3:], np.asarray(values, float)[-3:]
     assert len(h) == len(f) == 3
@@ -162,10 +142,11 @@ def curve_limit(edge: Sequence[float], values: np.ndarray, *, tolerance: float) 
         return Limit(f[-1], np.full(f[-1].shape, 2.0 * least), None, "the meshes agree to the solver's tolerance")
     if e21 == 0.0 or e32 / e21 <= np.log(r32) / np.log(r21):
         spread = float(np.sqrt(np.mean(np.ptp(f, axis=0) ** 2)))
-        return Limit(f[-1], np.full(f[-1].shape, SAFETY * spread), None, f"no order, the meshes differ by "
-                     f"{100 * spread / size:.2g} %, and {SAFETY:g} times that is taken as their error")
+        return Limit(f[-1], np.full(f[-1].shape, SAFETY * spread), None, f"the steps do not shrink from mesh to mesh, "
+                     f"so there is no order, and {SAFETY:g} times their spread of {100 * spread / size:.2g} % is taken "
+                     f"as the error")
     order = _order(r21, r32, e32 / e21)
-    gain = r21 ** min(max(order, FLAT), STEEP) - 1.0
+    gain = r21 ** min(max(order, flat), STEEP) - 1.0
     value, error, why = f[-1] - last / gain, SAFETY * np.abs(last) / gain + least, "extrapolated"
     if float((last * first).sum()) < 0.0:
         value, error = f[-1], np.maximum(error, np.abs(last))
