@@ -12,9 +12,24 @@ from scipy import ndimage
 sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import disc
 
-from vsfsim.sensing.bubble_camera import PUNYO, BubbleCamera, look_inside
+from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 from vsfsim.sensing.membrane_fe import SensorError
 
+PUNYO = {
+    "membrane mean": (24.0, 129.0, 73.0),
+    "dark skin": (7.0, 86.0, 36.0),
+    "bright patches": (61.0, 226.0, 158.0),
+    "bright share": 0.32,
+    "saturated share": 0.13,
+    "spectrum slope": -2.65,
+    "corners": ((24, 193, 111), (45, 177, 104), (83, 153, 83), (89, 184, 103)),
+}
+"""Statistics of real pictures of 640 x 480 pixels.
+
+sRGB means of the membrane, of its dark and of its bright part (divided by Otsu's threshold of green), the bright share
+of the membrane's area, the share with green at 250 or more, the slope of the power spectral density of green from 0.02
+to 0.25 cycles a pixel, and the colours of the housing in the corners (top left, top right, bottom left, bottom right).
+"""
 SMALL = BubbleCamera(width=160, height=120, focal=107.5)
 
 

@@ -143,14 +143,9 @@ def test_pyrender_agrees_on_depth_away_from_silhouettes():
 
 
 def test_missing_gl_is_one_paragraph_that_says_what_to_install(monkeypatch):
-    for name in [n for n in list(sys.modules) if n.split(".")[0] in ("OpenGL", "pyrender")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
-
-    def broken(name):
-        raise ImportError("no such library")
-
+    monkeypatch.setitem(sys.modules, "pyrender", None)  # its import fails
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
     with pytest.raises(RenderError) as error:
-        load_pyrender(broken)
+        load_pyrender()
     text = str(error.value)
-    assert "egl: no such library; osmesa: no such library" in text and "apt-get install" in text and "\n" not in text
+    assert "(egl: " in text and "apt-get install" in text and "\n" not in text

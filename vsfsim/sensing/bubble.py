@@ -14,7 +14,7 @@ from scipy import sparse
 
 from vsfsim.physics.elements import gas
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed
-from vsfsim.sensing.membrane_fe import SensorError, checked_mesh
+from vsfsim.sensing.membrane_fe import SensorError
 
 if TYPE_CHECKING:
     from vsfsim.physics.bubble.sensor import BubbleModel
@@ -33,28 +33,6 @@ class FlatMesh:
     """Node indices, counter-clockwise (m, 3)."""
     rim: np.ndarray
     """True at the clamped nodes (n,)."""
-
-    def __post_init__(self) -> None:
-        checked_mesh(np.column_stack([self.points, np.zeros(len(self.points))]), self.triangles, "bubble mesh")
-        if np.shape(self.rim) != (len(self.points),) or np.asarray(self.rim).dtype != bool:
-            raise SensorError(f"bubble mesh: rim has shape {np.shape(self.rim)}; give one bool a node, "
-                              f"({len(self.points)},).")
-
-
-@dataclass(frozen=True)
-class BubbleFrames:
-    """Read-outs of T frames, in the frame that the positions were given in."""
-
-    pressure_change: np.ndarray
-    """Gauge pressure less that of the free dome (T,) [Pa]."""
-    node_position: np.ndarray
-    """Nodes of the read-out mesh (T, N, 3) [m]."""
-    node_force: np.ndarray
-    """True contact force on each of these nodes (T, N, 3) [N]."""
-    force: np.ndarray
-    """Net contact force on the sensor (T, 3) [N]."""
-    moment: np.ndarray
-    """Net contact moment about ``origin`` (T, 3) [N m]."""
 
 
 def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -140,9 +118,6 @@ class BubbleReadout:
             SensorError: shapes that do not match.
         """
         points, force = self._checked(points, "positions"), self._checked(force, "forces")
-        if len(points) != len(force):
-            raise SensorError(f"bubble: {len(points)} frames of positions and {len(force)} of forces; give as "
-                              f"many of both.")
         if self._same:
             return force.copy()
         return np.stack([self._transfer(x, f) for x, f in zip(points, force, strict=True)])
@@ -157,27 +132,6 @@ class BubbleReadout:
         turn = np.linalg.solve(inertia, couple[..., None])[..., 0]
         np.add.at(out, self._corners, np.cross(turn[:, None], arm))
         return out
-
-    def frames(self, points: np.ndarray, force: np.ndarray, pressure: np.ndarray, *, rest_pressure: float,
-               origin: np.ndarray | None = None) -> BubbleFrames:
-        """All read-outs of T frames.
-
-        Args:
-            points: solver nodes (T, n, 3) [m], mount or world frame.
-            force: contact force on each node in the same frame (T, n, 3) [N].
-            pressure: gauge (T,) [Pa].
-            rest_pressure: gauge pressure of the free dome [Pa].
-            origin: of the mount in that frame (T, 3) or (3,) [m]; None for (0, 0, 0).
-
-        Raises:
-            SensorError: shapes that do not match.
-        """
-        points, force = self._checked(points, "positions"), self._checked(force, "forces")
-        pressure = np.asarray(pressure, np.float64)
-        if pressure.shape != (len(points),):
-            raise SensorError(f"bubble: pressure has shape {pressure.shape}; give one a frame, ({len(points)},).")
-        total, moment = wrench(points, force, origin=origin)
-        return BubbleFrames(pressure - rest_pressure, self.positions(points), self.forces(points, force), total, moment)
 
     def _checked(self, array: np.ndarray, what: str) -> np.ndarray:
         array = np.asarray(array, np.float64)

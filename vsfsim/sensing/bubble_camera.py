@@ -7,9 +7,9 @@ of 25 degrees, and the rim plane at about 54 mm. The public mesh is given in the
 The appearance follows statistics that were measured from three public pictures of a real Punyo's inside
 (uiuc-iml/punyo_force_estimation, demo/0/expand): a near-black skin with bright ragged patches of some millimetres and
 fine flecks, one green lamp at the left of the picture, whose light saturates near it, a white housing ring around the
-rim that glows green, clips on it, a tube that comes in at the left and a label at the lower left. `PUNYO` gives the
-statistics. The print is drawn procedurally at material points, so it moves and stretches with the skin; tube and label
-change the colours alone, not the depth.
+rim that glows green, clips on it, a tube that comes in at the left and a label at the lower left. The print is drawn
+procedurally at material points, so it moves and stretches with the skin; tube and label change the colours alone, not
+the depth.
 """
 
 from __future__ import annotations
@@ -68,23 +68,6 @@ class BubbleCamera:
         out[:3, 0], out[:3, 1], out[:3, 2] = (c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c)
         out[:3, 3] = (-self.offset, 0.0, -self.distance)
         return out
-
-
-PUNYO = {
-    "membrane mean": (24.0, 129.0, 73.0),
-    "dark skin": (7.0, 86.0, 36.0),
-    "bright patches": (61.0, 226.0, 158.0),
-    "bright share": 0.32,
-    "saturated share": 0.13,
-    "spectrum slope": -2.65,
-    "corners": ((24, 193, 111), (45, 177, 104), (83, 153, 83), (89, 184, 103)),
-}
-"""Statistics of real pictures of 640 x 480 pixels.
-
-sRGB means of the membrane, of its dark and of its bright part (divided by Otsu's threshold of green), the bright share
-of the membrane's area, the share with green at 250 or more, the slope of the power spectral density of green from 0.02
-to 0.25 cycles a pixel, and the colours of the housing in the corners (top left, top right, bottom left, bottom right).
-"""
 
 
 @dataclass(frozen=True)

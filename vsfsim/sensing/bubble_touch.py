@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vsfsim.data.records import Touch
-from vsfsim.sensing.bubble import readout_of
+from vsfsim.sensing.bubble import readout_of, wrench
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 from vsfsim.sensing.dense_force import BubbleCalibration, DenseForce, DenseForceEstimator, EstimatorOptions
 from vsfsim.sensing.membrane_fe import SensorError
@@ -35,21 +35,10 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
         pressure, rest_pressure, moment, node_position, node_force, node_rest, node_reference, node_triangles;
         fine_position, fine_force, fine_rest and fine_triangles with ``model.spec.fine``; inside_depth and inside_rgb
         with a camera.
-
-    Raises:
-        SensorError: shapes that do not match, or a converged frame that is not finite.
     """
     position, force, pressure, mount_pose = (np.asarray(x, np.float64) for x in (position, force, pressure, mount_pose))
     frames = len(position)
     good = np.ones(frames, bool) if converged is None else np.asarray(converged, bool)
-    expected = ((frames, 4, 4), (frames,), (frames,), position.shape)
-    if (mount_pose.shape, pressure.shape, good.shape, force.shape) != expected:
-        raise SensorError(f"bubble: positions {position.shape}, forces {force.shape}, pressure {pressure.shape}, mount "
-                          f"poses {mount_pose.shape} and converged {good.shape} "
-                          "must be (T, m, 3) twice, (T,), (T, 4, 4) and (T,).")
-    if not (np.isfinite(position[good]).all() and np.isfinite(force[good]).all() and np.isfinite(pressure[good]).all()):
-        raise SensorError("bubble: a position, force or pressure of a converged frame is not finite; mark the frame as "
-                          "not converged.")
     readout = readout_of(model)
     nodes = len(readout.readout.points)
 
@@ -60,10 +49,9 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
                            "moment": nan(3), "node_position": nan(nodes, 3),
                            "node_force": nan(nodes, 3)}
     if good.any():
-        found = readout.frames(position[good], force[good], pressure[good], rest_pressure=model.pressure,
-                               origin=mount_pose[good, :3, 3])
-        for name in ("moment", "node_position", "node_force"):
-            out[name][good] = getattr(found, name)
+        out["moment"][good] = wrench(position[good], force[good], origin=mount_pose[good, :3, 3])[1]
+        out["node_position"][good] = readout.positions(position[good])
+        out["node_force"][good] = readout.forces(position[good], force[good])
     for name in ("node_position", "node_force"):
         out[name] = out[name].astype(np.float32)
     out["node_rest"] = readout.positions(model.mesh.points[None])[0]

@@ -132,22 +132,23 @@ QUANTUM = 0.001  # of the stored depth [m]
 
 def kinect_depth(view: View, seed: np.random.SeedSequence | int) -> View:
     """The view with noisy ``depth`` and without the lost pixels in ``mask``; colours are unchanged."""
-    rng = np.random.default_rng(seed)
     z = view.depth.astype(np.float64)
-    noise, lost = rng.standard_normal(z.shape), rng.uniform(size=z.shape) < LOST
-    keep = view.mask & ~(_edges(view) & lost)
-    out = QUANTUM * np.round((z + (0.0005 + 0.0009 * z**2) * noise) / QUANTUM)
-    return dataclasses.replace(view, depth=np.where(keep, out, 0.0).astype(np.float32), mask=keep)
+    return _with_errors(view, 0.0005 + 0.0009 * z**2, LOST, QUANTUM, 0.0, seed)
 
 
 def with_depth_errors(view: View, camera: DepthCamera, seed: np.random.SeedSequence | int) -> View:
     """The view with the errors of ``camera`` in ``depth`` and without the lost pixels in ``mask``."""
+    std = depth_std(camera, view.depth.astype(np.float64))
+    return _with_errors(view, std, camera.lost, camera.quantum, camera.bias, seed)
+
+
+def _with_errors(view: View, std: np.ndarray, lost: float, quantum: float, bias: float,
+                 seed: np.random.SeedSequence | int) -> View:
     rng = np.random.default_rng(seed)
     z = view.depth.astype(np.float64)
-    noise, lost = rng.standard_normal(z.shape), rng.uniform(size=z.shape) < camera.lost
-    bias = camera.bias * rng.uniform(-1.0, 1.0)
-    keep = view.mask & ~(_edges(view) & lost)
-    out = camera.quantum * np.round((z + bias + depth_std(camera, z) * noise) / camera.quantum)
+    noise, gone = rng.standard_normal(z.shape), rng.uniform(size=z.shape) < lost
+    keep = view.mask & ~(_edges(view) & gone)
+    out = quantum * np.round((z + bias * rng.uniform(-1.0, 1.0) + std * noise) / quantum)
     return dataclasses.replace(view, depth=np.where(keep, out, 0.0).astype(np.float32), mask=keep)
 
 

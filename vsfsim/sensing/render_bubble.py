@@ -10,7 +10,7 @@ from a hash, which is the same on every device. Rays that miss the skin meet the
 import numpy as np
 import warp as wp
 
-from vsfsim.sensing.render_warp import cell_hash
+from vsfsim.sensing.render_warp import cell_hash, met
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -130,8 +130,7 @@ def inside_kernel(
     light_out[row, column] = wp.vec3(0.0)
     seen = to_view * wp.vec3(float(column), float(row), 1.0)
     ray = to_ray * wp.vec3d(wp.float64(column), wp.float64(row), wp.float64(1.0))
-    length = wp.length(ray)
-    direction = ray / length
+    direction = wp.normalize(ray)
     query = wp.mesh_query_ray(mesh, wp.vec3(0.0, 0.0, 0.0), wp.vec3(direction), float(_FAR))
     if not query.result:
         if ray[2] > wp.float64(0.0):
@@ -151,28 +150,20 @@ def inside_kernel(
     i = triangle_in[face, 0]
     j = triangle_in[face, 1]
     k = triangle_in[face, 2]
-    a = vertex_in[i]
-    b = vertex_in[j]
-    c = vertex_in[k]
-    n = wp.cross(b - a, c - a)
-    along = wp.dot(n, ray)
-    area = wp.dot(n, n)
-    if area <= wp.float64(0.0) or wp.abs(along) <= wp.float64(1.0e-14) * length * wp.sqrt(area):
+    hit = met(vertex_in[i], vertex_in[j], vertex_in[k], wp.vec3d(), ray)
+    z = float(hit[0])
+    if z == 0.0:
         return
-    z = wp.dot(n, a) / along
-    if z <= wp.float64(0.0):
-        return
-    hit = z * ray
-    v = float(wp.clamp(wp.dot(wp.cross(hit - a, c - a), n) / area, wp.float64(0.0), wp.float64(1.0)))
-    w = float(wp.clamp(wp.dot(wp.cross(b - a, hit - a), n) / area, wp.float64(0.0), wp.float64(1.0) - wp.float64(v)))
+    v = float(hit[1])
+    w = float(hit[2])
     u = 1.0 - v - w
-    depth_out[row, column] = float(z)
+    depth_out[row, column] = z
     shade = wp.normalize(u * normal_in[i] + v * normal_in[j] + w * normal_in[k])
     if wp.dot(shade, wp.vec3(direction)) > 0.0:
         shade = -shade  # towards the chamber
-    p = wp.vec3(hit)
+    p = wp.vec3(hit[0] * ray)
     # a pixel covers about this much of the skin; the edge of a patch is 2 to 3 pixels wide, as the real lens makes it
-    blur = wp.max(2.2 * float(z) * float(wp.length(wp.vec3d(to_ray[0, 0], to_ray[1, 0], to_ray[2, 0]))), 1.0e-6)
+    blur = wp.max(2.2 * z * float(wp.length(wp.vec3d(to_ray[0, 0], to_ray[1, 0], to_ray[2, 0]))), 1.0e-6)
     at = u * material_in[i] + v * material_in[j] + w * material_in[k]
     share = _print(at, patch, blur)
     albedo = wp.lerp(wp.vec3(0.012, 0.074, 0.030), wp.vec3(0.80, 1.20, 0.80), share)

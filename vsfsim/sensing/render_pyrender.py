@@ -5,18 +5,18 @@ It needs a GL library that works without a display, EGL or OSMesa; nothing else 
 
 from __future__ import annotations
 
-import importlib
 import os
-import sys
-from collections.abc import Callable
+from ctypes.util import find_library
 from types import ModuleType
 
 import numpy as np
+import trimesh
 
 from vsfsim.data.records import View
 from vsfsim.sensing.surface import RenderError, Surface
 
-_PLATFORMS = ("egl", "osmesa")
+_PLATFORMS = {"egl": "EGL", "osmesa": "OSMesa"}
+"""Platforms of PyOpenGL that need no display, and their libraries."""
 _MISSING = (
     "render: renderer 'pyrender' found no OpenGL that works without a display ({tried}). Install one, e.g. "
     "`apt-get install libegl1 libgl1` (EGL, GPU or Mesa) or `apt-get install libosmesa6` (software), or use "
@@ -37,25 +37,17 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
 
     to_camera = np.linalg.inv(camera_pose)
     z = surface.vertices @ to_camera[2, :3] + to_camera[2, 3]
-    if z.max() <= 0.0:
-        return _empty(intrinsics, camera_pose, width, height, background)
     # The depth buffer has 24 bits between the planes, most of them near the first: keep them close to the object.
-    near, far = max(0.98 * float(z.min()), 1e-3 * float(z.max())), 1.02 * float(z.max())
+    far = 1.02 * max(float(z.max()), 1e-3)
+    near = max(0.98 * float(z.min()), 1e-3 * far)
     scene = pyrender.Scene(ambient_light=[0.35] * 3, bg_color=[*(np.asarray(background) / 255.0), 1.0])
-    # One set of corners a triangle, so that each carries the colour of its own region. GL has float32
-    # positions: count them from the camera's frame, where the depth is.
+    # GL has float32 positions: count them from the camera's frame, where the depth is.
     corners = surface.vertices @ to_camera[:3, :3].T + to_camera[:3, 3]
     flip = np.array([1.0, -1.0, -1.0])
-    positions = (corners * flip)[surface.triangles.reshape(-1)]
-    faces = positions.reshape(-1, 3, 3)
-    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    colour = np.concatenate([surface.appearance.albedo[surface.region], np.ones((len(faces), 1))], axis=1)
+    mesh = trimesh.Trimesh(corners * flip, surface.triangles, process=False,
+                           face_colors=surface.appearance.albedo[surface.region])
     material = pyrender.MetallicRoughnessMaterial(metallicFactor=0.0, roughnessFactor=0.7, doubleSided=True)
-    primitive = pyrender.Primitive(positions=positions.astype(np.float32),
-                                   normals=np.repeat(normals, 3, axis=0).astype(np.float32),
-                                   color_0=np.repeat(colour, 3, axis=0).astype(np.float32), material=material, mode=4)
-    node = scene.add(pyrender.Mesh([primitive]))
+    node = scene.add(pyrender.Mesh.from_trimesh(mesh, material=material, smooth=False))
     # pyrender counts pixels from the corner of the picture, we from the centre of the first pixel.
     camera = pyrender.IntrinsicsCamera(intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2] + 0.5,
                                        intrinsics[1, 2] + 0.5, znear=near, zfar=far)
@@ -84,45 +76,23 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
     return View(rgb, depth.astype(np.float32), mask, intrinsics.copy(), camera_pose.copy())
 
 
-def load_pyrender(load: Callable[[str], ModuleType] = importlib.import_module) -> ModuleType:
-    """Import pyrender on the first platform of EGL and OSMesa whose library loads.
+def load_pyrender() -> ModuleType:
+    """pyrender on the first platform of EGL and OSMesa whose library is there.
 
     PyOpenGL binds to one platform when it is first imported, so PYOPENGL_PLATFORM must be set before. A platform that
     the user has set is kept.
 
-    Args:
-        load: imports a module by its name.
-
     Raises:
-        RenderError: neither loads.
+        RenderError: there is no library, or it does not load.
     """
-    if "pyrender" in sys.modules:
-        return sys.modules["pyrender"]
-    chosen = os.environ.get("PYOPENGL_PLATFORM")
-    tried = []
-    for platform in [chosen] if chosen else _PLATFORMS:
-        before = set(sys.modules)
-        os.environ["PYOPENGL_PLATFORM"] = platform
-        try:
-            return load("pyrender")
-        except (ImportError, OSError, AttributeError) as error:
-            tried.append(f"{platform}: {error}")
-            # A half-loaded OpenGL keeps its platform; forget it before the next one.
-            for name in set(sys.modules) - before:
-                if name.split(".")[0] in ("OpenGL", "pyrender"):
-                    del sys.modules[name]
-            os.environ.pop("PYOPENGL_PLATFORM", None)
-            if chosen:
-                os.environ["PYOPENGL_PLATFORM"] = chosen
-    raise RenderError(_MISSING.format(tried="; ".join(tried)))
+    found = next((name for name, library in _PLATFORMS.items() if find_library(library)), "egl")
+    tried = os.environ.setdefault("PYOPENGL_PLATFORM", found)
+    try:
+        import pyrender
+    except (ImportError, OSError, AttributeError) as error:
+        raise RenderError(_MISSING.format(tried=f"{tried}: {error}")) from error
+    return pyrender
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v)
-
-
-def _empty(intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int,
-           background: tuple[int, int, int]) -> View:
-    rgb = np.broadcast_to(np.asarray(background, np.uint8), (height, width, 3)).copy()
-    return View(rgb, np.zeros((height, width), np.float32), np.zeros((height, width), bool), intrinsics.copy(),
-                camera_pose.copy())

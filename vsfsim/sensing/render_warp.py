@@ -57,6 +57,24 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
 
 
 @wp.func
+def met(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, origin: wp.vec3d, ray: wp.vec3d) -> wp.vec3d:
+    """How many times ``ray`` it is from ``origin`` to a triangle, 0 where they do not meet, and the weights of b and c
+    there."""
+    n = wp.cross(b - a, c - a)
+    along = wp.dot(n, ray)
+    area = wp.dot(n, n)
+    if area <= wp.float64(0.0) or wp.abs(along) <= wp.float64(1.0e-14) * wp.length(ray) * wp.sqrt(area):
+        return wp.vec3d()
+    z = wp.dot(n, a - origin) / along
+    if z <= wp.float64(0.0):
+        return wp.vec3d()
+    p = origin + z * ray
+    v = wp.clamp(wp.dot(wp.cross(p - a, c - a), n) / area, wp.float64(0.0), wp.float64(1.0))
+    w = wp.clamp(wp.dot(wp.cross(b - a, p - a), n) / area, wp.float64(0.0), wp.float64(1.0) - v)
+    return wp.vec3d(z, v, w)
+
+
+@wp.func
 def cell_hash(x: int, y: int, z: int) -> float:
     """A fixed number from 0 to 1 for the cell with these indices, the same on every device."""
     h = wp.uint32(x) * wp.uint32(73856093) ^ wp.uint32(y) * wp.uint32(19349663) ^ wp.uint32(z) * wp.uint32(83492791)
@@ -170,22 +188,12 @@ def cast_kernel(
     if not query.result:
         return
     face = query.face
-    a = vertex_in[triangle_in[face, 0]]
-    b = vertex_in[triangle_in[face, 1]]
-    c = vertex_in[triangle_in[face, 2]]
-    n = wp.cross(b - a, c - a)
-    along = wp.dot(n, ray)
-    area = wp.dot(n, n)
-    if area <= wp.float64(0.0) or wp.abs(along) <= wp.float64(1.0e-14) * length * wp.sqrt(area):
+    hit = met(vertex_in[triangle_in[face, 0]], vertex_in[triangle_in[face, 1]], vertex_in[triangle_in[face, 2]], origin,
+              ray)
+    if hit[0] == wp.float64(0.0):
         return
-    z = wp.dot(n, a - origin) / along
-    if z <= wp.float64(0.0):
-        return
-    p = origin + z * ray
-    v = wp.clamp(wp.dot(wp.cross(p - a, c - a), n) / area, wp.float64(0.0), wp.float64(1.0))
-    w = wp.clamp(wp.dot(wp.cross(b - a, p - a), n) / area, wp.float64(0.0), wp.float64(1.0) - v)
-    fv = float(v)
-    fw = float(w)
+    fv = float(hit[1])
+    fw = float(hit[2])
     fu = 1.0 - fv - fw
     rest = fu * rest_in[triangle_in[face, 0]] + fv * rest_in[triangle_in[face, 1]] + fw * rest_in[triangle_in[face, 2]]
     shade = wp.normalize(fu * normal_in[face, 0] + fv * normal_in[face, 1] + fw * normal_in[face, 2])
@@ -195,5 +203,5 @@ def cast_kernel(
         shade = wp.normalize(shade - 2.0 * wp.dot(shade, to_eye) * to_eye)
     region = region_in[face]
     bright = 1.0 + contrast_in[region] * _texture(texture_in[region], rest / wp.max(scale_in[region], 1.0e-6))
-    depth_out[row, column] = float(z)
+    depth_out[row, column] = float(hit[0])
     colour_out[row, column] = _lit(albedo_in[region] * wp.max(bright, 0.0), shade, to_eye, shading)

@@ -133,10 +133,6 @@ def checked_surface(surface: Surface) -> Surface:
     if region.min() < 0 or region.max() >= regions:
         raise RenderError(f"render: a triangle is of region {int(region.max())}, but the appearance has {regions}; "
                           f"give one entry a region.")
-    shapes = (np.shape(look.albedo), np.shape(look.texture_scale), np.shape(look.texture_contrast))
-    if shapes != ((regions, 3), (regions,), (regions,)):
-        raise RenderError(f"render: the appearance has {regions} textures; albedo must be ({regions}, 3), scale and "
-                          f"contrast ({regions},).")
     for name in look.texture:
         if name not in TEXTURES:
             raise RenderError(f"render: unknown texture '{name}'. {did_you_mean(name, TEXTURES)}")
