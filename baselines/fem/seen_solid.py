@@ -49,17 +49,18 @@ def seen_solid(view: View, size: float) -> Solid:
     depth = np.where(mask, depth, np.inf)
     turn, eye, intrinsics = view.camera_pose[:3, :3], view.camera_pose[:3, 3], view.intrinsics
 
-    def inside(points: np.ndarray) -> np.ndarray:
+    def level(points: np.ndarray) -> np.ndarray:
         at = (points - eye) @ turn
         pixel = np.round((at @ intrinsics.T)[:, :2] / np.maximum(at[:, 2:], 1e-9)).astype(int)
         row, col = pixel[:, 1].clip(0, mask.shape[0] - 1), pixel[:, 0].clip(0, mask.shape[1] - 1)
         cell = np.floor((points[:, :2] - low[:2]) / _CELL).astype(int) + _CLOSE
         i, j = cell[:, 0].clip(0, tops.shape[0] - 1), cell[:, 1].clip(0, tops.shape[1] - 1)
-        return (at[:, 2] > depth[row, col]) & (points[:, 2] > ground) & (points[:, 2] < tops[i, j])
+        inside = (at[:, 2] > depth[row, col]) & (points[:, 2] > ground) & (points[:, 2] < tops[i, j])
+        return np.where(inside, -1.0, 1.0)
 
     if not (high > low).all():
         raise MethodError("the view shows no solid: its visible points lie on a line.")
-    vertices, tets = fill_lattice(inside, low, high, size)
+    vertices, tets = fill_lattice(level, low, high, size)
     if len(tets):
         body = body_of_each_tet(tets)
         largest = np.bincount(body, weights=tet_volumes(vertices, tets)).argmax()

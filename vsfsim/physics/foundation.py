@@ -18,6 +18,7 @@ from vsfsim.physics.elements import anchor
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.laws.law import confined_modulus
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.mesh.surface_distance import crossings
 
 MOST_POISSON_RATIO = 0.47  # above it a layer squeezes out sideways long before it is compressed
 # of a triangle's area to its corners and to its edge nodes, by the diagonal of the consistent mass matrix (Hinton, Rock
@@ -28,26 +29,15 @@ _CHUNK = 128  # rays against all triangles at once
 
 
 def inward_thickness(mesh: QuadraticMesh, nodes: np.ndarray, inward: np.ndarray) -> np.ndarray:
-    """Way through the body from ``nodes`` (s,) along ``inward`` (s, 3) to where it ends (s,) [m] (Möller and Trumbore
-    1997). A node of a curved face lies outside the flat triangles beside it, which its ray passes without ending."""
-    a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
-    e1, e2 = b - a, c - a
+    """Way through the body from ``nodes`` (s,) along ``inward`` (s, 3) to where it ends (s,) [m]. A node of a curved
+    face lies outside the flat triangles beside it, which its ray passes without ending."""
     reach = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
     out = np.full(len(nodes), np.inf)
     for start in range(0, len(nodes), _CHUNK):
         part = slice(start, start + _CHUNK)
-        d = inward[part][:, None, :]
-        h = np.cross(d, e2)
-        det = (e1 * h).sum(axis=2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s = mesh.points[nodes[part]][:, None, :] - a
-            u = (s * h).sum(axis=2) / det
-            q = np.cross(s, e1[None])
-            v = (d * q).sum(axis=2) / det
-            way = (e2 * q).sum(axis=2) / det
-            beside = (mesh.faces == nodes[part, None, None]).any(axis=2)
-            hit = (u > -1e-9) & (v > -1e-9) & (u + v < 1.0 + 1e-9) & (way > 1e-6 * reach) & ~beside
-        out[part] = np.where(hit, way, np.inf).min(axis=1)
+        way = crossings(mesh.points[nodes[part]], inward[part], mesh.points[mesh.faces[:, :3]])
+        beside = (mesh.faces == nodes[part, None, None]).any(axis=2)
+        out[part] = np.where((way > 1e-6 * reach) & ~beside, way, np.inf).min(axis=1)
     # a ray that slips through an edge of the surface: as thick as the body is elsewhere
     usual = np.median(out[np.isfinite(out)]) if np.isfinite(out).any() else reach
     return np.where(np.isfinite(out), out, usual)

@@ -169,8 +169,8 @@ def test_a_filling_of_another_size_is_refused_with_its_account(tmp_path: Path, m
 
 
 def test_thin_walls_survive_a_coarse_fill(tmp_path: Path) -> None:
-    """A hollow ball with walls of 2 mm, elements of 20 mm."""
-    mesh = hollow(0.002)
+    """A hollow ball with walls of 3 mm, elements of 20 mm."""
+    mesh = hollow(0.003)
     check_filled(filled(mesh, tmp_path), float(mesh.volume), within=0.05)
 
 

@@ -69,22 +69,16 @@ class Account:
                        if told else "")
 
 
-def inside(surface: Surface) -> Callable[[np.ndarray], np.ndarray]:
-    """The test of points (k, 3) [m] that a filler asks, with the base cut flat.
+def level(surface: Surface) -> Callable[[np.ndarray], np.ndarray]:
+    """The level of points (k, 3) [m] that a filler asks, negative inside [m], with the base cut flat.
 
     A scan's base has the noise of the scanner, or a bottom that stood on a table and was never seen. What lies under
     1 % of the height is the section at that height, so that the body stands on a plane.
     """
     distance = SurfaceDistance(surface.vertices, surface.faces)
     base = float(surface.vertices[:, 2].min())
-    section = base + BASE * float(surface.extents[2])
-
-    def test(points: np.ndarray) -> np.ndarray:
-        lifted = points.copy()
-        lifted[:, 2] = np.maximum(points[:, 2], section)
-        return (distance(lifted) < 0.0) & (points[:, 2] >= base)
-
-    return test
+    section = np.array([-np.inf, -np.inf, base + BASE * float(surface.extents[2])])
+    return lambda points: np.maximum(distance(np.maximum(points, section)), base - points[:, 2])
 
 
 def scan_volume(surface: Surface) -> float:

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics.mesh.quadratic import round_middles
+from vsfsim.physics.mesh.surface_distance import crossings
 
 GROWTH = 0.8
 """Growth of the longest edge of a tetrahedron with the distance [-]."""
@@ -43,7 +44,6 @@ class EdgePath:
     def meets(self, solid: Solid) -> tuple[np.ndarray, np.ndarray]:
         """Where the points first pass through the surface of an object at rest (j, 3) [m], and which they are (j,)."""
         faces = solid.surface()[0]
-        a, b, c = (solid.vertices[faces[:, i]] for i in range(3))
         out: dict[int, np.ndarray] = {}
         low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
         for start, stop in pairwise(self.places):
@@ -52,14 +52,8 @@ class EdgePath:
                 way = stop[k] - start[k]
                 if k in out or not way.any():
                     continue
-                # Moeller and Trumbore (1997): start + t way = a + u (b - a) + v (c - a)
-                across = np.cross(way, c - a)
-                det = np.einsum("fi,fi->f", b - a, across)
-                det = np.where(np.abs(det) > 1e-300, det, np.inf)
-                u = np.einsum("fi,fi->f", start[k] - a, across) / det
-                side = np.cross(start[k] - a, b - a)
-                v, t = side @ way / det, np.einsum("fi,fi->f", c - a, side) / det
-                hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (t >= -1e-6) & (t <= 1.0) & (det < np.inf)
+                t = crossings(start[None, k], way[None], solid.vertices[faces])[0]
+                hit = (t >= -1e-6) & (t <= 1.0)
                 if hit.any():
                     out[k] = start[k] + t[hit].min() * way
         which = np.array(sorted(out), int)

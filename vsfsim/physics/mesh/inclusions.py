@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from vsfsim.core.material import Inclusion, MaterialField
-from vsfsim.core.quality import smallest_sine
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
+from vsfsim.physics.mesh.validity import Mover
 
 # A tetrahedron may lose shape to a move, but not below this smallest sine of its angles (8.6 degrees).
 WORST_SINE = 0.15
@@ -39,20 +39,12 @@ def snap_to_inclusions(solid: Solid, field: MaterialField) -> Solid:
     Returns:
         The solid with its vertices moved.
     """
-    vertices = solid.vertices.copy()
-    slide = _freedom(solid)
-    around: list[list[int]] = [[] for _ in vertices]
-    for number, tet in enumerate(solid.tets.tolist()):
-        for v in tet:
-            around[v].append(number)
-    shortest = _shortest_edges(vertices, solid.tets)
-    taken = np.zeros(len(vertices), bool)
+    slide, shortest = _freedom(solid), _shortest_edges(solid.vertices, solid.tets)
+    mover, taken = Mover(solid.vertices, solid.tets, WORST_SINE), np.zeros(len(solid.vertices), bool)
     for part in field.inclusions:
-        if part.kind == "box":
-            continue
-        for reach in REACH:
-            _pass(part, reach, vertices, solid.tets, slide, around, shortest, taken)
-    return dataclasses.replace(solid, vertices=vertices)
+        for reach in REACH if part.kind != "box" else ():
+            _pass(part, reach, mover, solid.tets, slide, shortest, taken)
+    return dataclasses.replace(solid, vertices=mover.vertices)
 
 
 def held_stiffness(solid: Solid, field: MaterialField, modulus: np.ndarray | None, values: np.ndarray) -> np.ndarray:
@@ -131,8 +123,9 @@ def part_notes(field: MaterialField, share: np.ndarray) -> list[str]:
     return notes
 
 
-def _pass(part: Inclusion, reach: float, vertices: np.ndarray, tets: np.ndarray, slide: np.ndarray,
-          around: list[list[int]], shortest: np.ndarray, taken: np.ndarray) -> None:
+def _pass(part: Inclusion, reach: float, mover: Mover, tets: np.ndarray, slide: np.ndarray, shortest: np.ndarray,
+          taken: np.ndarray) -> None:
+    vertices = mover.vertices
     distance = part.distance(vertices)
     side = np.where(np.abs(distance) <= _ON * shortest, 0, np.sign(distance)).astype(int)
     crossed = (side[tets] > 0).any(axis=1) & (side[tets] < 0).any(axis=1)
@@ -140,19 +133,14 @@ def _pass(part: Inclusion, reach: float, vertices: np.ndarray, tets: np.ndarray,
     near[tets[crossed]] = True
     candidates = np.flatnonzero(near & ~taken & (side != 0) & (np.abs(distance) < reach * shortest))
     for v in candidates[np.argsort(np.abs(distance[candidates]) / shortest[candidates], kind="stable")]:
-        mine = np.array(around[v])
+        mine = mover.around[v]
         if not ((side[tets[mine]] > 0).any(axis=1) & (side[tets[mine]] < 0).any(axis=1)).any():
             continue  # its neighbours' moves have already done the work
         target = _onto(part.distance, vertices[v], slide[v], shortest[v])
         if target is None or np.linalg.norm(target - vertices[v]) > reach * shortest[v]:
             continue
-        before = smallest_sine(vertices, tets[mine]).min()
-        old = vertices[v].copy()
-        vertices[v] = target
-        if smallest_sine(vertices, tets[mine]).min() < min(WORST_SINE, before):
-            vertices[v] = old
-            continue
-        taken[v], side[v] = True, 0
+        if mover.move(v, target):
+            taken[v], side[v] = True, 0
 
 
 def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide: np.ndarray,

@@ -16,27 +16,27 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.core.hexes import split_prisms
-from vsfsim.core.quality import smallest_sine
 from vsfsim.core.solid import boundary_faces, tet_volumes
+from vsfsim.physics.mesh.validity import Mover
 
 DENSITY = 5.0
 """Tetrahedra in a volume h^3, h the element size: as many as of the cubes of edge h that a box is cut into [-]."""
 CELL = (12.0 / DENSITY) ** (1 / 3)
 """Edge of a cell, which holds 12 tetrahedra, over the element size [-]."""
 _NEAR_LONG, _NEAR_SHORT = 0.24999, 0.41189  # Labelle and Shewchuk, table 1: a cut nearer to a node moves the node
-_BISECTIONS = 24
+_ROUNDS, _FOUND = 24, 1e-9  # of the search for a cut, at most, and the level over the edge at which it ends [-]
 _TIE = 4  # decimals to which fractions of edges are compared, so that a symmetric body keeps its ties
 _WORST_SINE = 0.12  # smallest sine of a dihedral angle to which a pull may bring a tetrahedron
 _PULL = 0.55  # of a cell's edge: how far a corner or an edge of the surface pulls
 
-Inside = Callable[[np.ndarray], np.ndarray]
+Level = Callable[[np.ndarray], np.ndarray]
 
 
-def fill_lattice(inside: Inside, low: np.ndarray, high: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+def fill_lattice(level: Level, low: np.ndarray, high: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
     """Tetrahedra inside a body.
 
     Args:
-        inside: whether points (k, 3) [m] are in the body (k,).
+        level: of points (k, 3) [m], negative in the body (k,): a signed distance [m], or -1 and 1.
         low, high: corners of its bounding box (3,) [m].
         resolution: element size [m].
 
@@ -44,7 +44,8 @@ def fill_lattice(inside: Inside, low: np.ndarray, high: np.ndarray, resolution: 
         Vertices (n, 3) [m] and positively oriented tetrahedra (m, 4); none if no node lies inside.
     """
     cell, nodes, tets = _lattice(low, high, CELL * resolution)
-    state = np.where(inside(nodes), 1, -1).astype(np.int8)
+    value = level(nodes)
+    state = np.where(value < 0.0, 1, -1).astype(np.int8)
     tets = tets[(state[tets] > 0).any(axis=1)]
     pairs = np.concatenate([tets[:, [i, j]] for i in range(4) for j in range(i + 1, 4)])
     pairs = np.unique(np.sort(pairs[state[pairs[:, 0]] != state[pairs[:, 1]]], axis=1), axis=0)
@@ -52,7 +53,7 @@ def fill_lattice(inside: Inside, low: np.ndarray, high: np.ndarray, resolution: 
         return nodes[:0], tets[:0]
     # the first end of every cut edge is the inner one
     pairs = np.where((state[pairs[:, 0]] > 0)[:, None], pairs, pairs[:, ::-1])
-    cut = _crossings(inside, nodes[pairs[:, 0]], nodes[pairs[:, 1]])
+    cut = _crossings(level, nodes[pairs], value[pairs])
     nodes, state, alive = _move_nodes(nodes, state, pairs, cut, cell)
     points = np.concatenate([nodes, cut[1]])
     number = {(int(a), int(b)): len(nodes) + k for k, (a, b) in enumerate(pairs) if alive[k]}
@@ -87,15 +88,27 @@ def _lattice(low: np.ndarray, high: np.ndarray, edge: float) -> tuple[np.ndarray
     return cell, nodes, out
 
 
-def _crossings(inside: Inside, inner: np.ndarray, outer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where edges leave the body: part of the way from the inner end (k,) and place (k, 3)."""
-    low, high = np.zeros(len(inner)), np.ones(len(inner))
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        within = inside(inner + middle[:, None] * (outer - inner))
-        low, high = np.where(within, middle, low), np.where(within, high, middle)
-    part = 0.5 * (low + high)
-    return part, inner + part[:, None] * (outer - inner)
+def _crossings(level: Level, ends: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where edges, of ``ends`` (k, 2, 3) with ``value`` (k, 2), leave the body: part of the way from the inner end (k,)
+    and place (k, 3); by interpolation and bisection in turn."""
+    bounds, value = np.tile([0.0, 1.0], (len(ends), 1)), value.copy()
+    inner, way = ends[:, 0], ends[:, 1] - ends[:, 0]
+    least = _FOUND * float(np.linalg.norm(way, axis=1).max())
+
+    def between(low: np.ndarray, high: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return low + a / (a - b) * (high - low)
+
+    rows = np.arange(len(ends))
+    for k in range(_ROUNDS):
+        middle = bounds[rows].mean(axis=1) if k % 2 else between(*bounds[rows].T, *value[rows].T)
+        found = level(inner[rows] + middle[:, None] * way[rows])
+        side = np.where(found < 0.0, 0, 1)
+        bounds[rows, side], value[rows, side] = middle, found
+        rows = rows[np.abs(found) > least]
+        if not len(rows):
+            break
+    part = between(*bounds.T, *value.T)
+    return part, inner + part[:, None] * way
 
 
 def _move_nodes(nodes: np.ndarray, state: np.ndarray, pairs: np.ndarray, cut: tuple[np.ndarray, np.ndarray],
@@ -173,15 +186,22 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
     Returns:
         The vertices (n, 3) [m]; no tetrahedron has become worse than `_WORST_SINE`, or than it was.
     """
-    mover = _Mover(vertices, tets)
-    vertices, rim, taken, moved = mover.vertices, mover.rim, mover.taken, mover.move
+    mover, rim, taken = Mover(vertices, tets, _WORST_SINE), np.unique(boundary_faces(tets)[0]), set[int]()
+    vertices = mover.vertices
+
+    def moved(v: int, target: np.ndarray) -> bool:
+        if v in taken or not mover.move(v, target):
+            return False
+        taken.add(v)
+        return True
+
     if len(corners):
         away, near = cKDTree(vertices[rim]).query(corners, k=min(8, len(rim)), distance_upper_bound=_PULL * reach)
         away, near = away.reshape(len(corners), -1), near.reshape(len(corners), -1)
         for c in np.lexsort((np.arange(len(corners)), np.round(away[:, 0] / reach, _TIE))):
             for at in np.lexsort((near[c], np.round(away[c] / reach, _TIE))):
                 d, k = away[c, at], near[c, at]
-                if np.isfinite(d) and int(rim[k]) not in taken and moved(int(rim[k]), corners[c]):
+                if np.isfinite(d) and moved(int(rim[k]), corners[c]):
                     break
     if len(edges):
         steps = [max(1, math.ceil(float(np.linalg.norm(b - a)) / (0.02 * reach))) for a, b in edges]
@@ -189,31 +209,6 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
                                 for (a, b), n in zip(edges, steps, strict=True)])
         away, near = cKDTree(dense).query(vertices[rim], distance_upper_bound=_PULL * reach)
         for k in np.lexsort((rim, np.round(away / reach, _TIE))):
-            if np.isfinite(away[k]) and int(rim[k]) not in taken:
+            if np.isfinite(away[k]):
                 moved(int(rim[k]), dense[near[k]])
     return vertices
-
-
-class _Mover:
-    """Moves vertices of the boundary one by one, none of them to the harm of a tetrahedron."""
-
-    def __init__(self, vertices: np.ndarray, tets: np.ndarray):
-        self.vertices, self._tets = vertices.copy(), tets
-        self.rim = np.unique(boundary_faces(tets)[0])
-        self.taken: set[int] = set()
-        self._around: dict[int, list[int]] = {int(v): [] for v in self.rim}
-        for number, tet in enumerate(tets.tolist()):
-            for v in tet:
-                if v in self._around:
-                    self._around[v].append(number)
-
-    def move(self, v: int, target: np.ndarray) -> bool:
-        """Move a vertex unless a tetrahedron there became worse than `_WORST_SINE`, or than it was."""
-        mine = self._tets[self._around[v]]
-        before, old = float(smallest_sine(self.vertices, mine).min()), self.vertices[v].copy()
-        self.vertices[v] = target
-        if smallest_sine(self.vertices, mine).min() >= min(_WORST_SINE, before):
-            self.taken.add(v)
-            return True
-        self.vertices[v] = old
-        return False

@@ -23,7 +23,7 @@ from vsfsim.core.extras import require
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Appearance, Solid, tet_volumes
 from vsfsim.physics import disk_cache
-from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, inside, refuse, scan_volume
+from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, level, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, digest, read_surface
 from vsfsim.physics.mesh.surface_distance import nearest_on
@@ -137,7 +137,7 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
 
 def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Filling:
     """The coarsest lattice that is within 2 % of the surface, or else what comes closest."""
-    within, (low, high) = inside(surface), (surface.vertices.min(axis=0), surface.vertices.max(axis=0))
+    within, (low, high) = level(surface), (surface.vertices.min(axis=0), surface.vertices.max(axis=0))
     corners, edges = features(surface)
     tried: list[_Filling] = []
     problem = None

@@ -98,3 +98,15 @@ def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
         bottom = la * lb * lc + ab * lc + bc * la + ca * lb
         out[start:start + len(part)] = 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)
     return out
+
+
+def crossings(start: np.ndarray, way: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """How many times ``way`` (k, 3) it is from ``start`` (k, 3) [m] to triangles with ``corners`` (f, 3, 3) [m]: (k,
+    f), infinite where they are missed (Moeller and Trumbore 1997)."""
+    a = corners[:, 0]
+    one, two, way = corners[:, 1] - a, corners[:, 2] - a, way[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across, off = np.cross(way, two), start[:, None] - a
+        side, det = np.cross(off, one), (one * across).sum(axis=2)
+        u, v, t = ((x * y).sum(axis=2) / det for x, y in ((off, across), (way, side), (two, side)))
+        return np.where((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9), t, np.inf)

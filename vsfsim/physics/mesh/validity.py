@@ -13,6 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from vsfsim.core.errors import MeshError, SceneError
+from vsfsim.core.quality import smallest_sine
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 
 # Six volumes over the cube of the longest edge: a regular tetrahedron has 0.7, one whose dihedral angles come down to 1
@@ -146,6 +147,34 @@ def pinched_vertices(tets: np.ndarray) -> np.ndarray:
     fans = np.bincount(np.unique(np.stack([vertex, fan], 1), axis=0)[:, 0])
     ends, count = np.unique(edge, axis=0, return_counts=True)
     return np.union1d(np.flatnonzero(fans > 1), ends[count > 2].reshape(-1))
+
+
+class Mover:
+    """Moves vertices (n, 3) of tetrahedra (m, 4) one by one, none of them to the harm of a tetrahedron.
+
+    Args:
+        worst: smallest sine of a dihedral angle to which a move may bring a tetrahedron [-].
+    """
+
+    vertices: np.ndarray
+    """Where they are now (n, 3) [m]."""
+    around: list[np.ndarray]
+    """Numbers of the tetrahedra at each vertex (n,)."""
+
+    def __init__(self, vertices: np.ndarray, tets: np.ndarray, worst: float):
+        self.vertices, self._tets, self._worst = vertices.copy(), tets, worst
+        count = np.bincount(tets.ravel(), minlength=len(vertices))
+        self.around = np.split(np.argsort(tets.ravel(), kind="stable") // tets.shape[1], np.cumsum(count)[:-1])
+
+    def move(self, v: int, target: np.ndarray) -> bool:
+        """Move a vertex unless a tetrahedron there became worse than it may, and than it was."""
+        mine = self._tets[self.around[v]]
+        before, old = float(smallest_sine(self.vertices, mine).min()), self.vertices[v].copy()
+        self.vertices[v] = target
+        if smallest_sine(self.vertices, mine).min() >= min(self._worst, before):
+            return True
+        self.vertices[v] = old
+        return False
 
 
 def drop_pinches(vertices: np.ndarray, tets: np.ndarray, *, rounds: int = 20) -> np.ndarray | None:
