@@ -55,8 +55,8 @@ def seen_solid(view: View, size: float) -> Solid:
         row, col = pixel[:, 1].clip(0, mask.shape[0] - 1), pixel[:, 0].clip(0, mask.shape[1] - 1)
         cell = np.floor((points[:, :2] - low[:2]) / _CELL).astype(int) + _CLOSE
         i, j = cell[:, 0].clip(0, tops.shape[0] - 1), cell[:, 1].clip(0, tops.shape[1] - 1)
-        inside = (at[:, 2] > depth[row, col]) & (points[:, 2] > ground) & (points[:, 2] < tops[i, j])
-        return np.where(inside, -1.0, 1.0)
+        hidden = at[:, 2] > depth[row, col]
+        return np.where(hidden & (points[:, 2] > ground) & (points[:, 2] < tops[i, j]), -1.0, 1.0)
 
     if not (high > low).all():
         raise MethodError("the view shows no solid: its visible points lie on a line.")
@@ -70,4 +70,4 @@ def seen_solid(view: View, size: float) -> Solid:
         raise MethodError(f"the view shows too little for a solid of elements of {1e3 * size:g} mm: {len(tets)} "
                           f"tetrahedra, and {_LEAST} are needed. Give a smaller size.")
     used, tets = np.unique(tets, return_inverse=True)
-    return Solid(vertices[used], tets.reshape(-1, 4), np.zeros(len(tets.reshape(-1, 4)), np.int64), ("seen",))
+    return Solid(vertices[used], tets.reshape(-1, 4), np.zeros(tets.size // 4, np.int64), ("seen",))

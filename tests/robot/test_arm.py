@@ -144,7 +144,7 @@ def test_the_punyo_sits_on_its_mount(angles):
 
 
 @pytest.mark.parametrize(("call", "said"), [
-    (lambda a: Arm(base=np.diag([1.0, 1.0, -1.0, 1.0])), "base is"),
+    (lambda a: Arm(base=np.diag([1.0, 1.0, -1.0, 1.0])), "base of the arm"),
     (lambda a: Arm(tool="hand"), "unknown tool 'hand'"),
     (lambda a: Arm(tool="punyo"), "punyo=True"),
     (lambda a: a.postures(np.zeros(7)), r"\(frames, 7\)"),

@@ -54,7 +54,7 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
     """
     h, f = np.asarray(edge, float), np.asarray(force, float)
     assert len(h) == len(f) >= 3 and (np.diff(h) < 0.0).all()
-    limit = curve_limit(h, f[:, None], tolerance=tolerance, flat=0.0)
+    limit = curve_limit(edge, f[:, None], tolerance=tolerance, flat=0.0)
     order, value, error = limit.order, float(limit.value[0]), float(limit.error[0])
     if order is None or value == f[-1]:
         error = max(error, float(np.ptp(f[-3:])))

@@ -107,7 +107,7 @@ class Arm:
         spec = arm_model()
         if punyo:
             add_punyo(spec)
-        self.base = _checked_base(base)
+        self.base = np.eye(4) if base is None else checked_poses(np.asarray(base)[None], "base of the arm")[0]
         root = spec.body(gen3.LINKS[0].name)
         root.pos, root.quat = self.base[:3, 3], quaternion(self.base[:3, :3])
         self._mujoco, self.model = mujoco, spec.compile()
@@ -127,13 +127,9 @@ class Arm:
                             for c in self.capsules)
         self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
         self.capsule_offsets = np.stack([capsule_pose(np.array(c.start), np.array(c.stop)) for c in self.capsules])
-        self.reach = self._reach()
-
-    def _reach(self) -> float:
-        """Longest distance from joint 2 to the tool that the link lengths allow [m]: an upper bound."""
         at = self.postures(np.zeros((1, gen3.JOINTS)))
         chain = np.concatenate([at.anchors[0, 1:], at.tool[0, None, :3, 3]])
-        return float(np.linalg.norm(np.diff(chain, axis=0), axis=1).sum())
+        self.reach = float(np.linalg.norm(np.diff(chain, axis=0), axis=1).sum())
 
     def postures(self, q: np.ndarray) -> Postures:
         """Forward kinematics of joint angles ``q`` (T, 7) [rad].
@@ -245,16 +241,21 @@ def chain_of(arm: Arm) -> Chain:
                  capsules)
 
 
-def _checked_base(base: np.ndarray | None) -> np.ndarray:
-    if base is None:
-        return np.eye(4)
-    base = np.asarray(base, float)
-    turn = base[:3, :3]
-    if (base.shape != (4, 4) or not np.isfinite(base).all() or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9
-        or np.linalg.det(turn) < 0):
-        raise ArmError(f"base is {base.tolist()}; give its pose (4, 4) in the world: a rotation and a "
-                       f"position in metres.")
-    return base
+def checked_poses(poses: np.ndarray, what: str) -> np.ndarray:
+    """Poses as an array (T, 4, 4) [m], at least one.
+
+    Raises:
+        ArmError: they are none; ``what`` names them.
+    """
+    poses = np.ascontiguousarray(poses, float)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+        raise ArmError(f"{what}: the shape is {poses.shape}; give (frames, 4, 4) in metres.")
+    turn = poses[:, :3, :3]
+    if (not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6
+        or (np.linalg.det(turn) < 0).any()):
+        raise ArmError(f"{what}: a matrix that is not a rotation (its columns must be orthogonal unit vectors, "
+                       f"right-handed), or a number that is not finite.")
+    return poses
 
 
 def arm_model() -> mujoco.MjSpec:

@@ -34,7 +34,8 @@ def turn_to(axis: np.ndarray, probe: ProbeShape) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _poses(positions: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def poses_of(positions: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Poses (T, 4, 4) at positions (T, 3) [m] with one rotation (3, 3)."""
     out = np.tile(np.eye(4), (len(positions), 1, 1))
     out[:, :3, :3] = rotation
     out[:, :3, 3] = positions
@@ -110,7 +111,7 @@ def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np
         back = np.concatenate([way_in[::-1][1:], contact[None]])
         at = np.linspace(-1, len(back) - 1, out + 1).round().astype(int)[1:]
         parts.append(back[at])
-    return _poses(np.concatenate(parts), turn_to(axis, probe))
+    return poses_of(np.concatenate(parts), turn_to(axis, probe))
 
 
 def times(frames: int) -> np.ndarray:

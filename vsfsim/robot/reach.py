@@ -10,8 +10,9 @@ import numpy as np
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.core.system.exact import snapped
 from vsfsim.robot import gen3
-from vsfsim.robot.arm import Arm, ArmError, Postures
+from vsfsim.robot.arm import Arm, ArmError, Postures, checked_poses
 from vsfsim.robot.inverse_kinematics import solve
+from vsfsim.robot.path import poses_of
 
 STRIDE, TURN = 0.005, 0.05  # longest step of the tool from one solution to the next [m], [rad]
 # A joint that moves further in one such step passes a singular posture [rad]; at 1 cm/s that is 0.5 rad/s, more than
@@ -54,10 +55,8 @@ def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.n
     """
     if frames < 2:
         raise ArmError(f"frames is {frames}; a line needs its two ends, so at least 2.")
-    poses = np.tile(np.eye(4), (frames, 1, 1))
-    poses[:, :3, :3] = rotation
     start, stop = np.asarray(start, float), np.asarray(stop, float)
-    poses[:, :3, 3] = start + np.linspace(0.0, 1.0, frames)[:, None] * (stop - start)
+    poses = poses_of(start + np.linspace(0.0, 1.0, frames)[:, None] * (stop - start), rotation)
     return follow(arm, poses, **limits)  # type: ignore[arg-type]
 
 
@@ -82,7 +81,7 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
         Unreachable: no posture leads along the whole path.
         ArmError: the array does not hold poses.
     """
-    poses = _checked(poses)
+    poses = checked_poses(poses, "poses of the path")
     dense, number = _refined(poses)
     best: tuple[float, Reason, str] | None = None
     for q0 in _beginnings(arm, poses[0], near, restarts, seed):
@@ -202,18 +201,6 @@ def _refined(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     out[1:, :3, :3] = before[pair, :3, :3] @ rotation_matrix(share * vector[pair])
     out[number] = poses
     return out, number
-
-
-def _checked(poses: np.ndarray) -> np.ndarray:
-    poses = np.ascontiguousarray(poses, float)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
-        raise ArmError(f"poses have the shape {poses.shape}; give (frames, 4, 4) in metres.")
-    turn = poses[:, :3, :3]
-    if (not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6
-        or (np.linalg.det(turn) < 0).any()):
-        raise ArmError("the poses hold a matrix that is not a rotation (its columns must be orthogonal unit vectors, "
-                       "right-handed) or a number that is not finite.")
-    return poses
 
 
 def _verify(arm: Arm, q: np.ndarray, poses: np.ndarray) -> None:

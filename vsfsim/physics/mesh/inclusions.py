@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -40,10 +41,10 @@ def snap_to_inclusions(solid: Solid, field: MaterialField) -> Solid:
         The solid with its vertices moved.
     """
     slide, shortest = _freedom(solid), _shortest_edges(solid.vertices, solid.tets)
-    mover, taken = Mover(solid.vertices, solid.tets, WORST_SINE), np.zeros(len(solid.vertices), bool)
+    mover = Mover(solid.vertices, solid.tets, WORST_SINE)
     for part in field.inclusions:
         for reach in REACH if part.kind != "box" else ():
-            _pass(part, reach, mover, solid.tets, slide, shortest, taken)
+            _pass(part, reach, mover, solid.tets, slide, shortest)
     return dataclasses.replace(solid, vertices=mover.vertices)
 
 
@@ -123,15 +124,15 @@ def part_notes(field: MaterialField, share: np.ndarray) -> list[str]:
     return notes
 
 
-def _pass(part: Inclusion, reach: float, mover: Mover, tets: np.ndarray, slide: np.ndarray, shortest: np.ndarray,
-          taken: np.ndarray) -> None:
+def _pass(part: Inclusion, reach: float, mover: Mover, tets: np.ndarray, slide: np.ndarray,
+          shortest: np.ndarray) -> None:
     vertices = mover.vertices
     distance = part.distance(vertices)
     side = np.where(np.abs(distance) <= _ON * shortest, 0, np.sign(distance)).astype(int)
     crossed = (side[tets] > 0).any(axis=1) & (side[tets] < 0).any(axis=1)
     near = np.zeros(len(vertices), bool)
     near[tets[crossed]] = True
-    candidates = np.flatnonzero(near & ~taken & (side != 0) & (np.abs(distance) < reach * shortest))
+    candidates = np.flatnonzero(near & ~mover.taken & (side != 0) & (np.abs(distance) < reach * shortest))
     for v in candidates[np.argsort(np.abs(distance[candidates]) / shortest[candidates], kind="stable")]:
         mine = mover.around[v]
         if not ((side[tets[mine]] > 0).any(axis=1) & (side[tets[mine]] < 0).any(axis=1)).any():
@@ -140,7 +141,7 @@ def _pass(part: Inclusion, reach: float, mover: Mover, tets: np.ndarray, slide: 
         if target is None or np.linalg.norm(target - vertices[v]) > reach * shortest[v]:
             continue
         if mover.move(v, target):
-            taken[v], side[v] = True, 0
+            side[v] = 0
 
 
 def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide: np.ndarray,
@@ -188,10 +189,7 @@ def _freedom(solid: Solid) -> np.ndarray:
 
 def _shortest_edges(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Length of the shortest edge at each vertex (n,) [m]."""
+    pairs = tets[:, list(itertools.combinations(range(4), 2))].reshape(-1, 2)
     out = np.full(len(vertices), np.inf)
-    for i in range(4):
-        for j in range(i + 1, 4):
-            length = np.linalg.norm(vertices[tets[:, i]] - vertices[tets[:, j]], axis=1)
-            np.minimum.at(out, tets[:, i], length)
-            np.minimum.at(out, tets[:, j], length)
+    np.minimum.at(out, pairs, np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)[:, None])
     return out

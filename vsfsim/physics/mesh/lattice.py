@@ -57,7 +57,8 @@ def fill_lattice(level: Level, low: np.ndarray, high: np.ndarray, resolution: fl
     nodes, state, alive = _move_nodes(nodes, state, pairs, cut, cell)
     points = np.concatenate([nodes, cut[1]])
     number = {(int(a), int(b)): len(nodes) + k for k, (a, b) in enumerate(pairs) if alive[k]}
-    return _used(points, _clip(points, tets[(state[tets] > 0).any(axis=1)], state, number))
+    used, kept = np.unique(_clip(points, tets[(state[tets] > 0).any(axis=1)], state, number), return_inverse=True)
+    return points[used], kept.reshape(-1, 4)
 
 
 def _lattice(low: np.ndarray, high: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -125,10 +126,8 @@ def _move_nodes(nodes: np.ndarray, state: np.ndarray, pairs: np.ndarray, cut: tu
     scale = float(cell.max())
     order = close[np.lexsort((close, ends[close], np.round(length[close] / scale, _TIE)))]
     nodes, state, alive = nodes.copy(), state.copy(), np.ones(len(pairs), bool)
-    touching: list[list[int]] = [[] for _ in range(len(nodes))]
-    for k, (a, b) in enumerate(pairs.tolist()):
-        touching[a].append(k)
-        touching[b].append(k)
+    touching = np.split(np.argsort(ends, kind="stable") % len(pairs),
+                        np.cumsum(np.bincount(ends, minlength=len(nodes)))[:-1])
     for row in order.tolist():
         edge, node = row % len(pairs), int(ends[row])
         if alive[edge] and state[node] != 0:
@@ -167,11 +166,6 @@ def _clip(points: np.ndarray, tets: np.ndarray, state: np.ndarray, number: dict[
     return every
 
 
-def _used(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    used, tets = np.unique(tets, return_inverse=True)
-    return points[used], tets.reshape(-1, 4)
-
-
 def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray, edges: np.ndarray,
                      reach: float) -> np.ndarray:
     """Vertices of the boundary moved onto corners and edges of the surface, nearest first.
@@ -186,22 +180,15 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
     Returns:
         The vertices (n, 3) [m]; no tetrahedron has become worse than `_WORST_SINE`, or than it was.
     """
-    mover, rim, taken = Mover(vertices, tets, _WORST_SINE), np.unique(boundary_faces(tets)[0]), set[int]()
+    mover, rim = Mover(vertices, tets, _WORST_SINE), np.unique(boundary_faces(tets)[0])
     vertices = mover.vertices
-
-    def moved(v: int, target: np.ndarray) -> bool:
-        if v in taken or not mover.move(v, target):
-            return False
-        taken.add(v)
-        return True
-
     if len(corners):
         away, near = cKDTree(vertices[rim]).query(corners, k=min(8, len(rim)), distance_upper_bound=_PULL * reach)
         away, near = away.reshape(len(corners), -1), near.reshape(len(corners), -1)
         for c in np.lexsort((np.arange(len(corners)), np.round(away[:, 0] / reach, _TIE))):
             for at in np.lexsort((near[c], np.round(away[c] / reach, _TIE))):
                 d, k = away[c, at], near[c, at]
-                if np.isfinite(d) and moved(int(rim[k]), corners[c]):
+                if np.isfinite(d) and mover.move(int(rim[k]), corners[c]):
                     break
     if len(edges):
         steps = [max(1, math.ceil(float(np.linalg.norm(b - a)) / (0.02 * reach))) for a, b in edges]
@@ -210,5 +197,5 @@ def pull_to_features(vertices: np.ndarray, tets: np.ndarray, corners: np.ndarray
         away, near = cKDTree(dense).query(vertices[rim], distance_upper_bound=_PULL * reach)
         for k in np.lexsort((rim, np.round(away / reach, _TIE))):
             if np.isfinite(away[k]):
-                moved(int(rim[k]), dense[near[k]])
+                mover.move(int(rim[k]), dense[near[k]])
     return vertices

@@ -75,12 +75,6 @@ def _slenderness(mesh: QuadraticMesh, part: np.ndarray) -> float:
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     a, b, c = (mesh.points[faces[first[count == 1]][:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    volume, at = mesh.volume[part], mesh.points[corners]
-    centre = at.mean(axis=1)
-    off = centre - volume @ centre / volume.sum()
-    own = at - centre[:, None]
-    # second moments of tetrahedra: a ball of radius R has R^2 / 5, and 2 R is its length
-    moment = (np.einsum("m,mi,mj->ij", volume, off, off)
-              + np.einsum("m,mki,mkj->ij", volume, own, own) / 20.0) / volume.sum()
-    longest = 2.0 * np.sqrt(5.0 * np.linalg.eigvalsh(moment)[-1])
-    return float(longest * area / (2.0 * volume.sum()))
+    at = mesh.points[np.unique(corners)]
+    longest = 2.0 * np.linalg.norm(at - at.mean(axis=0), axis=1).max()
+    return float(longest * area / (2.0 * mesh.volume[part].sum()))

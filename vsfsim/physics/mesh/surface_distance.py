@@ -28,14 +28,12 @@ class SurfaceDistance:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Signed distance (k,) [m] of ``points`` (k, 3) [m]; negative inside."""
-        found, sign = self._nearest(points)
+        found, sign = self.nearest(points)
         return sign * np.linalg.norm(points - found, axis=1)
 
-    def nearest(self, points: np.ndarray) -> np.ndarray:
-        """The points of the surface (k, 3) [m] that are nearest to ``points`` (k, 3) [m]."""
-        return self._nearest(points)[0]
-
-    def _nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The points of the surface (k, 3) [m] that are nearest to ``points`` (k, 3) [m], and -1 for those inside, 1
+        for others (k,)."""
         found = wp.empty(len(points), dtype=wp.vec3d, device="cpu")
         sign = wp.empty(len(points), dtype=wp.float32, device="cpu")
         wp.launch(_query(), dim=len(points), device="cpu",
@@ -44,8 +42,8 @@ class SurfaceDistance:
 
 
 def nearest_on(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """`SurfaceDistance.nearest` of a surface that is asked seldom."""
-    return SurfaceDistance(vertices, faces).nearest(points)
+    """The points (k, 3) [m] of `SurfaceDistance.nearest`, of a surface that is asked seldom."""
+    return SurfaceDistance(vertices, faces).nearest(points)[0]
 
 
 def _array(values: np.ndarray, dtype: type) -> wp.array:

@@ -150,7 +150,7 @@ def pinched_vertices(tets: np.ndarray) -> np.ndarray:
 
 
 class Mover:
-    """Moves vertices (n, 3) of tetrahedra (m, 4) one by one, none of them to the harm of a tetrahedron.
+    """Moves vertices (n, 3) of tetrahedra (m, 4) once each, none of them to the harm of a tetrahedron.
 
     Args:
         worst: smallest sine of a dihedral angle to which a move may bring a tetrahedron [-].
@@ -158,23 +158,28 @@ class Mover:
 
     vertices: np.ndarray
     """Where they are now (n, 3) [m]."""
+    taken: np.ndarray
+    """Whether each was moved (n,) bool."""
     around: list[np.ndarray]
     """Numbers of the tetrahedra at each vertex (n,)."""
 
     def __init__(self, vertices: np.ndarray, tets: np.ndarray, worst: float):
         self.vertices, self._tets, self._worst = vertices.copy(), tets, worst
+        self.taken = np.zeros(len(vertices), bool)
         count = np.bincount(tets.ravel(), minlength=len(vertices))
         self.around = np.split(np.argsort(tets.ravel(), kind="stable") // tets.shape[1], np.cumsum(count)[:-1])
 
     def move(self, v: int, target: np.ndarray) -> bool:
-        """Move a vertex unless a tetrahedron there became worse than it may, and than it was."""
+        """Move a vertex, unless it was moved or a tetrahedron there became worse than it may, and than it was."""
+        if self.taken[v]:
+            return False
         mine = self._tets[self.around[v]]
         before, old = float(smallest_sine(self.vertices, mine).min()), self.vertices[v].copy()
         self.vertices[v] = target
-        if smallest_sine(self.vertices, mine).min() >= min(self._worst, before):
-            return True
-        self.vertices[v] = old
-        return False
+        self.taken[v] = smallest_sine(self.vertices, mine).min() >= min(self._worst, before)
+        if not self.taken[v]:
+            self.vertices[v] = old
+        return bool(self.taken[v])
 
 
 def drop_pinches(vertices: np.ndarray, tets: np.ndarray, *, rounds: int = 20) -> np.ndarray | None:
