@@ -59,7 +59,7 @@ HEAVY = {
     "data": {"numpy", "h5py", "msgspec", "filelock"},
     "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},
-    "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
+    "sensing": {"numpy", "scipy", "warp", "trimesh", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
     "generate": {"numpy", "scipy", "warp", "matplotlib", "msgspec"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
