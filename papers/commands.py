@@ -30,8 +30,6 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                           ] = "mini",
           workers: Annotated[int, typer.Option(min=1, help="Trainings that run at the same time, of all variants.")
                              ] = 1,
-          variant: Annotated[list[str] | None, typer.Option(help="Make this variant only; may be given again.")
-                             ] = None,
           device: Annotated[str, typer.Option(help="Torch device of the methods that a GPU makes faster: cuda:0 for "
                                                    "instance; with cuda each training uses one of all GPUs.")] = "",
           on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shard: ShardOf = None,
@@ -53,23 +51,20 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         listed = [load_study(name) for name in studies()]
         width = 2 + max(len(one.name) for one in listed)
         report("\n".join(f"{one.name:<{width}}{one.title} ({one.source})" for one in listed),
-               [{"study": one.name, "title": one.title, "source": one.source,
-                 "variants": [v.name for v in one.variants], "tasks": dict(one.tasks)} for one in listed], json)
+               [{"study": one.name, "title": one.title, "source": one.source, "tasks": dict(one.tasks),
+                 "variants": [v.name for v in one.variants]} for one in listed], json)
         return
-    wanted = [(one, v) for one in known if size in one.tasks or not one.tasks
-              for v in ([one.variant(name) for name in variant] if variant else one.variants)]
-    failed = []
+    reasons: dict[str, list[str]] = {}
     if on in ("slurm", "k8s") and not by_shards(on, shards or 10, printed, int(gpus_per_task)):
         return
     if not show:
-        quiet = str(json) == "-"
         with Progress("study") as progress:
-            for name, message in make_missing(wanted, size, workers, progress=progress, device=device,
-                                              fan=fan):
-                failed += [(name, message)] if message else []
-                if not quiet:
+            for name, message in make_missing(known, size, workers, progress=progress, device=device, fan=fan):
+                if message:
+                    reasons.setdefault(message.strip(), []).append(name)
+                if str(json) != "-":
                     print(f"{name}: {'could not be made' if message else 'made'}", flush=True)
-    if fan.shard is not None and not failed:
+    if fan.shard is not None and not reasons:
         report(f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
                f"without --shard scores them.", {"shard": list(fan.shard)}, json)
         return
@@ -77,10 +72,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     found = [(one, size, stored(one, size, boards=boards)) for one in known]
     numbers = [tables.table(*one) for one in found]
     report("\n\n".join(tables.text(*one, boards) for one in found), numbers[0] if len(numbers) == 1 else numbers, json)
-    if failed:
-        reasons: dict[str, list[str]] = {}
-        for name, message in failed:
-            reasons.setdefault(message.strip(), []).append(name)
+    if reasons:
         raise TaskError("\n\n".join(f"{'; '.join(which)}: {message}" for message, which in reasons.items()))
 
 

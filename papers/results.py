@@ -152,16 +152,15 @@ def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> E
                       preset=choice.preset, training=study.training(variant, task, size))
 
 
-def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
-                 boards: dict[str, leaderboard.Board] | None = None,
-                 progress: Callable[[int, int, str], None] = lambda *_: None,
-                 device: str = "", fan: Fan = HERE) -> Iterator[tuple[str, str]]:
-    """Make the results of some variants that are not there, several trainings at a time.
+def make_missing(studies: Sequence[Study], size: str, processes: int,
+                 progress: Callable[[int, int, str], None] = lambda *_: None, device: str = "",
+                 fan: Fan = HERE) -> Iterator[tuple[str, str]]:
+    """Make the results of some studies that are not there, several trainings at a time.
 
     Args:
-        wanted: variants with their studies. size: of the tasks. processes: trainings at a time. boards: as of `stored`,
-        as they are before. progress: called with (done, of how many, what is going on). device: as of
-        `evaluation`. fan: where the trainings run; a shard scores nothing.
+        studies: whose variants are made. size: of the tasks. processes: trainings at a time. progress: called with
+        (done, of how many, what is going on). device: as of `evaluation`. fan: where the trainings run; a shard scores
+        nothing.
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -169,19 +168,19 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
     Raises:
         Interrupted: the user has stopped it.
     """
-    jobs: dict[Path, tuple[str, Evaluation]] = {}
-    boards = {} if boards is None else boards
-    for study, variant in wanted:
-        known = stored(study, size, [variant], boards).get(variant.name)
-        if known is not None and known.stands:
-            continue
-        name = f"{study.name}, {variant.name}"
-        try:
-            one = evaluation(study, variant, size, device)
-        except VsfsimError as error:
-            yield name, str(error)
-            continue
-        jobs.setdefault(one.path, (name, one))
+    jobs, boards = dict[Path, tuple[str, Evaluation]](), dict[str, leaderboard.Board]()
+    for study in studies:
+        found = stored(study, size, boards=boards)
+        for variant in study.variants:
+            name = f"{study.name}, {variant.name}"
+            if not study.has(variant, size) or (variant.name in found and found[variant.name].stands):
+                continue
+            try:
+                one = evaluation(study, variant, size, device)
+            except VsfsimError as error:
+                yield name, str(error)
+                continue
+            jobs.setdefault(one.path, (name, one))
     for one, made in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
         yield jobs[one.path][0], str(made) if isinstance(made, VsfsimError) else ""
 

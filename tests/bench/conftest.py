@@ -1,10 +1,12 @@
 import contextlib
+import functools
 import json
 import os
 
 import mock_dataset
 import pytest
 
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation.process import MethodHost
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result_file import unpack
@@ -59,6 +61,13 @@ def write_dataset(tmp_path_factory):
 @pytest.fixture(scope="session")
 def toy_dataset(write_dataset, toy_views):
     return write_dataset(toy_views)
+
+
+@pytest.fixture(scope="session")
+def constant(task, toy_dataset):
+    """The result of a method that predicts one value everywhere, evaluated once for each value."""
+    return functools.cache(lambda value: evaluate("toy_methods:Constant", task, toy_dataset, check=False,
+                                                  parameters={"value": value}))
 
 
 @pytest.fixture(scope="session")

@@ -15,9 +15,8 @@ from vsfsim.core.errors import MethodError, TaskError
 
 
 @pytest.fixture(scope="module")
-def results(task, toy_dataset):
-    return [evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": v}, check=False)
-            for v in (50.0, 1.0, 5.0)]
+def results(constant):
+    return [constant(value) for value in (50.0, 1.0, 5.0)]
 
 
 def test_result_round_trip_and_raw_values(results, task, tmp_path):
@@ -95,9 +94,6 @@ def test_results_of_another_task_are_refused(results, task, tmp_path):
         leaderboard.collect(task, [tmp_path])
     with pytest.raises(TaskError, match="does not exist"):
         leaderboard.collect(task, [tmp_path / "nothing"])
-
-
-def test_an_empty_board_says_what_to_do(task):
     assert "vsfsim evaluate --method NAME --task toy-v1" in leaderboard.text(leaderboard.collect(task))
 
 

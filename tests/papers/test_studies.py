@@ -173,7 +173,7 @@ def test_every_experiment_is_on_a_claim():
 
 def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
-    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("objects = 24", "objects = 2"))
+    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("24", "2").replace("touches = 23", "touches = 9"))
     told, blind = worlds.dataset("springs"), worlds.dataset("springs-blind")
     assert worlds.dataset("springs").sha256 == told.sha256
     shows = [(a.view.rgb != b.view.rgb).any() for a, b in zip(told, blind)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -50,24 +50,18 @@ class Curves:
     def of(cls, answers: Iterable[Answers], task: Task, dataset: Dataset, seeds: tuple[int, ...]) -> Curves:
         """Of all answers of an evaluation; the truth is read here."""
         given = {(one.trial.subject, one.trial.shot, one.trial.seed): one.readings for one in answers}
-        objects: list[str] = []
-        touches: list[int] = []
-        time: list[np.ndarray] = []
-        truth: list[np.ndarray] = []
-        for name in dict.fromkeys(name for name, _, _ in given):
+        names = list(dict.fromkeys(name for name, _, _ in given))
+        asked = []
+        for name in names:
             view = dataset.load(name)
             recording = record(view, task)
-            for index in divide(view, task.protocol).query:
-                query = recording.queries[index]
-                objects.append(name)
-                touches.append(index)
-                time.append(query.action.time)
-                truth.append(np.where(query.scored[:, None], query.clean, np.nan))
-        names = dict.fromkeys(objects)
+            asked += [(name, index, recording.queries[index]) for index in divide(view, task.protocol).query]
+        times = [query.action.time for _, _, query in asked]
         predicted = np.stack([np.stack([np.concatenate([reading for name in names for reading in given[name, shot, run]
                                                         ]) for run in seeds]) for shot in task.protocol.labels])
-        start = np.concatenate([[0], np.cumsum([len(t) for t in time])])
-        return cls(tuple(objects), np.array(touches), start, np.concatenate(time), np.concatenate(truth),
+        return cls(tuple(name for name, _, _ in asked), np.array([index for _, index, _ in asked]),
+                   np.cumsum([0, *map(len, times)]), np.concatenate(times),
+                   np.concatenate([np.where(query.scored[:, None], query.clean, np.nan) for _, _, query in asked]),
                    task.protocol.labels, seeds, predicted)
 
     def save(self, path: Path) -> None:
@@ -109,11 +103,15 @@ class Curves:
             raise TaskError(f"{path} is of another evaluation than the result beside it. {again}")
         return found
 
+    def parts(self) -> Iterator[tuple[str, int, slice]]:
+        """Object view, touch and frames of each query touch."""
+        for k, (name, touch) in enumerate(zip(self.objects, self.touches.tolist(), strict=True)):
+            yield name, touch, slice(int(self.start[k]), int(self.start[k + 1]))
+
     def errors(self) -> dict[tuple[str, int, str, int], float]:
         """Root mean square error by object view, touch, shot and run, in the task's unit."""
         out: dict[tuple[str, int, str, int], float] = {}
-        for k, (name, touch) in enumerate(zip(self.objects, self.touches.tolist(), strict=True)):
-            frames = slice(int(self.start[k]), int(self.start[k + 1]))
+        for name, touch, frames in self.parts():
             error = np.sqrt(np.nanmean((self.predicted[:, :, frames] - self.truth[frames]) ** 2, axis=(2, 3)))
             out |= {(name, touch, shot, run): float(error[s, r]) for s, shot in enumerate(self.shots)
                     for r, run in enumerate(self.seeds)}

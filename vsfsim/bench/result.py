@@ -159,10 +159,6 @@ class Result:
                  "maps": pack(self.maps) if self.maps else {}, "data": self.data}
         lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
                  for key, value in table.items()]
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise TaskError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --out.") from error
         write_atomic(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode(), error=TaskError)
 
     @classmethod

@@ -59,10 +59,6 @@ def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
                        "task_sha256": task.sha256, "word": secrets.token_hex(16)}, sort_keys=True)
     commitment = hashlib.sha256(text.encode()).hexdigest()
     names = test_names(dataset, task.protocol)
-    try:
-        public.mkdir(parents=True)
-    except OSError as error:
-        raise TaskError(f"folder {public} cannot be made: {error.strerror}. Choose another --public.") from error
     _write(private, _Private("vsfsim-sealed-private", 1, commitment, text))
     files = {}
     for number, name in enumerate(names):

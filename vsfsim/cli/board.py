@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -60,7 +61,7 @@ def audit(task: Annotated[str, typer.Argument(metavar="TASK", autocompletion=com
                              source=source or (), progress=progress)
     if ship is not None:
         found.ship(ship / "audits" / f"{wanted.name}.json", wanted.sha256)
-    report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), found.table(), json)
+    report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), asdict(found), json)
 
 
 @app.command()
@@ -92,8 +93,7 @@ def seal(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder
     from vsfsim.bench import sealed
     from vsfsim.bench.task import load_task, open_dataset
 
-    wanted = load_task(task)
-    data = open_dataset(wanted, dataset)
+    data = open_dataset(wanted := load_task(task), dataset)
     commitment = sealed.seal(wanted, data, public, private)
     guess = f"\nnote: seed {data.recipe.seed} is found by trying; seal data of a seed with 12 digits or more" if (
         data.recipe.seed < sealed.FEWEST_SEEDS) else ""

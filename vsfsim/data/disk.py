@@ -19,7 +19,8 @@ from vsfsim.core.system.file_lock import sync_folder
 
 
 def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = DatasetError) -> None:
-    """Write ``content`` to ``path`` so that a reader, or a crash, sees the old file or the new one, never a part.
+    """Write ``content`` to ``path`` so that a reader, or a crash, sees the old file or the new one, never a part. Its
+    folder is made if it is missing.
 
     The bytes go to ``<name>.<number>.part`` beside it, are synced, and renamed; then the folder is synced, because
     a rename is only as durable as the folder that holds it. The number is that of `own_number`, so that neither a
@@ -27,8 +28,13 @@ def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = Datas
     pipe, is written into.
 
     Raises:
-        VsfsimError: of class ``error``; the disk is full or refuses to be written. The part is removed.
+        VsfsimError: of class ``error``; the folder cannot be made, or the disk is full or refuses to be written. The
+        part is removed.
     """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise error(f"folder {path.parent} cannot be made: {problem.strerror}. Choose another one.") from problem
     part = path.with_name(f"{path.name}.{own_number()}.part")
     try:
         if path.exists() and not path.is_file():  # a folder is refused here

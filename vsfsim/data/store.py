@@ -32,13 +32,11 @@ class Store:
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file, so that a reader sees the old one or the new one whole."""
-        self._folder(name)
         write_atomic(self._path / name, content)
 
     def put_new(self, name: str, content: bytes) -> bool:
         """Write a file if there is none of that name; returns whether this call has written it."""
         # a hard link fails if the name is taken, also between machines that share the folder
-        self._folder(name)
         path = self._path / name
         whole = path.with_name(f"{path.name}.{own_number()}.new")
         write_atomic(whole, content)
@@ -77,14 +75,6 @@ class Store:
     def remove(self, name: str) -> None:
         """Remove a file, if it is there."""
         (self._path / name).unlink(missing_ok=True)
-
-    def _folder(self, name: str) -> None:
-        if "/" in name:
-            try:
-                (self._path / name).parent.mkdir(exist_ok=True)
-            except OSError as error:
-                raise DatasetError(f"folder {(self._path / name).parent} cannot be made: {error.strerror}. Choose "
-                                   f"another --out.") from error
 
 
 class UrlStore(Store):

@@ -15,7 +15,6 @@ from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import named
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.shipped import read_rows, row_sha256
-from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
 from vsfsim.bench.result_file import as_rows, beside_zero
@@ -26,11 +25,10 @@ from vsfsim.core.shelf import ceilings, methods
 
 
 @pytest.fixture(scope="module")
-def results(task, toy_dataset, tmp_path_factory):
+def results(constant, tmp_path_factory):
     out = tmp_path_factory.mktemp("results")
-    for value in (1.0, 3.0):
-        evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": value}, check=False).save(
-            out / f"constant-{value:g}.json")
+    for value in (1.0, 5.0):
+        constant(value).save(out / f"constant-{value:g}.json")
     return out
 
 
@@ -65,7 +63,7 @@ def test_a_damaged_file_is_refused(task, results, tmp_path, change):
         read_rows(path)
 
 
-def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
+def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
     """Each row that every board should have is there or in `leaderboard/absent.toml`, never both."""
     wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml"}
     known = methods().keys() | ceilings().keys()
@@ -74,8 +72,8 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not():
         said = [name for names in named.absent(task.name) for name in names.split(", ")]
         assert len(said) == len(set(said)) and set(said) <= known and not there & set(said), task.name
         assert task.superseded_by or wanted <= there | set(said), task.name
-        title = leaderboard.text(leaderboard.collect(task))
-        assert all(f"no row of {names}: {reason}" in title for names, reason in named.absent(task.name).items())
+    assert all(f"no row of {names}: {reason}" in leaderboard.text(board)
+               for names, reason in named.absent(TASK).items())
 
 
 # ------------------------------------------------------------------ rows made by hand, from what ships alone
@@ -156,11 +154,10 @@ def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board,
 
 def test_every_listed_row_ships_and_is_as_it_was_listed():
     """No entry without its row; no row of today's tasks by the trainings whose records were rewritten."""
-    there = {}
-    for path in sorted(shelf.folder("leaderboard").rglob("*.json")):
-        if path.name != named.LIST and path.parent.name != "audits":
-            there |= {row_sha256(one.result): one.result for one in read_rows(path)}
-    entries = named.listed()
+    there, entries = {}, named.listed()
+    for path in {shelf.folder("leaderboard") / of / f"{entry.task}.json" for entry in entries.values()
+                 for of in ("", "studies")}:
+        there |= {row_sha256(one.result): one.result for one in read_rows(path)}
     assert entries and entries.keys() <= there.keys()
     for sha256, entry in entries.items():
         assert (entry.task, entry.method) == (there[sha256].task, there[sha256].method)

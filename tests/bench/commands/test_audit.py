@@ -83,11 +83,6 @@ def test_what_needs_data_ships_and_is_read_without_them(folded, tmp_path, monkey
         audit(folded, [tmp_path / "r"], measure=False)
 
 
-def test_a_task_without_errors_by_object_is_not_audited(task):
-    with pytest.raises(TaskError, match="it needs cross-validation"):
-        audit(task, [])
-
-
 def test_shortcuts_stand_beside_the_best_row(folded, tmp_path, monkeypatch):
     row(folded, "good", [0.1, 0.2, 0.15], tmp_path / "r")
     shares = dict(zip(KINDS, (0.9, 0.12, 0.5, 0.8), strict=True))
@@ -142,7 +137,9 @@ def test_a_shortcut_uses_what_it_sees_and_nothing_else(felt, sees, tmp_path):
     np.testing.assert_allclose(np.concatenate(method.predict(asked), axis=1), blind)
 
 
-def test_a_shortcut_is_refused_by_name():
+def test_what_is_no_shortcut_and_a_task_without_errors_by_object_are_refused(task):
+    with pytest.raises(TaskError, match="it needs cross-validation"):
+        audit(task, [])
     with pytest.raises(MethodError, match="sees is one of constant, action, view, touch"):
         Shortcut(sees="sound")
     with pytest.raises(MethodError, match="no touch with a valid frame"):

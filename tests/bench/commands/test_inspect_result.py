@@ -9,7 +9,6 @@ import pytest
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.leaderboard import collect
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
@@ -101,12 +100,3 @@ def test_a_task_on_its_development_objects_is_another_task(task_text, toy_datase
         task.on("seed-x")
     with pytest.raises(TaskError, match="names no development objects"):
         other.on("development")
-
-
-def test_a_result_on_development_objects_is_no_row(task_text, toy_dataset, tmp_path):
-    task = parse_task(task_text.replace("tier", DEVELOPED), "toy-v1.toml")
-    other = dataclasses.replace(task.on("development"), dataset=task.dataset)
-    evaluate("toy_methods:Constant", other, toy_dataset, out=tmp_path / "r.json")
-    with pytest.raises(TaskError, match="is a result of task toy-v1-development, not of toy-v1"):
-        collect(task, [tmp_path / "r.json"])
-    assert [row.rank for row in collect(other, [tmp_path / "r.json"]).rows] == [1]

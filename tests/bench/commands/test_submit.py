@@ -8,20 +8,18 @@ import pytest
 from vsfsim.bench.board.named import command_of
 from vsfsim.bench.commands import submit as module
 from vsfsim.bench.commands.submit import submit
-from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import collect
 from vsfsim.bench.result import Result
 from vsfsim.cli.options import parameters_of
 from vsfsim.core.errors import TaskError
 
-PARAMETERS = {"value": 2.5}
+PARAMETERS = {"value": 5.0}
 
 
 @pytest.fixture(scope="module")
-def result(task, toy_dataset):
-    made = evaluate("toy_methods:Constant", task, toy_dataset, parameters=PARAMETERS, check=False)
-    return dataclasses.replace(made, isolation="namespaces", package={"name": "toys", "version": "1.2"},
+def result(constant):
+    return dataclasses.replace(constant(5.0), isolation="namespaces", package={"name": "toys", "version": "1.2"},
                                made_by={"vsfsim": "0.2.0", "commit": "a" * 40}, dataset_made_by={})
 
 

@@ -177,63 +177,23 @@ _SAMPLED = frozenset(("probed points", "probed stiffness"))
 _OF_PIXELS = frozenset(("colour", "depth", "mask")) | _SAMPLED
 
 
-@dataclass(frozen=True)
-class Apart:
-    """Where two records of the same plan differ."""
-
-    shape: str
-    """Why they cannot be compared number by number, or ""; nothing else is known then."""
-    views: list[tuple[str, list[str]]]
-    """Views that differ, with the kinds of what differs."""
-    touches: list[tuple[str, list[str]]]
-    """Touches that differ, likewise."""
-    total: int
-    """Number of touches."""
-    size: float
-    """Largest relative difference, over object views, of the root mean square of the readings [-]."""
-
-    @classmethod
-    def of(cls, found: Record, known: Record) -> Apart:
-        """Of a record from the record ``known``."""
-        other, floors, size = _other_shape(found, known), _floors(known), 0.0
-        views, touches = list[tuple[str, list[str]]](), list[tuple[str, list[str]]]()
-        for one, before in zip(found.entries, known.entries, strict=True) if not other else ():
-            count = len(one.of_view)
-            odd = _odd(one.kinds[:count], one.of_view, before.of_view, floors)
-            views += [(one.name, odd)] if odd else []
-            for index, (a, b) in enumerate(zip(one.of_touches, before.of_touches, strict=True)):
-                odd = _odd(one.kinds[count:], a, b, floors)
-                touches += [(f"{one.name} touch {index}", odd)] if odd else []
-            mine, theirs = _size(one), _size(before)
-            size = max(size, abs(mine - theirs) / max(theirs, floors.get(READING, 0.0), np.finfo(float).tiny))
-        return cls(other, views, touches, max(sum(e.touches for e in known.entries), 1), size)
-
-    def other_views(self, known: Record) -> list[str]:
-        """What differs but the touches, in words."""
-        first = plain(": ".join([self.views[0][0], self.views[0][1][0]])) if self.views else ""
-        return [self.shape] if self.shape else [
-            f"{len(self.views)} of {len(known.entries)} views differ ({first})"] if self.views else []
-
-
 def differences(found: Record, known: Record) -> list[str]:
     """What is different in ``found`` from the record ``known``: a phrase a difference, [] if it is the same data."""
-    apart = Apart.of(found, known)
-    ends, marks, touches = list[str](), list[str](), list[str]()
-    for name, odd in apart.touches:
-        of = ends if known.again is not None and _OF_PHYSICS.issuperset(odd) else (
-            marks if MARK in odd and _OF_MARKED.issuperset(odd) else touches)
-        of.append(f"{name}: {odd[0]}")
-    out, share = apart.other_views(known), len(ends) / apart.total
-    if touches:
-        out.append(f"{len(touches)} of {apart.total} touches differ ({plain(touches[0])})")
-    if len(marks) > OTHER_MARKS * apart.total:
-        out.append(f"{len(marks)} of {apart.total} touches have other frames that did not converge")
-    if known.again is not None and share > AGAIN_TOUCHES * known.again.touches:
-        out.append(f"{100.0 * share:.3g} % of its touches come to another end, where "
-                   f"{100.0 * known.again.touches:.3g} % did on another machine")
-    if known.again is not None and apart.size > AGAIN_SIZE * known.again.size:
-        out.append(f"the readings of a view are {100.0 * apart.size:.2g} % larger or smaller, where "
-                   f"{100.0 * known.again.size:.2g} % was seen on another machine")
+    out, odd, size = _apart(found, known)
+    total, again = max(sum(e.touches for e in known.entries), 1), known.again
+    ends = [name for name, kinds in odd.items() if again is not None and _OF_PHYSICS.issuperset(kinds)]
+    marks = [name for name, kinds in odd.items() if name not in ends and MARK in kinds and _OF_MARKED.issuperset(kinds)]
+    others = [f"{name}: {kinds[0]}" for name, kinds in odd.items() if name not in (*ends, *marks)]
+    if others:
+        out.append(f"{len(others)} of {total} touches differ ({plain(others[0])})")
+    if len(marks) > OTHER_MARKS * total:
+        out.append(f"{len(marks)} of {total} touches have other frames that did not converge")
+    if again is not None and len(ends) > AGAIN_TOUCHES * again.touches * total:
+        out.append(f"{100.0 * len(ends) / total:.3g} % of its touches come to another end, where "
+                   f"{100.0 * again.touches:.3g} % did on another machine")
+    if again is not None and size > AGAIN_SIZE * again.size:
+        out.append(f"the readings of a view are {100.0 * size:.2g} % larger or smaller, where "
+                   f"{100.0 * again.size:.2g} % was seen on another machine")
     return out
 
 
@@ -243,13 +203,33 @@ def again(found: Record, known: Record) -> Again:
     Raises:
         TaskError: they are not the same views or the same planned touches.
     """
-    apart = Apart.of(found, known)
-    wrong = apart.other_views(known) + [f"{name}: {', '.join(odd)}" for name, odd in apart.touches
-                                        if not _OF_PHYSICS.issuperset(odd)]
+    wrong, odd, size = _apart(found, known)
+    wrong += [f"{name}: {', '.join(kinds)}" for name, kinds in odd.items() if not _OF_PHYSICS.issuperset(kinds)]
     if wrong:
         raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
                         f"one that `vsfsim generate` made on another machine with the operands of the task.")
-    return Again(len(apart.touches) / apart.total, apart.size, found.made_by)
+    return Again(len(odd) / max(sum(e.touches for e in known.entries), 1), size, found.made_by)
+
+
+def _apart(found: Record, known: Record) -> tuple[list[str], dict[str, list[str]], float]:
+    """Where two records differ: phrases on all but the touches; by touch, the kinds of what differs; and the largest
+    relative difference, over object views, of the root mean square of the readings [-]. Where the two cannot be
+    compared number by number, a phrase says so and nothing else is known."""
+    other = _other_shape(found, known)
+    if other:
+        return [other], {}, 0.0
+    floors, size = _floors(known), 0.0
+    views, touches = dict[str, list[str]](), dict[str, list[str]]()
+    for one, before in zip(found.entries, known.entries, strict=True):
+        count = len(one.of_view)
+        views[one.name] = _odd(one.kinds[:count], one.of_view, before.of_view, floors)
+        touches |= {f"{one.name} touch {index}": _odd(one.kinds[count:], a, b, floors)
+                    for index, (a, b) in enumerate(zip(one.of_touches, before.of_touches, strict=True))}
+        mine, theirs = _size(one), _size(before)
+        size = max(size, abs(mine - theirs) / max(theirs, floors.get(READING, 0.0), np.finfo(float).tiny))
+    odd = [f"{name}: {kinds[0]}" for name, kinds in views.items() if kinds]
+    said = [f"{len(odd)} of {len(known.entries)} views differ ({plain(odd[0])})"] if odd else []
+    return said, {name: kinds for name, kinds in touches.items() if kinds}, size
 
 
 def _other_shape(found: Record, known: Record) -> str:

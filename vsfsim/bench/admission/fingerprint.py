@@ -172,7 +172,6 @@ def save_record(record: Record, path: Path, *, again: Again | None = None) -> No
     Raises:
         TaskError: the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     record = msgspec.structs.replace(record, again=again or record.again)
     write_atomic(path, (json.dumps(record.table()) + "\n").encode(), error=TaskError)
 

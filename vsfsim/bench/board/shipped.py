@@ -61,7 +61,6 @@ def write_rows(rows: Sequence[Shipped], path: Path) -> None:
     shared: list[dict[str, Any]] = []
     table = {"format": FORMAT, "version": VERSION, "objects": objects, "rows": [
         _packed(row, objects, shared) for row in rows], "shared": shared}
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, (json.dumps(table, separators=(",", ":"), allow_nan=False) + "\n").encode(), error=TaskError)
 
 

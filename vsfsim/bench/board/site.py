@@ -59,10 +59,6 @@ def write_site(boards: Sequence[Board], out: Path,
         estimates = _estimates(board, names)
         for name in _objects(board):
             pages[_file("object", board.task.name, name)] = _object_page(board, names, name, estimates.get(name, {}))
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TaskError(f"folder {out} cannot be made: {error.strerror}. Choose another --html.") from error
     for name, text in pages.items():
         write_atomic(out / name, text.encode(), error=TaskError)
     return [out / name for name in pages]
@@ -85,13 +81,12 @@ def _index(boards: Sequence[Board]) -> str:
     for b in sorted(boards, key=lambda b: ("-mini" in b.task.name, not b.rows, b.task.name)):
         task, first = b.task, [name for row, name in zip(b.rows, labels_of(b.rows), strict=True) if row.rank == 1]
         more = f" and {len(first) - 3} more" if len(first) > 3 else ""
-        kind = task.metric.answer.capitalize()
-        if task.metric.answer == Answer.READINGS:
-            kind += f": {task.observation.name}"
-        kind += ", after touches that the method chooses" if task.protocol.support == "chosen" else ""
+        kind = task.metric.answer.capitalize() + (
+            f": {task.observation.name}" if task.metric.answer == Answer.READINGS else "") + (
+            ", after touches that the method chooses" if task.protocol.support == "chosen" else "")
         groups.setdefault("Superseded tasks" if task.superseded_by else kind, []).append([
             (_file("task", task.name), task.name), task.description, task.observation.name, str(len(b.rows)),
-            ", ".join(first[:3]) + more or "-", *([task.superseded_by] if task.superseded_by else [])])
+            ", ".join(first[:3]) + more or "-", *filter(None, [task.superseded_by])])
     order = sorted(groups, key=lambda kind: (kind == "Superseded tasks", not kind.startswith("Readings"), kind))
     return _page("index.html", "vsfsim leaderboard", groups=[(kind, groups[kind]) for kind in order])
 
@@ -108,8 +103,8 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
             more.append(_difference(row, best, shot))
     ranked = [(row, name) for row, name in zip(board.rows, names, strict=True) if row.rank and row.objects]
     shown, objects = ranked[:MOST_LINES], _objects(board)
-    return _page("task.html", task.name, trail=[HOME], task=task, head=head, rows=rows, how=_how(task),
-                 notes=leaderboard.footnotes(board), what="Score" if task.metric.higher_is_better else "Error",
+    return _page("task.html", task.name, trail=[HOME], task=task, head=head, rows=rows,
+                 notes=leaderboard.footnotes(board), unit=unit_of(task.primary, task.observation.unit),
                  over_touches=_over_touches(task, shown), over_time=_over_time(task, shown), value=_value(task),
                  costs=[[name, *_costs(row)] for row, name in zip(board.rows, names, strict=True)],
                  paper=leaderboard.published(board), shown=[name for _, name in shown],
@@ -117,16 +112,11 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
 
 
 def _method_page(task: Task, row: Row, name: str) -> str:
-    result, labels = row.result, task.protocol.labels
-    at, of = row.objects.get(task.ranking_shot, {}), [row.objects.get(label, {}) for label in labels]
-    made = {"preset": result.preset or "none", "package": " ".join(result.package.values()),
-            "vsfsim": f"{result.made_by.get('vsfsim')} {result.made_by.get('commit') or ''}",
-            "machine": f"{result.machine.get('cpu')}, {result.machine.get('cores')} cores",
-            "sandbox": result.isolation or "not run here", "command": command_of(result)}
-    return _page("method.html", name, trail=[HOME, (_file("task", task.name), task.name)], row=row, result=result,
-                 task=task, chart=_over_touches(task, [(row, name)]) if row.objects and task.protocol.folds else "",
-                 scores=score_cells(result, row.scores, task.primary), value=_value(task), made=list(made.items()),
-                 parameters=[(key, str(value)) for key, value in result.parameters.items()],
+    at, of = row.objects.get(task.ranking_shot, {}), [row.objects.get(label, {}) for label in task.protocol.labels]
+    return _page("method.html", name, trail=_trail(task), row=row, result=row.result, task=task,
+                 chart=_over_touches(task, [(row, name)]) if row.objects and task.protocol.folds else "",
+                 scores=score_cells(row.result, row.scores, task.primary), value=_value(task),
+                 command=command_of(row.result),
                  objects=[[_link(task, o), *_numbers(of, o)] for o in sorted(at, key=lambda o: _sign(task) * at[o])])
 
 
@@ -137,8 +127,8 @@ def _object_page(board: Board, names: Sequence[str], name: str, estimates: _ByVi
     rows = [[(_file("method", task.name, k), names[k]),
              *_numbers([board.rows[k].objects.get(label, {}) for label in task.protocol.labels], name)]
             for _, k in known]
-    return _page("object.html", _called(task, name), trail=[HOME, (_file("task", task.name), task.name)], task=task,
-                 rows=rows, value=_value(task), maps=list(_maps(estimates)), picture=_picture(task, name),
+    return _page("object.html", _called(task, name), trail=_trail(task), task=task, rows=rows,
+                 value=_value(task), maps=list(_maps(estimates)), picture=_picture(task, name),
                  colours=", ".join(colour_of(k / 8.0) for k in range(9)))
 
 
@@ -152,23 +142,16 @@ def _called(task: Task, name: str) -> str:
     return f"{name}, {models[int(number[1]) % len(models)]}" if models and number else name
 
 
+def _trail(task: Task) -> list[tuple[str, str]]:
+    return [HOME, (_file("task", task.name), task.name)]
+
+
 def _link(task: Task, name: str) -> tuple[str, str]:
     return _file("object", task.name, name), _called(task, name)
 
 
 def _numbers(values: Sequence[ByObject], name: str) -> list[str]:
     return [f"{of[name]:.3f}" if name in of else "" for of in values]
-
-
-def _how(task: Task) -> str:
-    protocol, unit = task.protocol, unit_of(task.primary, task.observation.unit)
-    what = f"{task.primary}{f' [{unit}]' if unit else ''} at {task.ranking_shot}-shot ranks; " + (
-        "higher is better" if task.metric.higher_is_better else "lower is better")
-    if not task.protocol.folds:
-        return f"{what}. Mean ± standard deviation over {protocol.seeds} seeds."
-    return (f"{what}. An object's value is its {_value(task)}. Mean ± standard error over objects: each is a test "
-            f"object once ({protocol.folds} folds, {protocol.draws} draws of the support, {protocol.trainings} "
-            f"trainings).")
 
 
 def _difference(row: Row, best: Row | None, shot: str) -> str:

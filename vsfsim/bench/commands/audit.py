@@ -12,16 +12,18 @@ What needs data or further rows ships as `leaderboard/audits/TASK.json`; the ran
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
 
-from vsfsim.bench.board.compare import ByObject, by_object, interval, paired
+from vsfsim.bench.board.charts import filled
+from vsfsim.bench.board.compare import ByObject, Paired, by_object, interval, paired
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import collect, labels_of
@@ -31,7 +33,6 @@ from vsfsim.bench.task import Task, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
-from vsfsim.core.text_table import text_table
 from vsfsim.data.disk import write_atomic
 
 METHOD = "vsfsim.baselines.shortcuts:Shortcut"
@@ -79,10 +80,6 @@ class Audit:
     """The task's metric of each object by shortcut, at the shot that ranks; {} where the data are not here and none
     ship."""
 
-    def table(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
-
     def ship(self, path: Path, task_sha256: str) -> None:
         """Write what needs data or further rows.
 
@@ -90,10 +87,6 @@ class Audit:
             TaskError: the file cannot be written.
         """
         errors = {sees: {name: float(f"{value:.7g}") for name, value in of.items()} for sees, of in self.errors.items()}
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise TaskError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --ship.") from error
         told = msgspec.json.encode(_Shipped("vsfsim-audit", task_sha256, self.fresh, self.source, errors))
         write_atomic(path, msgspec.json.format(told, indent=1) + b"\n", error=TaskError)
 
@@ -124,26 +117,22 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     if not task.protocol.folds or task.metric.higher_is_better:
         raise TaskError(f"task {task.name} is not audited: it needs cross-validation, in which every object has an "
                         f"error of its own ([protocol] folds).")
-    board = collect(task, results)
-    ranked = [row for row in board.rows if row.rank is not None]
-    names = labels_of(ranked)
+    ranked = [row for row in collect(task, results).rows if row.rank is not None]
     values = [row.objects[task.ranking_shot] for row in ranked]
     pairs = [paired(worse, better) for better, worse in itertools.pairwise(values)]
-    least = 2.0 * statistics.median(pair.error for pair in pairs) if pairs else float("nan")
     known = _shipped(task)
     errors = (_shortcuts(task, dataset, folder or Path("results") / task.name / "audit", progress) if measure else
               {}) or known.errors
     shortcuts = []
     for sees, of in errors.items():
-        behind = paired(of, values[0]) if values else None
-        mean, error = interval(of)
-        shortcuts.append(Shortcut(sees, mean, error, behind.mean / behind.error if behind is not None and
-                                  behind.error > 0.0 else float("nan")))
+        behind = paired(of, values[0]) if values else Paired(math.nan, math.nan, 0)
+        shortcuts.append(Shortcut(sees, *interval(of), behind.mean / behind.error if behind.error > 0.0 else math.nan))
     means = {_key(row.result): row.scores[task.primary][task.ranking_shot].mean for row in ranked}
-    return Audit(task.name, names[0] if names else "", tuple(shortcuts), len(ranked),
-                 sum(pair.told_apart for pair in pairs), least,
-                 tuple(_agreement(means, path, task) for path in fresh) or known.fresh,
-                 tuple(_agreement(means, path, task) for path in source) or known.source, errors)
+    agree = [tuple(_agreement(means, path, task) for path in paths) for paths in (fresh, source)]
+    return Audit(task.name, (labels_of(ranked) or [""])[0], tuple(shortcuts), len(ranked),
+                 sum(pair.told_apart for pair in pairs),
+                 2.0 * statistics.median(pair.error for pair in pairs) if pairs else math.nan,
+                 agree[0] or known.fresh, agree[1] or known.source, errors)
 
 
 def _shipped(task: Task) -> _Shipped:
@@ -168,29 +157,10 @@ def text(found: Audit, board_metric: str) -> str:
     Args:
         found: the audit. board_metric: name of the task's metric, with the shot.
     """
-    lines = [f"audit of {found.task}: {board_metric}, mean ± standard error over objects", "", "1. Shortcuts"]
-    if found.shortcuts:
-        rows = [[s.sees, f"{s.mean:.3f} ± {s.error:.3f}", f"{s.behind:.1f}" if s.behind == s.behind else ""]
-                for s in found.shortcuts]
-        lines += [text_table(["sees only", "error", f"standard errors behind {found.best or 'the best row'}"], rows)]
-        lines += [f"{s.sees}: no row is better than this shortcut by two standard errors" for s in found.shortcuts
-                  if s.behind < 2.0]
-    else:
-        lines.append("not measured: the task's dataset is not here, and no audit of it ships")
-    pairs = max(found.rows - 1, 0)
-    share = f"{100.0 * found.told / pairs:.0f} %" if pairs else "not measured: fewer than two rows are ranked"
-    lines += ["", "2. Ranks", f"neighbours that differ: {share}" + (f" ({found.told} of {pairs}); the least difference "
-                                                                   f"that is told: {found.least:.3f}" if pairs else "")]
-    for number, title, rows_of, how in (("3", "Over-fit", found.fresh, "--fresh FOLDER"),
-                                        ("4", "Data source", found.source, "--source FOLDER")):
-        lines += ["", f"{number}. {title}"]
-        for name, count, value in rows_of:
-            verdict = "enough" if value >= ENOUGH else f"less than the {ENOUGH:g} that a task needs"
-            lines.append(f"{name}: rank correlation {value:.2f} of {count} rows; {verdict}" if value == value else
-                         f"{name}: {count} rows in common, fewer than {FEWEST_ROWS}")
-        if not rows_of:
-            lines.append(f"not measured: give {how} with results of the same methods")
-    return "\n".join(lines)
+    rows = [[s.sees, f"{s.mean:.3f} ± {s.error:.3f}", f"{s.behind:.1f}" if s.behind == s.behind else ""]
+            for s in found.shortcuts]
+    return filled("audit.txt", audit=found, metric=board_metric, shortcuts=rows, enough=ENOUGH,
+                  fewest=FEWEST_ROWS).rstrip()
 
 
 def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callable[[int, int, str], None]
@@ -198,15 +168,14 @@ def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callabl
     """The metric of each object by shortcut; {} where the data are not here."""
     if dataset is None and not (task.dataset.path() / "dataset.json").is_file():
         return {}
-    data = open_dataset(task, dataset)
-    out: dict[str, ByObject] = {}
+    data, out = open_dataset(task, dataset), dict[str, ByObject]()
     source = "the method"  # what the harness makes of the same answers changes no rank
     for sees in KINDS:
-        path, given = folder / f"shortcut-{sees}.json", {"sees": sees}
+        path = folder / f"shortcut-{sees}.json"
         result = Result.load(path) if path.is_file() else None
         if result is None or (result.task_sha256, result.dataset_sha256, result.contents.get(source)) != (
                 task.sha256, data.sha256, contents_of(METHOD, result.parameters)[source]):
-            result = evaluate(METHOD, task, data, out=path, parameters=given, progress=progress)
+            result = evaluate(METHOD, task, data, out=path, parameters={"sees": sees}, progress=progress)
         out[sees] = by_object(result, task.primary, task.ranking_shot)
     return out
 
@@ -227,6 +196,5 @@ def _agreement(means: dict[tuple[str, str], float], path: Path, task: Task) -> t
             raise TaskError(f"a result of {result.method} in {path} has no {task.primary} at {task.ranking_shot}-shot.")
         other[_key(result)] = score.mean
     both = sorted(means.keys() & other.keys())
-    if len(both) < FEWEST_ROWS:
-        return path.name, len(both), float("nan")
-    return path.name, len(both), spearman(*(np.array([of[key] for key in both]) for of in (means, other)))
+    return path.name, len(both), spearman(*(np.array([of[key] for key in both]) for of in (means, other))) if (
+        len(both) >= FEWEST_ROWS) else math.nan

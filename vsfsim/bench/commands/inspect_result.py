@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
+from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.curves import Curves
 from vsfsim.bench.leaderboard import score_table
@@ -22,25 +22,9 @@ from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import probe_table
-from vsfsim.core.text_table import text_table
 
 MOST_LINES = 12
 """Touches in the text."""
-
-
-@dataclass(frozen=True)
-class _Touch:
-    """A query touch, means over runs."""
-
-    view: str
-    touch: int
-    error: Mapping[str, float]
-    """Root mean square error by shot [unit]."""
-    share: float
-    """Error at the shot that sorts over what predicting zero errs on the object's touches [-]; NaN if that is not
-    known."""
-    gain: float
-    """Factor of the truth that comes nearest to the prediction at that shot [-]; NaN without the predictions."""
 
 
 def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
@@ -63,26 +47,22 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
         raise TaskError(f"--shot is '{shot}'. {did_you_mean(shot, result.shots)}")
     objects = {label: by_object(result, metric, label) for label in result.shots}
     touches = _touches(result, shot, curves)
-    head = ["object", *(f"{label}-shot" for label in result.shots)]
-    order = sorted(objects[shot], key=lambda name: objects[shot][name],
-                   reverse=not METRICS[metric].higher_is_better)
-    rows = [[name, *(f"{of[name]:.3f}" if name in of else "" for of in objects.values())] for name in order]
-    sort = (f"touches with the largest errors at {shot}-shot, means over {len(result.seeds)} runs; share: of the mean "
-            f"error of predicting zero on the object" + ("; gain: prediction over truth" if curves else ""))
+    order = sorted(objects[shot], key=lambda name: objects[shot][name], reverse=not METRICS[metric].higher_is_better)
     kinds = by_kind(result, load_task(result.task)) if result.task in shelf.tasks() else {}
-    lines = [score_table(result, metric), "", f"{metric} by object, the worst first", text_table(head, rows), "", sort,
-             text_table(*_touch_table(touches[:MOST_LINES], result.shots, result.unit))]
-    if kinds:
-        cells = [[name, *(f"{of[label]:.3f}" for label in result.shots)] for name, of in kinds.items()]
-        lines += ["", "error over that of predicting zero, pooled over objects, by what presses",
-                  text_table(["press", *head[1:]], cells)]
-    lines += ["", f"vsfsim view {path}   # draws predictions over readings" if curves is not None else
-              "The predictions were not kept: `vsfsim evaluate --keep predictions` makes the curves of the touches."]
-    return "\n".join(lines), {
-        "task": result.task, "method": result.method, "metric": metric, "shot": shot,
-        "objects": objects, "presses": kinds,
-        "touches": [{"view": t.view, "touch": t.touch, "rmse": dict(t.error), "share": t.share, "gain": t.gain}
-                    for t in touches]}
+    page = filled("inspect.txt", scores=Markup(score_table(result, metric)), result=result, metric=metric, shot=shot,
+                  head=["object", *(f"{label}-shot" for label in result.shots)],
+                  objects=[[name, *(_written(of.get(name)) for of in objects.values())] for name in order],
+                  units=[f"{label}-shot [{result.unit}]" for label in result.shots],
+                  touches=[[t["view"], str(t["touch"]), *(_written(t["rmse"][label]) for label in result.shots),
+                            _written(t["share"]), _written(t["gain"])] for t in touches[:MOST_LINES]],
+                  presses=[[name, *(_written(of[label]) for label in result.shots)] for name, of in kinds.items()],
+                  drawn=curves is not None, path=str(path))
+    return page, {"task": result.task, "method": result.method, "metric": metric, "shot": shot, "objects": objects,
+                  "presses": kinds, "touches": touches}
+
+
+def _written(value: float | None) -> str:
+    return f"{value:.3f}" if value is not None and math.isfinite(value) else ""
 
 
 def by_kind(result: Result, task: Task) -> dict[str, dict[str, float]]:
@@ -112,41 +92,32 @@ def _asked(result: Result) -> tuple[str, str]:
     return ("rmse_ratio" if "rmse_ratio" in result.scores else "rmse"), result.shots[-2 if len(result.shots) > 1 else 0]
 
 
-def _touches(result: Result, shot: str, curves: Curves | None) -> list[_Touch]:
+def _touches(result: Result, shot: str, curves: Curves | None) -> list[dict[str, Any]]:
+    """The query touches, means over runs, the worst first: the root mean square error by shot [unit]; the share of it
+    at ``shot`` of what predicting zero errs on the object's touches [-]; and the gain, the factor of the truth that
+    comes nearest to the prediction [-]. The last two are NaN where they are not known."""
     errors: dict[tuple[str, int], dict[str, list[float]]] = {}
     zero: dict[str, dict[tuple[str, int], float]] = {}
     for row in result.rows():
-        one = errors.setdefault((row["object"], row["touch"]), {})
-        one.setdefault(row["shot"], []).append(math.sqrt(row["sse"] / row["n"]))
+        key = row["object"], row["touch"]
+        errors.setdefault(key, {}).setdefault(row["shot"], []).append(math.sqrt(row["sse"] / row["n"]))
         if row["ss"] is not None:
-            of_object = zero.setdefault(object_of(row["object"]), {})
-            of_object[row["object"], row["touch"]] = math.sqrt(row["ss"] / row["n"])
+            zero.setdefault(object_of(row["object"]), {})[key] = math.sqrt(row["ss"] / row["n"])
     gains = _gains(curves, shot) if curves is not None else {}
     out = []
     for (view, touch), by_shot in errors.items():
         means = {label: math.fsum(v) / len(v) for label, v in by_shot.items()}
         known = list(zero.get(object_of(view), {}).values())
         level = math.fsum(known) / len(known) if known else 0.0
-        out.append(_Touch(view, touch, means, means[shot] / level if level > 0.0 else math.nan,
-                          gains.get((view, touch), math.nan)))
-    return sorted(out, key=lambda t: -(t.share if math.isfinite(t.share) else t.error[shot]))
+        out.append({"view": view, "touch": touch, "rmse": means, "gain": gains.get((view, touch), math.nan),
+                    "share": means[shot] / level if level > 0.0 else math.nan})
+    return sorted(out, key=lambda t: -(t["share"] if math.isfinite(t["share"]) else t["rmse"][shot]))
 
 
 def _gains(curves: Curves, shot: str) -> dict[tuple[str, int], float]:
-    mean = curves.predicted[curves.shots.index(shot)].mean(axis=0)
-    out = {}
-    for k, (view, touch) in enumerate(zip(curves.objects, curves.touches.tolist(), strict=True)):
-        frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
+    mean, out = curves.predicted[curves.shots.index(shot)].mean(axis=0), {}
+    for view, touch, frames in curves.parts():
         truth = curves.truth[frames]
         size = float(np.nansum(truth**2))
         out[view, touch] = float(np.nansum(truth * mean[frames])) / size if size > 0.0 else math.nan
     return out
-
-
-def _touch_table(touches: Sequence[_Touch], shots: Sequence[str], unit: str) -> tuple[list[str], list[list[str]]]:
-    def number(value: float) -> str:
-        return f"{value:.3f}" if math.isfinite(value) else ""
-
-    head = ["object view", "touch", *(f"{label}-shot [{unit}]" for label in shots), "share", "gain"]
-    return head, [[t.view, str(t.touch), *(number(t.error[label]) for label in shots), number(t.share), number(t.gain)]
-                  for t in touches]

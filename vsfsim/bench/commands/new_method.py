@@ -42,11 +42,6 @@ def write_package(name: str, out: Path | None = None) -> str:
     for path, template in TEMPLATE.items():
         file = folder / path.format(**values)
         text = (Path(__file__).parent / "template" / template).read_text(encoding="utf-8")
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise MethodError(f"folder {file.parent} cannot be made: {error.strerror}. Choose another "
-                              f"--out.") from error
         write_atomic(file, text.format(**values).encode(), error=MethodError)
     return (f"written to {folder}: {module}.py (the method), its test, pyproject.toml with the entry point\n\n"
             f"  cd {folder}\n  vsfsim check {module}:{values['classname']}    # before it is installed\n"

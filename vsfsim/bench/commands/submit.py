@@ -66,10 +66,6 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
         raise TaskError(f"{path} is no row of {task.name} yet, and nothing was written:\n\n{told}\n")
     name = file_stem(f"{result.method}.{result.preset}" if result.preset else result.method)
     target, text = out / "leaderboard" / task.name / f"{name}.json", out / "PULL_REQUEST.md"
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TaskError(f"folder {target.parent} cannot be made: {error.strerror}. Choose another --out.") from error
     write_atomic(target, path.read_bytes(), error=TaskError)
     place, package = _place(board, row), result.package
     install = shlex.join(["pip", "install", f"{package['name']}=={package['version']}"]) if (

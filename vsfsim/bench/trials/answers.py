@@ -258,10 +258,6 @@ def save(path: Path, value: Any) -> None:
     Raises:
         MethodError: it cannot be written.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MethodError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --out.") from error
     write_atomic(path, zlib.compress(encoded(value)), error=MethodError)
 
 
