@@ -262,7 +262,7 @@ def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd)
     b = wp.tid()
     s = strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2],
                wp.float64(0.1))
-    energy_out[b] = energy(s, kd, kphi)
+    energy_out[b] = energy(s, kd, kphi, wp.vec2d(), wp.vec3d())
     mu = wp.cw_mul(kphi, s.phi)
     f, mc, mp = gradient(s, kd, mu)
     first_out[b, 0] = f

@@ -17,16 +17,14 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.kernels.lanes import LANES
-from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel
+from vsfsim.physics.rods.model import BLADE_SPACING, ENDLESS, RodError, RodModel, RodOptions
 from vsfsim.physics.rods.structs import Results, Touches, Work, allocate, levels_of, make_trees, quaternions, start
 
 SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
-ROOM = 512  # places for the contacts (three points of a fibre beside a capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
 # Duration of a launch on a GPU [s]. It ends up to 1 s later, as an attempt at a stride is not interrupted. Touches for
 # which it had no multiprocessor go first in the next one.
 GPU_SPAN = 10.0
-ENDLESS = 2**31 - 1  # Newton iterations
 MOST_CAPSULES = 31  # the contact search has a bit for each
 
 
@@ -39,42 +37,6 @@ class Ended(IntEnum):
     """The force limit, or the protective stop of a guarded touch."""
     PATIENCE = 2
     """`RodOptions.patience`."""
-
-
-@dataclass(frozen=True)
-class RodOptions:
-    """Limits of the rod solver."""
-
-    tolerance: float = 1e-4
-    """Largest sum of unbalanced forces over the sum of the contact forces [-]."""
-    force_floor: float = 1.0
-    """Contact forces below this count as this in the tolerance [N]. With the defaults the error of a joint torque is
-    below 0.1 mN m, a thousandth of the noise of its sensor."""
-    force_limit: float = np.inf
-    """Largest contact force of the frames on the way in [N]."""
-    guarded: bool = False
-    """False: a touch ends at the force limit, also on the way out. True: the arm slows down, turns back and keeps its
-    number of frames (see `kernels.guard`), unless it makes a protective stop on the way back."""
-    hold: int = 0
-    """Frames that a guarded arm stands still after it turned."""
-    out: int = 0
-    """Least number of frames of a guarded arm's way back."""
-    newton: int = 60
-    """Newton iterations of one attempt at a stride, without those whose length the free space limits."""
-    travel: int = 400
-    """Newton iterations of one attempt at a stride, all counted."""
-    work: int = 800
-    """Newton iterations of a frame after which strides are no longer divided."""
-    patience: int | None = None
-    """Newton iterations after which a touch ends; None for no limit."""
-    room: int = ROOM
-    """Places for the contacts of a touch."""
-    share: int | None = None
-    """Newton iterations of a touch in one launch, None for a number that suits the device; the bits do not depend on
-    it."""
-    lanes: int = 1
-    """Threads of a CPU that work on a touch: 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests). A GPU
-    always uses 32."""
 
 
 @dataclass(frozen=True)
@@ -224,10 +186,8 @@ class RodBatch:
             touch = self._touch
             touch.half.assign(np.array([0.5 * s.length for s in shapes]))
             touch.radius.assign(np.array([s.radius for s in shapes], float))
-            touch.guarded = int(options.guarded)
-            for name in ("hold", "out", "newton", "travel", "work", "force_limit", "tolerance", "force_floor"):
-                setattr(touch, name, getattr(options, name))
-            touch.patience = ENDLESS if options.patience is None else options.patience
+            for field in dataclasses.fields(options):
+                setattr(touch.limits, field.name, getattr(options, field.name))
             self._clock = wp.zeros(1, dtype=wp.uint64)
         self._gpu = wp.get_device(solver.device).is_cuda
 
@@ -329,8 +289,8 @@ class RodBatch:
                       self.solver.weighs]
             wp.launch(advance, dim=len(live) * lanes, inputs=inputs, outputs=[self._clock, self._work, self._out],
                       block_dim=lanes)
-            progress = self._work.progress
-            self._next[:], self._ended[:] = progress.next.numpy(), progress.ended.numpy()
+            progress = self._work.progress.numpy()
+            self._next[:], self._ended[:] = progress["next"], progress["ended"]
         return int(self._next[self._taken].sum()) - before
 
     def done(self, some: slice) -> bool:
@@ -343,31 +303,26 @@ class RodBatch:
         count, ended, plant = np.minimum(self._frames[some], self._next[some]), self._ended[some], self._plant[some]
         done = np.where(ended > 0, np.minimum(ended - 1, count), count)
         # a frame above the force limit is not kept and precedes `next`; the frame that exhausted the patience is kept
-        why = np.where(done == self._frames[some], Ended.WHOLE,
+        why = np.where((ended == 0) | (done == self._frames[some]), Ended.WHOLE,
                        np.where(ended <= self._next[some], Ended.FORCE, Ended.PATIENCE))
-        why = np.where(ended > 0, why, Ended.WHOLE)
-        t = out.residual.shape[1]
-        solved = np.arange(t)[:, None] < done[None, :]
+        rows = np.swapaxes(out.frame[some].numpy(), 0, 1)
+        solved = np.arange(len(rows))[:, None] < done[None, :]
+        of_frame = {name: np.where(solved, rows[name], np.nan if rows[name].dtype == float else 0)
+                    for name in rows.dtype.names if name != "reaction"}
 
         def of(array: wp.array) -> np.ndarray:
             return np.ascontiguousarray(np.swapaxes(array[some].numpy(), 0, 1))
 
-        reaction = of(out.reaction)
-        # spatial vectors come out as (top, bottom)
-        root, root_moment = reaction[..., :3].copy(), reaction[..., 3:].copy()
-        force, moment = of(out.force), of(out.moment)
-        reason = np.where(solved, of(out.reason), 0)
-        weight = np.stack([models[p].weight.sum(axis=0) for p in plant])
-        weight -= np.stack([models[p].weight[0] for p in plant])  # the load on the clamped node bends nothing
+        force, moment, reaction = of(out.force), of(out.moment), rows["reaction"].copy()
+        for values in (force, moment, reaction):
+            values[~solved] = np.nan
+        root, root_moment = reaction[..., :3], reaction[..., 3:]
+        # the load on the clamped node bends nothing
+        weight = np.stack([models[p].weight[1:].sum(axis=0) for p in plant])
         whole = force.sum(axis=2)
-        gap = np.linalg.norm(whole - root - weight, axis=-1)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
-        floats = [np.where(solved, of(a), np.nan)
-                  for a in (out.residual, out.energy, out.heat, out.penetration, out.slipping, out.where)]
-        for array in (force, moment, root, root_moment):
-            array[~solved] = np.nan
         self._taken[some] = False
-        return RodFrames(done, why, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0],
-                         np.where(solved, of(out.iterations), 0), floats[1], floats[2], floats[3],
-                         np.where(solved, of(out.contacts), 0), floats[4], np.where(solved, gap / size, np.nan),
-                         floats[5], of(out.x) if self.keep_nodes else None, of(out.q) if self.keep_nodes else None)
+        return RodFrames(frames=done, ended=why, force=force, moment=moment, reaction=root, reaction_moment=root_moment,
+                         converged=solved & (of_frame["reason"] == 0), **of_frame,
+                         force_balance=np.linalg.norm(whole - root - weight, axis=-1) / size,
+                         nodes=of(out.x) if self.keep_nodes else None, turns=of(out.q) if self.keep_nodes else None)

@@ -9,6 +9,7 @@ A row has a field's type, its shape and its meaning. The letters of a shape are 
     L levels of all plants D levels of the deepest plant, and the end
 """
 
+import dataclasses
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any
@@ -18,32 +19,44 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.model import RodModel
+from vsfsim.physics.rods.kernels.contact_law import Gap
+from vsfsim.physics.rods.kernels.segment import Blocks, Strain
+from vsfsim.physics.rods.model import RodModel, RodOptions
+
+_KINDS: dict[str, Any] = {"Gap": Gap, "Strain": Strain, "Blocks": Blocks}
+"""The structs that are types of others' fields."""
 
 
 def struct(name: str, **rows: Any) -> Any:
-    """A Warp struct of the fields ``rows``, "type shape  meaning" or another struct."""
+    """A Warp struct of the fields ``rows``, "type shape  meaning" or another struct. The type is one of Warp or the
+    name of a struct of this table; of one whose shapes have a "?", such as `State`, the field is one whole, and its
+    shape the letter that "?" stands for."""
     types, shapes = dict(rows), {}
     for field, row in rows.items():
         if isinstance(row, str):
             dtype, shapes[field], _ = row.split(maxsplit=2)
-            types[field] = getattr(wp, dtype)
-            if shapes[field] != "-":
-                types[field] = wp.array(dtype=types[field], ndim=len(shapes[field]))
-    out = wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__}))
+            types[field] = kind = _KINDS.get(dtype) or getattr(wp, dtype)
+            if shapes[field] != "-" and not _of_any_size(kind):
+                types[field] = wp.array(dtype=kind, ndim=len(shapes[field]))
+    out = _KINDS[name] = wp.struct(type(name, (), {"__annotations__": types, "__module__": __name__}))
     out.shapes = shapes
     return out
 
 
-def allocate(kind: Any, **sizes: int) -> Any:
-    """An instance of a struct with its arrays zeroed, of the ``sizes`` that its rows name."""
+def _of_any_size(kind: Any) -> bool:
+    return any("?" in shape for shape in getattr(kind, "shapes", {}).values())
+
+
+def allocate(kind: Any, *, any_size: str = "", **sizes: int) -> Any:
+    """An instance of a struct with its arrays zeroed, of the ``sizes`` that its rows name; "?" is ``any_size``."""
     out = kind()
-    for field, variable in kind.vars.items():
+    for field, variable in (kind.vars.items() if hasattr(kind, "shapes") else ()):
+        letters = kind.shapes.get(field, "")
         if isinstance(variable.type, wp.array):
-            shape = tuple(2 if letter == "2" else sizes[letter] for letter in kind.shapes[field])
+            shape = tuple(2 if letter == "2" else sizes[letter] for letter in letters.replace("?", any_size))
             setattr(out, field, wp.zeros(shape, dtype=variable.type.dtype))
-        elif field not in kind.shapes:
-            setattr(out, field, allocate(variable.type, **sizes))
+        elif letters != "-":
+            setattr(out, field, allocate(variable.type, any_size=letters, **sizes))
     return out
 
 
@@ -109,9 +122,14 @@ Trees = struct(
     softness="vec2d Q  (contact penalty)^(-1/3) at the parent's and the child's end [(m/N)^(1/3)]",
     floor="float64 P  bound on the rounding error of the residual of each plant [N]")
 
-# The touches: the capsules, their poses, and the limits of the solver, which `RodOptions` explains.
+# `RodOptions`, as the kernels have them.
+Limits = wp.struct(type("Limits", (), {"__module__": __name__, "__annotations__": {
+    field.name: wp.float64 if field.type == "float" else wp.int32 for field in dataclasses.fields(RodOptions)}}))
+
+# The touches: the capsules and their poses.
 Touches = struct(
     "Touches",
+    limits=Limits,
     plant="int32 B  number of the touched plant",
     friction="float64 B  coefficient of friction [-]",
     frames="int32 B  number of frames",
@@ -121,47 +139,39 @@ Touches = struct(
     rotation="quatd BWK  their rotations",
     last_pose="int32 B  number of the last pose on the way",
     plan="float64 BT  where on the way each frame is planned [poses]",
-    inward="int32 B  number of frames before the planned way out",
-    guarded="int32 -  `RodOptions`",
-    hold="int32 -  `RodOptions`",
-    out="int32 -  `RodOptions`",
-    newton="int32 -  `RodOptions`",
-    travel="int32 -  `RodOptions`",
-    work="int32 -  `RodOptions`",
-    patience="int32 -  `RodOptions`",
-    force_limit="float64 -  `RodOptions` [N]",
-    tolerance="float64 -  `RodOptions` [-]",
-    force_floor="float64 -  `RodOptions` [N]")
+    inward="int32 B  number of frames before the planned way out")
 
-# What comes out, as in `RodFrames`.
+# What comes out of a frame, as in `RodFrames`.
+Frame = struct(
+    "Frame",
+    reaction="spatial_vectord -  force and moment of the pot on the plant, about node 0 [N, N m]",
+    residual="float64 -  unbalanced force over contact force [-]",
+    energy="float64 -  elastic energy [J]",
+    heat="float64 -  work that yielding has turned into heat since the touch began [J]",
+    penetration="float64 -  depth of the deepest point inside a capsule [m]",
+    slipping="float64 -  share of the Gauss points in contact that slip [-]",
+    where="float64 -  where the arm was on its way [poses]",
+    iterations="int32 -  Newton iterations",
+    reason="int32 -  `frames.Reason`",
+    contacts="int32 -  number of touching patches, pairs of a fibre and a capsule")
+
 Results = struct(
     "Results",
+    frame="Frame BT  the frames",
     force="vec3d BTK  force on each capsule [N]",
     moment="vec3d BTK  moment on each capsule about its origin [N m]",
-    reaction="spatial_vectord BT  force and moment of the pot on the plant, about node 0 [N, N m]",
-    residual="float64 BT  unbalanced force over contact force [-]",
-    energy="float64 BT  elastic energy [J]",
-    heat="float64 BT  work that yielding has turned into heat since the touch began [J]",
-    penetration="float64 BT  depth of the deepest point inside a capsule [m]",
-    slipping="float64 BT  share of the Gauss points in contact that slip [-]",
-    where="float64 BT  where the arm was on its way [poses]",
-    iterations="int32 BT  Newton iterations",
-    reason="int32 BT  `frames.Reason`",
-    contacts="int32 BT  number of touching patches, pairs of a fibre and a capsule",
     x="vec3d BVN  positions of the nodes [m]; V is T or 0",
     q="quatd BVN  rotations of the nodes")
 
-# The nodes of each touched plant, and which of them are solved.
+# A state of the nodes of each touched plant, or of the capsules.
+State = struct(
+    "State",
+    x="vec3d B?  positions [m]",
+    q="quatd B?  rotations, of nodes since rest")
+
+# The nodes, and which of them are solved.
 Nodes = struct(
     "Nodes",
-    x="vec3d BN  position [m]",
-    x_start="vec3d BN  at the start of the stride [m]",
-    x_trial="vec3d BN  at a trial of the line search [m]",
-    x_saved="vec3d BN  to return to when a step is rejected [m]",
-    q="quatd BN  rotation since rest",
-    q_start="quatd BN  at the start of the stride",
-    q_trial="quatd BN  at a trial of the line search",
-    q_saved="quatd BN  to return to when a step is rejected",
     active="int32 BN  1 where the node is an unknown, 0 where it moves rigidly with its parent",
     strained="int32 BN  1 where the segment was strained at the last equilibrium",
     plastic="vec3d BN  plastic bending of the core in the middle frame's axes, the first 0 [rad]",
@@ -172,20 +182,19 @@ Nodes = struct(
     segment_clearance="float64 BN  of the segment, and what it carries rigidly, to capsules [m]",
     node_clearance="float64 BN  least `segment_clearance` of segments that meet at the node [m]")
 
-# Kinematics of each segment, in the notation of `kernels.segment`, and its contacts in the present list.
+# Kinematics of each segment, and its contacts in the present list.
 Segments = struct(
     "Segments",
-    frame="quatd BN  Rm F, the frame in the middle of the segment",
-    span="vec3d BN  D, the vector from parent to child in the middle frame [m]",
-    half_rotation="vec3d BN  g, along half the rotation over the segment [-]",
-    span_rate="vec3d BN  D', its derivative along the step [m]",
+    strain="Strain BN  its strains",
+    span_rate="vec3d BN  D', the derivative of the span D along the step [m]",
     relative_spin="vec3d BN  spin of the child less that of the parent along the step, world [rad]",
     first_contact="int32 BN  place of its first contact in the list",
     contact_count="int32 BN  number of its contacts; first a bit for each capsule that is near")
 
 # The linear system of a Newton step, in 6-vectors and 6 x 6 blocks of (position, spin) at the nodes [N, N m, m, rad]. A
 # segment contributes to two nodes: what ends in `_child` belongs to the node of its own number, what ends in `_parent`
-# to that node's parent. The elastic parts are first the segment's at its child, then the node's.
+# to that node's parent. The elastic gradient, and the child's block of `elastic`, are first the segment's at its child,
+# then the node's.
 System = struct(
     "System",
     gradient="spatial_vectord BN  of the potential",
@@ -193,9 +202,7 @@ System = struct(
     contact_gradient_parent="spatial_vectord BN  at the parent",
     elastic_gradient="spatial_vectord BN  of the elastic energy less the dead load",
     elastic_gradient_parent="spatial_vectord BN  of the segment's elastic energy at its parent",
-    elastic_block="spatial_matrixd BN  second derivative of the elastic energy",
-    elastic_block_parent="spatial_matrixd BN  of the segment's elastic energy at its parent",
-    elastic_coupling="spatial_matrixd BN  mixed, rows of the child and columns of the parent",
+    elastic="Blocks BN  second derivative of the elastic energy",
     contact_block_child="spatial_matrixd BN  second derivative of the segment's contact energy",
     contact_block_parent="spatial_matrixd BN  at the parent",
     contact_rhs_child="spatial_vectord BN  minus the gradient of the contacts in the step's model",
@@ -209,88 +216,100 @@ System = struct(
     stale="int32 BN  `Stale`",
     step="spatial_vectord BN  the Newton step: displacement and spin")
 
-# Poses of the capsules in the present stride.
-Capsules = struct(
-    "Capsules",
-    x="vec3d BK  position at its end [m]",
-    x_start="vec3d BK  at its start [m]",
-    q="quatd BK  rotation at its end",
-    q_start="quatd BK  at its start")
+# What the end of a segment has of a contact.
+End = struct(
+    "End",
+    share="float64 -  of its node in the displacement of the point [-]",
+    arm="vec3d -  from its node to the point [m]",
+    surface="vec3d -  from its node to the surface point [m]")
 
-# The points of the patches of fibres and capsules that are close, `kernels.fibre.POINTS` of each. Two lists take turns
-# as that of the last stride and that of the present one; what has no first index 2 belongs to the present one.
-Contacts = struct(
-    "Contacts",
-    count="int32 2B  length of each list",
-    key="int32 2BC  number of the point; the lists are sorted by it",
-    fibre="int32 2BC  number of the fibre in `Trees`",
-    node="int32 2BC  segment of the fibre, counted within the plant",
-    capsule="int32 2BC  number of the capsule",
-    place="float64 2BC  place of the point along the segment, 0 to 1 [-]",
-    stiffness="float64 2BC  penalty of the point [N/m]",
-    stuck="int32 2BC  `Stick`",
-    in_step="int32 2BC  1 where the contact takes part in the model of the step",
-    stretch="vec3d 2BC  elastic slip at the start of the stride, in the capsule's frame [m]",
-    anchor="vec3d 2BC  where the surface point would be without friction force, world [m]",
-    gap_start="float64 2BC  gap of the patch at the start of the stride, 0 where closed [m]",
-    lever="vec3d 2BC  from the fibre to the surface point at the start of the stride, world [m]",
-    normal="vec3d 2BC  unit normal, from the capsule to the fibre",
-    depth="float64 2BC  penetration, negative for a gap [m]",
-    friction_limit="float64 2BC  largest friction force, coefficient times normal force [N]",
-    child_share="float64 BC  share of the child's node in the displacement of the point [-]",
-    arm_parent="vec3d BC  lever of the point from the parent's node [m]",
-    arm_child="vec3d BC  from the child's node [m]",
-    surface_arm_parent="vec3d BC  lever of the surface point from the parent's node [m]",
-    surface_arm_child="vec3d BC  from the child's node [m]",
-    normal_gradient="vec3d BC  of the normal energy by the point's position [N]",
-    friction_gradient="vec3d BC  of the friction energy by the surface point's position [N]",
-    slip="vec3d BC  tangential displacement of the surface point from its anchor [m]",
-    normal_hessian="mat33d BC  second derivative of the normal energy [N/m]",
-    friction_hessian="mat33d BC  of the friction energy [N/m]",
-    coulomb_hessian="mat33d BC  of the friction force by the point, through its limit [N/m]",
-    force="vec3d BC  force on the capsule [N]",
-    moment="vec3d BC  moment on the capsule about its origin [N m]")
+# What a contact remembers between strides.
+Memory = struct(
+    "Memory",
+    key="int32 -  number of the point; the lists are sorted by it",
+    stuck="int32 -  `Stick`",
+    stretch="vec3d -  elastic slip at the start of the stride, in the capsule's frame [m]")
+
+# A point of a patch of a fibre and a capsule that are close, which has `kernels.fibre.POINTS` of them.
+Contact = struct(
+    "Contact",
+    memory=Memory,
+    fibre="int32 -  number of the fibre in `Trees`",
+    node="int32 -  segment of the fibre, counted within the plant",
+    capsule="int32 -  number of the capsule",
+    in_step="int32 -  1 where the contact takes part in the model of the step",
+    place="float64 -  place of the point along the segment, 0 to 1 [-]",
+    stiffness="float64 -  penalty of the point [N/m]",
+    gap_start="float64 -  gap of the patch at the start of the stride, 0 where closed [m]",
+    lever="vec3d -  from the fibre to the surface point at the start of the stride, world [m]",
+    anchor="vec3d -  where the surface point would be without friction force, world [m]",
+    friction_limit="float64 -  largest friction force, coefficient times normal force [N]",
+    point="vec3d -  position of the point, world [m]",
+    surface="vec3d -  position of the surface point, world [m]",
+    gap="Gap -  between the point and the capsule",
+    parent=End,
+    child=End,
+    slip="vec3d -  tangential displacement of the surface point from its anchor [m]",
+    normal_gradient="vec3d -  of the normal energy by the point's position, the force on the capsule [N]",
+    friction_gradient="vec3d -  of the friction energy by the surface point's position [N]",
+    normal_hessian="mat33d -  second derivative of the normal energy [N/m]",
+    friction_hessian="mat33d -  of the friction energy [N/m]",
+    coulomb_hessian="mat33d -  of the friction force by the point, through its limit [N/m]",
+    force="vec3d -  force on the capsule [N]",
+    moment="vec3d -  moment on the capsule about its origin [N m]")
 
 # How far each touch is. A launch may end in the middle of a frame; the next one continues there.
 Progress = struct(
     "Progress",
-    list="int32 B  which of the two contact lists holds the last equilibrium",
-    next="int32 B  the next frame",
-    ended="int32 B  1 + the first frame that is not kept, 0 while the touch goes on",
+    list="int32 -  which of the two contact lists holds the last equilibrium",
+    next="int32 -  the next frame",
+    ended="int32 -  1 + the first frame that is not kept, 0 while the touch goes on",
     # 1 from a penetration that may end on the wrong side of a capsule until nothing touches, 2 from a capsule going
     # through the plant to the end of the touch
-    wrong_side="int32 B  whether a link may be inside the plant",
-    part="float64 B  finished part of the present frame [-]",
-    stride="float64 B  next stride as a part of the frame, 0 for a new frame [-]",
-    used="int32 B  Newton iterations of the present frame",
-    broken="int32 B  1 if a stride of the present frame ended without an equilibrium",
-    total="int32 B  Newton iterations of the frames before it")
+    wrong_side="int32 -  whether a link may be inside the plant",
+    part="float64 -  finished part of the present frame [-]",
+    stride="float64 -  next stride as a part of the frame, 0 for a new frame [-]",
+    used="int32 -  Newton iterations of the present frame",
+    broken="int32 -  1 if a stride of the present frame ended without an equilibrium",
+    total="int32 -  Newton iterations of the frames before it")
 
-# State of the guard, see `kernels.guard`, and the equilibrium that it returns to.
+# State of the guard, see `kernels.guard`.
 Guard = struct(
     "Guard",
-    position="float64 B  where the arm is on its way [poses]",
-    good_position="float64 B  where it was last in equilibrium below the force limit [poses]",
-    turning_position="float64 B  where it turned [poses]",
-    clear_position="float64 B  the last position before it first touched [poses]",
-    pace="float64 B  advance per frame while it creeps [poses]",
-    phase="int32 B  `Phase`",
-    turning_frame="int32 B  frame in which it turned",
-    touched="int32 B  1 since the first contact",
-    failures="int32 B  consecutive frames without an equilibrium",
-    x="vec3d BN  positions of the nodes in that equilibrium [m]",
-    q="quatd BN  their rotations",
+    position="float64 -  where the arm is on its way [poses]",
+    good_position="float64 -  where it was last in equilibrium below the force limit [poses]",
+    turning_position="float64 -  where it turned [poses]",
+    clear_position="float64 -  the last position before it first touched [poses]",
+    pace="float64 -  advance per frame while it creeps [poses]",
+    phase="int32 -  `Phase`",
+    turning_frame="int32 -  frame in which it turned",
+    touched="int32 -  1 since the first contact",
+    failures="int32 -  consecutive frames without an equilibrium")
+
+# The equilibrium that the guard returns to.
+Kept = struct(
+    "Kept",
+    nodes="State N  the nodes",
     strained="int32 BN  `Nodes.strained`",
     plastic="vec3d BN  `Nodes.plastic` [rad]",
     heat="float64 BN  `Nodes.heat` [J]",
     count="int32 B  number of its contacts",
-    key="int32 BC  `Contacts.key`",
-    stuck="int32 BC  `Contacts.stuck`",
-    stretch="vec3d BC  `Contacts.stretch` [m]")
+    memory="Memory BC  of its contacts")
 
-# State and scratch of the touches.
-Work = struct("Work", nodes=Nodes, segments=Segments, system=System, capsules=Capsules, contacts=Contacts,
-              progress=Progress, guard=Guard)
+# State and scratch of the touches. Two lists of contacts take turns as that of the last stride and of the present one.
+Work = struct(
+    "Work",
+    now="State N  the nodes",
+    start="State N  at the start of the stride",
+    trial="State N  at a trial of the line search",
+    saved="State N  to return to when a step is rejected",
+    capsules="State K  the capsules at the end of the stride",
+    capsules_start="State K  at its start",
+    nodes=Nodes, segments=Segments, system=System, kept=Kept,
+    contacts="Contact 2BC  the two lists of contacts",
+    count="int32 2B  their lengths",
+    progress="Progress B  how far each touch is",
+    guard="Guard B  of each touch")
 
 # Which touch a thread works on, and its share of the work.
 Thread = struct(
@@ -329,21 +348,22 @@ def make_trees(m: Sequence[RodModel], device: str) -> Any:
 def start(work: Any, models: Sequence[RodModel], some: slice, plan: np.ndarray) -> None:
     """Start the touches ``some``, of the plants ``models`` and planned at ``plan`` (b, T): plants at rest, no contact,
     the arm at its first pose."""
-    for part in (work.nodes, work.progress, work.guard):
-        for name in part._cls.vars:
-            getattr(part, name)[some].zero_()
-    for side in (0, 1):
-        work.contacts.count[side, some].zero_()
-    work.system.stale[some].zero_()
-    rest = np.zeros((len(models), work.nodes.x.shape[1], 3))
+    for part in (work.nodes, work.kept):
+        for name, variable in part._cls.vars.items():
+            if isinstance(variable.type, wp.array):
+                getattr(part, name)[some].zero_()
+    for array in (work.count[0], work.count[1], work.system.stale, work.progress):
+        array[some].zero_()
+    rest = np.zeros((len(models), work.now.x.shape[1], 3))
     for row, model in zip(rest, models):
         row[:len(model.plant.nodes)] = model.plant.nodes
-    work.nodes.x[some].assign(rest)
-    work.nodes.q[some].assign(np.tile([0.0, 0.0, 0.0, 1.0], (*rest.shape[:2], 1)))
-    work.guard.pace[some].fill_(1.0)
-    for where in (work.guard.position, work.guard.good_position, work.guard.turning_position,
-                  work.guard.clear_position):
-        where[some].assign(np.ascontiguousarray(plan[:, 0]))
+    work.now.x[some].assign(rest)
+    work.now.q[some].assign(np.tile([0.0, 0.0, 0.0, 1.0], (*rest.shape[:2], 1)))
+    guard = np.zeros(len(models), Guard.numpy_dtype())
+    guard["pace"] = 1.0
+    for where in ("position", "good_position", "turning_position", "clear_position"):
+        guard[where] = plan[:, 0]
+    work.guard[some].assign(guard)
 
 
 def _children(model: RodModel) -> tuple[np.ndarray, np.ndarray]:

@@ -20,11 +20,8 @@ its point when it meets the capsule, by the first iterate that is inside.
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import friction
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 NEAR = wp.constant(wp.float64(1e-12))  # distance from the axis below which the normal is arbitrary [m]
 HARD = wp.constant(wp.float64(1e-3))  # h, the penetration at which the penalty hardens [m]
@@ -89,28 +86,9 @@ def normal_hessian(g: Gap, k: real, geometric: real):
 
 
 @wp.func
-def slip(n: vec3, y: vec3, anchor: vec3):
-    """Tangential displacement from the anchor."""
-    return friction.tangential(y - anchor, n)
-
-
-@wp.func
-def friction_force(u: vec3, k: real, tau: real):
-    """Gradient of Pi_t: minus the force on the plant."""
-    size = k * wp.length(u)
-    if size <= tau:
-        return k * u
-    return (tau / size * k) * u
-
-
-@wp.func
 def friction_hessian(u: vec3, n: vec3, k: real, tau: real):
-    p = wp.identity(n=3, dtype=real) - wp.outer(n, n)
-    size = wp.length(u)
-    if k * size <= tau:
-        return k * p
-    t = u / size
-    return (tau / size) * (p - wp.outer(t, t))
+    along, across = friction.hessian_roots(u, n, k, tau)
+    return wp.outer(along, along) + wp.outer(across, across)
 
 
 @wp.func

@@ -6,14 +6,10 @@ weight.
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.fibre import POINTS
-from vsfsim.physics.rods.kernels.geometry import fibre_patch
+from vsfsim.physics.rods.kernels.fibre import POINTS, fibre_patch
 from vsfsim.physics.rods.kernels.lanes import lane_count, lanes_before, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ZERO, real, vec3
-from vsfsim.physics.rods.structs import Stick, Thread, Touches, Trees, Work
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+from vsfsim.physics.rods.structs import Contact, Memory, Stick, Thread, Touches, Trees, Work
 
 KEYS = wp.constant(4096)  # stride of the keys of contacts; the fibres of a segment have fewer points
 
@@ -28,9 +24,9 @@ def carry_unloaded(tree: Trees, w: Work, me: Thread):
             i = tree.rank[r]
             if w.nodes.active[b, i] == 0:
                 p = tree.parent[o + i]
-                qp = w.nodes.q[b, p]
-                w.nodes.q[b, i] = qp
-                w.nodes.x[b, i] = w.nodes.x[b, p] + wp.quat_rotate(qp, tree.rest[o + i] - tree.rest[o + p])
+                qp = w.now.q[b, p]
+                w.now.q[b, i] = qp
+                w.now.x[b, i] = w.now.x[b, p] + wp.quat_rotate(qp, tree.rest[o + i] - tree.rest[o + p])
         sync()
 
 
@@ -38,14 +34,14 @@ def carry_unloaded(tree: Trees, w: Work, me: Thread):
 def find_contact(w: Work, old: int, b: int, key: int):
     """Place of ``key`` in the sorted list ``old``, or -1."""
     low = int(0)
-    high = w.contacts.count[old, b]
+    high = w.count[old, b]
     while low < high:
         mid = (low + high) / 2
-        if w.contacts.key[old, b, mid] < key:
+        if w.contacts[old, b, mid].memory.key < key:
             low = mid + 1
         else:
             high = mid
-    if low < w.contacts.count[old, b] and w.contacts.key[old, b, low] == key:
+    if low < w.count[old, b] and w.contacts[old, b, low].memory.key == key:
         return low
     return -1
 
@@ -56,13 +52,13 @@ def nearby_capsules(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, ma
     `Nodes.segment_clearance`."""
     b = me.b
     p = tree.parent[me.o + i]
-    xp = w.nodes.x[b, p]
-    xc = w.nodes.x[b, i]
+    xp = w.now.x[b, p]
+    xc = w.now.x[b, i]
     mid = HALF * (xp + xc)
     # the control points of the cubic (Bezier) bound it; the middle line is close to it
     third = (tree.rest[me.o + i] - tree.rest[me.o + p]) / real(3.0)
-    leave = wp.length(xp + wp.quat_rotate(w.nodes.q[b, p], third) - mid)
-    come = wp.length(xc - wp.quat_rotate(w.nodes.q[b, i], third) - mid)
+    leave = wp.length(xp + wp.quat_rotate(w.now.q[b, p], third) - mid)
+    come = wp.length(xc - wp.quat_rotate(w.now.q[b, i], third) - mid)
     around = wp.max(HALF * wp.length(xc - xp), wp.max(leave, come)) + tree.bound[me.o + i]
     clear = real(1.0)
     which = int(0)
@@ -87,37 +83,32 @@ def append_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, k:
     from ``begin`` on, as far as there is room. Returns their number. The lanes share the fibres: a leaf has many."""
     b = me.b
     m = begin
-    p = tree.parent[me.o + i]
-    cx = w.capsules.x[b, k]
-    cq = w.capsules.q[b, k]
     start = tree.fibre[me.o + i]
     stop = tree.fibre[me.o + i + 1]
     for base in range(start, stop, me.lanes):
         j = base + me.lane
         hit = int(0)
         if j < stop:
-            patch = fibre_patch(tree, touch, b, me.o, p, i, j, k, w.nodes.x, w.nodes.q, cx, cq)
+            patch = fibre_patch(tree, touch, me, i, j, k, w.now, w.capsules)
             if patch.gap < margin:
                 hit = 1
         place = m + POINTS * lanes_before(hit)
-        if hit == 1 and place + POINTS <= w.contacts.key.shape[2]:
-            begun = fibre_patch(tree, touch, b, me.o, p, i, j, k, w.nodes.x_start, w.nodes.q_start,
-                                w.capsules.x_start[b, k], w.capsules.q_start[b, k])
+        if hit == 1 and place + POINTS <= w.contacts.shape[2]:
+            begun = fibre_patch(tree, touch, me, i, j, k, w.start, w.capsules_start)
+            at = Contact()
+            at.fibre = j
+            at.node = i
+            at.capsule = k
+            at.gap_start = wp.max(begun.gap, ZERO)
             first = (i * touch.half.shape[0] + k) * KEYS + POINTS * (j - start)
             there = find_contact(w, old, b, first)
             for n in range(POINTS):
-                c = place + n
-                w.contacts.key[new, b, c] = first + n
-                w.contacts.fibre[new, b, c] = j
-                w.contacts.node[new, b, c] = i
-                w.contacts.capsule[new, b, c] = k
-                stuck = int(Stick.FREE)
+                at.memory = Memory()
                 if there >= 0:
-                    stuck = wp.min(w.contacts.stuck[old, b, there + n], Stick.STUCK)
-                    w.contacts.stretch[new, b, c] = w.contacts.stretch[old, b, there + n]
-                w.contacts.stuck[new, b, c] = stuck
-                w.contacts.gap_start[new, b, c] = wp.max(begun.gap, ZERO)
-                w.contacts.friction_limit[new, b, c] = ZERO
+                    at.memory = w.contacts[old, b, there + n].memory
+                    at.memory.stuck = wp.min(at.memory.stuck, int(Stick.STUCK))
+                at.memory.key = first + n
+                w.contacts[new, b, place + n] = at
         m = m + POINTS * lane_count(hit)
     return m - begin
 
@@ -147,13 +138,13 @@ def list_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, margin: real
         if me.lane == 0:
             w.segments.first_contact[b, i] = begin
             w.segments.contact_count[b, i] = m - begin
-        if m > w.contacts.key.shape[2]:
+        if m > w.contacts.shape[2]:
             break
     sync()
-    if m > w.contacts.key.shape[2]:
+    if m > w.contacts.shape[2]:
         return -1
     if me.lane == 0:
-        w.contacts.count[new, b] = m
+        w.count[new, b] = m
     sync()
     return m
 

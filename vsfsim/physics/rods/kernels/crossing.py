@@ -5,19 +5,16 @@ unique) and d changes continuously with the state. A piece that goes from one si
 through zero, and its direction to the opposite. So a step is refused in which d turns by more than a right angle; a
 short enough part of it never does, unless the piece lies on the axis. The same holds for a ball, whose axis is a point.
 
-Functions that are not inlined take no `Work`: CUDA passes structs by value, and copies of its 130 arrays at five calls
-were two fifths of the kernel's instructions.
+Functions that are not inlined take no `Work`: CUDA passes structs by value, and copies of its arrays at five calls were
+two fifths of the kernel's instructions.
 """
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.fibre import Fibre, fibre_in_capsule
 from vsfsim.physics.rods.kernels.lanes import lane_count
-from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, vec3
-from vsfsim.physics.rods.structs import Thread, Trees
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, real, vec3
+from vsfsim.physics.rods.structs import State, Thread, Trees
 
 PIECES = wp.constant(4)  # straight pieces of a fibre
 
@@ -49,28 +46,28 @@ def from_axis(a: vec3, b: vec3, half: real):
 
 
 @wp.func
-def segment_reach(tree: Trees, me: Thread, i: int, p: int, x0: wp.array2d(dtype=vec3), q0: wp.array2d(dtype=quat),
-                  x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat)):
+def segment_reach(tree: Trees, me: Thread, i: int, p: int, before: State, after: State):
     """Radius around the middle of a segment's ends in the second state within which all its fibres are, plus the way
     that they move from the first state, at most [m]."""
     b = me.b
     length = tree.length[me.o + i]
     wide = tree.bound[me.o + i]
-    turn = real(2.0) * wp.max(wp.length(q1[b, p] - q0[b, p]), wp.length(q1[b, i] - q0[b, i]))
-    way = wp.max(wp.length(x1[b, p] - x0[b, p]), wp.length(x1[b, i] - x0[b, i]))
+    turn = real(2.0) * wp.max(wp.length(after.q[b, p] - before.q[b, p]), wp.length(after.q[b, i] - before.q[b, i]))
+    way = wp.max(wp.length(after.x[b, p] - before.x[b, p]), wp.length(after.x[b, i] - before.x[b, i]))
     # the control points of the cubic bound it
-    return HALF * wp.length(x1[b, i] - x1[b, p]) + length / real(3.0) + wide + way + turn * (length / real(3.0) + wide)
+    span = HALF * wp.length(after.x[b, i] - after.x[b, p])
+    return span + length / real(3.0) + wide + way + turn * (length / real(3.0) + wide)
 
 
 @wp.func(inline=False)
-def passes(tree: Trees, half: real, me: Thread, i: int, p: int, x0: wp.array2d(dtype=vec3), q0: wp.array2d(dtype=quat),
-           cx0: vec3, cq0: quat, x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat), cx1: vec3, cq1: quat):
-    """1 if a fibre of segment ``i`` passes through a capsule of the half length ``half`` from the state (x0, q0), with
-    the capsule at (cx0, cq0), to the state (x1, q1), with the capsule at (cx1, cq1)."""
+def passes(tree: Trees, half: real, me: Thread, i: int, k: int, before: State, capsules_before: State, after: State,
+           capsules_after: State):
+    """1 if a fibre of segment ``i`` passes through capsule ``k`` of the half length ``half`` from one state to the
+    other, else 0."""
     for j in range(tree.fibre[me.o + i], tree.fibre[me.o + i + 1]):
         if tree.tip[j] == 0:
-            f0 = fibre_in_capsule(tree, me.b, me.o, p, i, j, x0, q0, cx0, cq0)
-            f1 = fibre_in_capsule(tree, me.b, me.o, p, i, j, x1, q1, cx1, cq1)
+            f0 = fibre_in_capsule(tree, me, i, j, k, before, capsules_before)
+            f1 = fibre_in_capsule(tree, me, i, j, k, after, capsules_after)
             a0 = f0.a
             a1 = f1.a
             for n in range(PIECES):
@@ -86,9 +83,7 @@ def passes(tree: Trees, half: real, me: Thread, i: int, p: int, x0: wp.array2d(d
 
 @wp.func(inline=False)
 def crossing(tree: Trees, length: wp.array(dtype=real), order: wp.array2d(dtype=wp.int32), me: Thread, count: int,
-             x0: wp.array2d(dtype=vec3), q0: wp.array2d(dtype=quat), cx0: wp.array2d(dtype=vec3),
-             cq0: wp.array2d(dtype=quat), x1: wp.array2d(dtype=vec3), q1: wp.array2d(dtype=quat),
-             cx1: wp.array2d(dtype=vec3), cq1: wp.array2d(dtype=quat)):
+             before: State, capsules_before: State, after: State, capsules_after: State):
     """Number of segments that pass through a capsule between two states, see `passes`.
 
     Args:
@@ -104,17 +99,18 @@ def crossing(tree: Trees, length: wp.array(dtype=real), order: wp.array2d(dtype=
         if count > 0:
             i = order[b, r]
         p = tree.parent[me.o + i]
-        reach = segment_reach(tree, me, i, p, x0, q0, x1, q1)
-        middle = HALF * (x1[b, p] + x1[b, i])
+        reach = segment_reach(tree, me, i, p, before, after)
+        middle = HALF * (after.x[b, p] + after.x[b, i])
         for k in range(length.shape[0]):
             half = length[k]
-            turn = real(2.0) * wp.min(wp.length(cq1[b, k] - cq0[b, k]), wp.length(cq1[b, k] + cq0[b, k]))
-            near = reach + wp.length(cx1[b, k] - cx0[b, k]) + turn * (half + reach)
-            away = middle - cx1[b, k]
+            q0 = capsules_before.q[b, k]
+            q1 = capsules_after.q[b, k]
+            turn = real(2.0) * wp.min(wp.length(q1 - q0), wp.length(q1 + q0))
+            near = reach + wp.length(capsules_after.x[b, k] - capsules_before.x[b, k]) + turn * (half + reach)
+            away = middle - capsules_after.x[b, k]
             if wp.length(away) < near + half:
-                local = wp.quat_rotate_inv(cq1[b, k], away)
+                local = wp.quat_rotate_inv(q1, away)
                 z = local[2] - wp.clamp(local[2], -half, half)
                 if local[0] * local[0] + local[1] * local[1] + z * z < near * near:
-                    found = found + passes(tree, half, me, i, p, x0, q0, cx0[b, k], cq0[b, k], x1, q1, cx1[b, k],
-                                           cq1[b, k])
+                    found = found + passes(tree, half, me, i, k, before, capsules_before, after, capsules_after)
     return lane_count(found)

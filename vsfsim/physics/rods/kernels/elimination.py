@@ -8,12 +8,9 @@ which the compilers unroll: on a GPU a block then stays in registers.
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.lanes import lane_count, sync
 from vsfsim.physics.rods.kernels.segment import mat66
 from vsfsim.physics.rods.structs import Stale, Thread, Trees, Work
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 vec6 = wp.spatial_vectord
 COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
@@ -21,6 +18,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
 
 @wp.func_native(snippet="""
     double d[6][6], v[6], own[6];
+    auto exchange = [](double& one, double& other) { const double kept = one; one = other; other = kept; };
     {
         auto& block = *wp::address(diagonal, b, i);
         auto& side = *wp::address(right, b, i);
@@ -36,42 +34,26 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
             continue;
         auto& y = *wp::address(passed, b, kid);
         auto& t = *wp::address(held, b, kid);
-        if (symmetric) {
-            auto& down = *wp::address(coupling, b, kid);
-            for (int r = 0; r < 6; ++r)
-                for (int m = 0; m < 6; ++m) {
-                    const double f = down.data[m][r];
-                    v[r] -= f * t[m];
-                    for (int c = 0; c < 6; ++c)
-                        d[r][c] -= f * y.data[m][c];
-                }
-        } else {
-            auto& up = *wp::address(across, b, kid);
-            for (int r = 0; r < 6; ++r)
-                for (int m = 0; m < 6; ++m) {
-                    const double f = up.data[r][m];
-                    v[r] -= f * t[m];
-                    for (int c = 0; c < 6; ++c)
-                        d[r][c] -= f * y.data[m][c];
-                }
-        }
+        auto& pair = *wp::address(symmetric ? coupling : across, b, kid);
+        for (int r = 0; r < 6; ++r)
+            for (int m = 0; m < 6; ++m) {
+                const double f = symmetric ? pair.data[m][r] : pair.data[r][m];
+                v[r] -= f * t[m];
+                for (int c = 0; c < 6; ++c)
+                    d[r][c] -= f * y.data[m][c];
+            }
     }
     // the columns of this lane: one, or all seven with a single lane; the right-hand side is the seventh
-    auto& pair = *wp::address(coupling, b, i);
 #if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
-    const int wide = 1;
-    double z[6][1];
-    for (int r = 0; r < 6; ++r)
-        z[r][0] = column < 6 ? pair.data[r][column] : v[r];
+    constexpr int wide = 1;
 #else
-    const int wide = 7;
-    double z[6][7];
-    for (int r = 0; r < 6; ++r) {
-        for (int c = 0; c < 6; ++c)
-            z[r][c] = pair.data[r][c];
-        z[r][6] = v[r];
-    }
+    constexpr int wide = 7;
 #endif
+    double z[6][wide];
+    auto& pair = *wp::address(coupling, b, i);
+    for (int r = 0; r < 6; ++r)
+        for (int c = 0; c < wide; ++c)
+            z[r][c] = column + c < 6 ? pair.data[r][column + c] : v[r];
     int fine = 1;
     for (int k = 0; k < 6; ++k)
         own[k] = ::fabs(d[k][k]);
@@ -96,16 +78,10 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
             }
             for (int m = k + 1; m < 6; ++m)  // constant row numbers keep the block in registers
                 if (m == best) {
-                    for (int c = k; c < 6; ++c) {
-                        const double swap = d[k][c];
-                        d[k][c] = d[m][c];
-                        d[m][c] = swap;
-                    }
-                    for (int c = 0; c < wide; ++c) {
-                        const double swap = z[k][c];
-                        z[k][c] = z[m][c];
-                        z[m][c] = swap;
-                    }
+                    for (int c = k; c < 6; ++c)
+                        exchange(d[k][c], d[m][c]);
+                    for (int c = 0; c < wide; ++c)
+                        exchange(z[k][c], z[m][c]);
                 }
         }
         const double inverse = 1.0 / d[k][k];
@@ -127,20 +103,9 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
         }
     auto& pass = *wp::address(passed, b, i);
     auto& hold = *wp::address(held, b, i);
-#if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
-    if (column == 6)
-        for (int r = 0; r < 6; ++r)
-            hold[r] = z[r][0];
-    else
-        for (int r = 0; r < 6; ++r)
-            pass.data[r][column] = z[r][0];
-#else
-    for (int r = 0; r < 6; ++r) {
-        for (int c = 0; c < 6; ++c)
-            pass.data[r][c] = z[r][c];
-        hold[r] = z[r][6];
-    }
-#endif
+    for (int r = 0; r < 6; ++r)
+        for (int c = 0; c < wide; ++c)
+            (column + c < 6 ? pass.data[r][column + c] : hold[r]) = z[r][c];
     return fine;
 """)
 def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32),

@@ -1,4 +1,5 @@
-"""The fibres of a segment as smooth curves, and the part of a fibre that touches a capsule.
+"""The fibres of a segment as smooth curves, the part of a fibre that touches a capsule, and contacts there in a state
+of the nodes.
 
     y(s) = (1 - w) (xp + Rp (b + L s / (1 + 2 s) e)) + w (xc + Rc (b - L (1 - s) / (3 - 2 s) e)),   w = s^2 (3 - 2 s)
 
@@ -10,15 +11,16 @@ In the frame of a capsule the curve is a cubic polynomial. The distance to the c
 space, so the points of a straight fibre inside a capsule are one interval; of a curved one, the interval from the first
 to the last is taken. Its ends are found by Laguerre's method, which is exact for a straight fibre beside the capsule's
 shaft.
+
+``i`` is a segment, counted within the plant, ``j`` a fibre of it and ``k`` a capsule.
 """
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, vec3
-from vsfsim.physics.rods.structs import Trees
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+from vsfsim.physics.contact import friction
+from vsfsim.physics.rods.kernels.contact_law import capsule_gap, normal_force
+from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, real, spatial, strain, vec3
+from vsfsim.physics.rods.structs import Contact, End, State, Thread, Touches, Trees, Work
 
 POINTS = wp.constant(3)  # Gauss points of a patch: exact for the energy of a parabola's overlap, of degree 4
 GRID = wp.constant(4)  # intervals of a segment in which its closest point is searched
@@ -63,37 +65,30 @@ def child_share(s: real):
 
 
 @wp.func
-def parent_offset(tree: Trees, o: int, p: int, i: int, j: int, s: real):
-    """From the parent's node to the point that it carries of the place ``s``, at rest [m]."""
-    return tree.offset[j] + (s / (ONE + real(2.0) * s)) * (tree.rest[o + i] - tree.rest[o + p])
-
-
-@wp.func
-def child_offset(tree: Trees, o: int, p: int, i: int, j: int, s: real):
-    """From the child's node to the point that it carries of the place ``s``, at rest [m]."""
-    return tree.offset[j] - ((ONE - s) / (real(3.0) - real(2.0) * s)) * (tree.rest[o + i] - tree.rest[o + p])
-
-
-@wp.func
-def fibre_point(tree: Trees, b: int, o: int, p: int, i: int, j: int, s: real, x: wp.array2d(dtype=vec3),
-                q: wp.array2d(dtype=quat)):
-    """World position of the material point at the place ``s`` [m]."""
+def material_point(tree: Trees, me: Thread, i: int, j: int, s: real, now: State):
+    """World position of the material point at the place ``s`` of fibre ``j`` of segment ``i`` in a state [m], and the
+    levers to it from the parent's node and from the child's [m]."""
+    p = tree.parent[me.o + i]
+    way = tree.rest[me.o + i] - tree.rest[me.o + p]
+    arm_p = wp.quat_rotate(now.q[me.b, p], tree.offset[j] + (s / (ONE + real(2.0) * s)) * way)
+    arm_c = wp.quat_rotate(now.q[me.b, i], tree.offset[j] - ((ONE - s) / (real(3.0) - real(2.0) * s)) * way)
     w = child_share(s)
-    yp = x[b, p] + wp.quat_rotate(q[b, p], parent_offset(tree, o, p, i, j, s))
-    yc = x[b, i] + wp.quat_rotate(q[b, i], child_offset(tree, o, p, i, j, s))
-    return (ONE - w) * yp + w * yc
+    return (ONE - w) * (now.x[me.b, p] + arm_p) + w * (now.x[me.b, i] + arm_c), arm_p, arm_c
 
 
 @wp.func
-def fibre_in_capsule(tree: Trees, b: int, o: int, p: int, i: int, j: int, x: wp.array2d(dtype=vec3),
-                     q: wp.array2d(dtype=quat), cx: vec3, cq: quat):
-    """The fibre in the frame (cx, cq) of a capsule."""
-    way = tree.rest[o + i] - tree.rest[o + p]
-    offset = tree.offset[j]
-    first = wp.quat_rotate_inv(cq, x[b, p] + wp.quat_rotate(q[b, p], offset) - cx)
-    last = wp.quat_rotate_inv(cq, x[b, i] + wp.quat_rotate(q[b, i], offset) - cx)
-    leave = wp.quat_rotate_inv(cq, wp.quat_rotate(q[b, p], way))
-    come = wp.quat_rotate_inv(cq, wp.quat_rotate(q[b, i], way))
+def fibre_in_capsule(tree: Trees, me: Thread, i: int, j: int, k: int, now: State, capsules: State):
+    """Fibre ``j`` of segment ``i`` in the frame of capsule ``k``."""
+    p = tree.parent[me.o + i]
+    way = tree.rest[me.o + i] - tree.rest[me.o + p]
+    cx = capsules.x[me.b, k]
+    cq = capsules.q[me.b, k]
+    qp = now.q[me.b, p]
+    qc = now.q[me.b, i]
+    first = wp.quat_rotate_inv(cq, now.x[me.b, p] + wp.quat_rotate(qp, tree.offset[j]) - cx)
+    last = wp.quat_rotate_inv(cq, now.x[me.b, i] + wp.quat_rotate(qc, tree.offset[j]) - cx)
+    leave = wp.quat_rotate_inv(cq, wp.quat_rotate(qp, way))
+    come = wp.quat_rotate_inv(cq, wp.quat_rotate(qc, way))
     f = Fibre()
     f.a = first
     f.b = leave
@@ -226,10 +221,84 @@ def point_place(patch: Patch, n: int):
 
 
 @wp.func
-def point_stiffness(tree: Trees, o: int, i: int, j: int, patch: Patch, n: int, s: real):
-    """Penalty of Gauss point ``n`` at the place ``s``: that of its length of branch [N/m]."""
-    ends = tree.softness[j]
-    soft = ends[0] + s * (ends[1] - ends[0])
-    length = wp.where(tree.tip[j] == 1, CONTACT_LENGTH, tree.length[o + i] * (patch.high - patch.low))
+def point_stiffness(tree: Trees, me: Thread, at: Contact, patch: Patch, n: int):
+    """Penalty of Gauss point ``n``: that of its length of branch [N/m]."""
+    ends = tree.softness[at.fibre]
+    soft = ends[0] + at.place * (ends[1] - ends[0])
+    length = tree.length[me.o + at.node] * (patch.high - patch.low)
+    if tree.tip[at.fibre] == 1:
+        length = CONTACT_LENGTH
     weight = wp.where(n == 1, real(4.0 / 9.0), real(5.0 / 18.0))
     return weight * length / (CONTACT_LENGTH * soft * soft * soft)
+
+
+@wp.func
+def segment_strain(tree: Trees, me: Thread, i: int, now: State):
+    """Strains of a segment."""
+    p = tree.parent[me.o + i]
+    return strain(now.x[me.b, p], now.q[me.b, p], now.x[me.b, i], now.q[me.b, i], tree.frame[me.o + i],
+                  tree.length[me.o + i])
+
+
+@wp.func
+def fibre_patch(tree: Trees, touch: Touches, me: Thread, i: int, j: int, k: int, now: State, capsules: State):
+    """The patch of a fibre beside a capsule."""
+    f = fibre_in_capsule(tree, me, i, j, k, now, capsules)
+    return touching_patch(f, tree.tip[j], touch.half[k], touch.radius[k] + tree.radius[j], tree.length[me.o + i])
+
+
+@wp.func
+def pressed(tree: Trees, touch: Touches, me: Thread, at: Contact, now: State, capsules: State):
+    """The contact with the levers, gap and normal force that its place has in a state."""
+    k = at.capsule
+    y, arm_p, arm_c = material_point(tree, me, at.node, at.fibre, at.place, now)
+    share = child_share(at.place)
+    at.point = y
+    at.surface = y
+    at.parent.share = ONE - share
+    at.child.share = share
+    at.parent.arm = arm_p
+    at.child.arm = arm_c
+    at.parent.surface = arm_p
+    at.child.surface = arm_c
+    at.gap = capsule_gap(y, tree.radius[at.fibre], capsules.x[me.b, k], capsules.q[me.b, k], touch.half[k],
+                         touch.radius[k])
+    # An open contact has the force of a plane at the capsule's surface; only the model of the step uses it.
+    push = -at.stiffness * at.gap.value
+    if at.gap.value < ZERO:
+        push = normal_force(-at.gap.value, at.stiffness)
+    at.normal_gradient = -push * at.gap.normal
+    at.friction_gradient = vec3()
+    return at
+
+
+@wp.func
+def surface_point(tree: Trees, w: Work, me: Thread, at: Contact, now: State):
+    """World position of the point on the branch's surface that was ``at.lever`` away from the fibre at the start of the
+    stride [m], and the levers to it from the parent's node and from the child's, which both carry it along [m]."""
+    i = at.node
+    p = tree.parent[me.o + i]
+    y, arm_p, arm_c = material_point(tree, me, i, at.fibre, at.place, now)
+    lp = wp.quat_rotate(now.q[me.b, p], wp.quat_rotate_inv(w.start.q[me.b, p], at.lever))
+    lc = wp.quat_rotate(now.q[me.b, i], wp.quat_rotate_inv(w.start.q[me.b, i], at.lever))
+    share = child_share(at.place)
+    return y + (ONE - share) * lp + share * lc, arm_p + lp, arm_c + lc
+
+
+@wp.func
+def rubbed(tree: Trees, w: Work, me: Thread, at: Contact, now: State):
+    """The contact with the levers, slip and friction force of its surface point in a state."""
+    y, arm_p, arm_c = surface_point(tree, w, me, at, now)
+    at.surface = y
+    at.parent.surface = arm_p
+    at.child.surface = arm_c
+    at.slip = friction.tangential(y - at.anchor, at.gap.normal)
+    at.friction_gradient = friction.force(at.slip, at.stiffness, at.friction_limit)
+    return at
+
+
+@wp.func
+def end_force(at: Contact, end: End):
+    """Derivative of the energy of a contact by the node at one end of its segment [N, N m]."""
+    moment = wp.cross(end.arm, at.normal_gradient) + wp.cross(end.surface, at.friction_gradient)
+    return end.share * spatial(at.normal_gradient + at.friction_gradient, moment)

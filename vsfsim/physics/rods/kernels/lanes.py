@@ -10,8 +10,6 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
 LANES = 32  # of a touch on a GPU
 
 

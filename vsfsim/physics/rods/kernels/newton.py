@@ -2,7 +2,6 @@
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.assembly import (
     assemble,
     assemble_step,
@@ -16,12 +15,9 @@ from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unl
 from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.elimination import solve
 from vsfsim.physics.rods.kernels.lanes import lane_max, lane_sum, sync
-from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, spatial, strain, vec3
-from vsfsim.physics.rods.kernels.yielding import segment_energy
-from vsfsim.physics.rods.structs import Thread, Touches, Trees, Work
+from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, energy, quat, real, spatial, strain, vec3
+from vsfsim.physics.rods.structs import State, Thread, Touches, Trees, Work
 from vsfsim.physics.solve.frames import Reason
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MARGIN = wp.constant(wp.float64(0.006))  # distance from a capsule at which a fibre is listed as a contact [m]
 # Longest displacement in one iteration over the clearance of the node, its distance from the capsules. The clearance
@@ -68,12 +64,12 @@ def span_rates(tree: Trees, w: Work, me: Thread, count: int):
         i = w.nodes.order[b, a]
         s = w.system.step[b, i]
         up = w.system.step[b, tree.parent[me.o + i]]
-        mid = w.segments.frame[b, i]
-        on_p = wp.quat_rotate_inv(mid, wp.spatial_bottom(up))
-        on_c = wp.quat_rotate_inv(mid, wp.spatial_bottom(s))
-        spin = HALF * (on_p + on_c) - HALF * wp.cross(w.segments.half_rotation[b, i], on_c - on_p)
-        apart = wp.quat_rotate_inv(mid, wp.spatial_top(s) - wp.spatial_top(up))
-        w.segments.span_rate[b, i] = apart - wp.cross(spin, w.segments.span[b, i])
+        at = w.segments.strain[b, i]
+        on_p = wp.quat_rotate_inv(at.turn, wp.spatial_bottom(up))
+        on_c = wp.quat_rotate_inv(at.turn, wp.spatial_bottom(s))
+        spin = HALF * (on_p + on_c) - HALF * wp.cross(at.g, on_c - on_p)
+        apart = wp.quat_rotate_inv(at.turn, wp.spatial_top(s) - wp.spatial_top(up))
+        w.segments.span_rate[b, i] = apart - wp.cross(spin, at.D)
         relative = wp.spatial_bottom(s) - wp.spatial_bottom(up)
         w.segments.relative_spin[b, i] = relative
         largest = wp.max(largest, wp.length(relative))
@@ -90,18 +86,18 @@ def limit_bending(tree: Trees, w: Work, me: Thread, levels: int, bend: real):
         for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
             i = w.nodes.order[b, a]
             up = w.system.step[b, tree.parent[me.o + i]]
-            mid = w.segments.frame[b, i]
-            on_p = wp.quat_rotate_inv(mid, wp.spatial_bottom(up))
-            e = wp.quat_rotate_inv(mid, w.segments.relative_spin[b, i])
+            at = w.segments.strain[b, i]
+            on_p = wp.quat_rotate_inv(at.turn, wp.spatial_bottom(up))
+            e = wp.quat_rotate_inv(at.turn, w.segments.relative_spin[b, i])
             rate = w.segments.span_rate[b, i]
             size = wp.length(e)
             if size > bend:
                 e = (bend / size) * e
                 rate = (bend / size) * rate
-            spin = on_p + HALF * e - HALF * wp.cross(w.segments.half_rotation[b, i], e)
+            spin = on_p + HALF * e - HALF * wp.cross(at.g, e)
             w.segments.span_rate[b, i] = rate
-            apart = wp.quat_rotate(mid, rate + wp.cross(spin, w.segments.span[b, i]))
-            w.system.step[b, i] = spatial(wp.spatial_top(up) + apart, wp.quat_rotate(mid, on_p + e))
+            apart = wp.quat_rotate(at.turn, rate + wp.cross(spin, at.D))
+            w.system.step[b, i] = spatial(wp.spatial_top(up) + apart, wp.quat_rotate(at.turn, on_p + e))
         sync()
 
 
@@ -137,41 +133,40 @@ def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha
     o = me.o
     out = ZERO
     if me.lane == 0:
-        w.nodes.x_trial[b, 0] = w.nodes.x[b, 0]
-        w.nodes.q_trial[b, 0] = w.nodes.q[b, 0]
+        w.trial.x[b, 0] = w.now.x[b, 0]
+        w.trial.q[b, 0] = w.now.q[b, 0]
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        w.nodes.q_trial[b, i] = rotated(w.nodes.q[b, i], alpha * wp.spatial_bottom(w.system.step[b, i]))
+        w.trial.q[b, i] = rotated(w.now.q[b, i], alpha * wp.spatial_bottom(w.system.step[b, i]))
     sync()
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        span = w.segments.span[b, i] + alpha * w.segments.span_rate[b, i]
-        qp = w.nodes.q_trial[b, tree.parent[o + i]]
-        s = strain(vec3(), qp, vec3(), w.nodes.q_trial[b, i], tree.frame[o + i], ZERO)
-        w.nodes.x_trial[b, i] = wp.quat_rotate(s.turn, span)
+        span = w.segments.strain[b, i].D + alpha * w.segments.span_rate[b, i]
+        qp = w.trial.q[b, tree.parent[o + i]]
+        s = strain(vec3(), qp, vec3(), w.trial.q[b, i], tree.frame[o + i], ZERO)
+        w.trial.x[b, i] = wp.quat_rotate(s.turn, span)
         s.d = span - vec3(tree.length[o + i], ZERO, ZERO)
-        out = out + segment_energy(tree, w, b, o, i, s)
+        out = out + energy(s, tree.kd[o + i], tree.kphi[o + i], tree.wire[o + i], w.nodes.plastic[b, i])
     sync()
     for d in range(1, levels):
         for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
             i = w.nodes.order[b, a]
-            w.nodes.x_trial[b, i] = w.nodes.x_trial[b, i] + w.nodes.x_trial[b, tree.parent[o + i]]
+            w.trial.x[b, i] = w.trial.x[b, i] + w.trial.x[b, tree.parent[o + i]]
         sync()
     if weighs == 1:
         for a in range(1 + me.lane, count, me.lanes):
             i = w.nodes.order[b, a]
-            out = out - wp.dot(tree.load[o + i], w.nodes.x_trial[b, i] - tree.rest[o + i])
+            out = out - wp.dot(tree.load[o + i], w.trial.x[b, i] - tree.rest[o + i])
     return out
 
 
 @wp.func
-def copy_active(w: Work, me: Thread, count: int, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat),
-               x_out: wp.array2d(dtype=vec3), q_out: wp.array2d(dtype=quat)):
-    """Copies the state of the active nodes."""
-    for a in range(1 + me.lane, count, me.lanes):
-        i = w.nodes.order[me.b, a]
-        x_out[me.b, i] = x_in[me.b, i]
-        q_out[me.b, i] = q_in[me.b, i]
+def copy_active(w: Work, me: Thread, count: int, a: State, b: State):
+    """Copies the state ``a`` of the active nodes to ``b``."""
+    for r in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[me.b, r]
+        b.x[me.b, i] = a.x[me.b, i]
+        b.q[me.b, i] = a.q[me.b, i]
     sync()
 
 
@@ -181,7 +176,7 @@ def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, le
     """Newton's step with the contacts that it closes itself: their set is predicted until it no longer changes, at most
     ``sets`` times. Returns 1, or 0 if the system is singular or not positive definite."""
     fine = int(0)
-    contact_hessians(tree, touch, w, me, count, side, geometric, coulomb)
+    contact_hessians(touch, w, me, count, side, geometric, coulomb)
     for _pick in range(sets):
         assemble_step(tree, w, me, count, side, geometric, coulomb)
         fine = solve(tree, w, me, levels, coulomb)
@@ -195,8 +190,7 @@ def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, le
 @wp.func
 def trial_crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int):
     """Number of active segments that pass through a capsule on the way to the trial state."""
-    return crossing(tree, touch.half, w.nodes.order, me, count, w.nodes.x, w.nodes.q, w.capsules.x, w.capsules.q,
-                    w.nodes.x_trial, w.nodes.q_trial, w.capsules.x, w.capsules.q)
+    return crossing(tree, touch.half, w.nodes.order, me, count, w.now, w.capsules, w.trial, w.capsules)
 
 
 @wp.func
@@ -236,8 +230,8 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
     slope = ZERO
     turn = ZERO
     turns = int(0)
-    for _it in range(3 * touch.travel):
-        if spent >= touch.newton or turns >= touch.travel:
+    for _it in range(3 * touch.limits.travel):
+        if spent >= touch.limits.newton or turns >= touch.limits.travel:
             break
         if same == 0:
             turns = turns + 1
@@ -253,7 +247,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                 reason = Reason.NONE
                 break
         force = update_contacts(tree, touch, w, me, new) + load
-        slips = assemble(tree, touch, w, me, count, new, geometric)
+        slips = assemble(tree, w, me, count, new, geometric)
         leap = int(0)  # 1: the step is taken at `part` of its length, without a line search
         if again == 1:
             # the state is that of the step again, which is tried at a smaller length
@@ -264,7 +258,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if tried > 0 and not rest < (ONE - SHRINK * part) * before:
                 # The residual norm has not decreased enough: return to the state before, try a smaller length, and
                 # finally the symmetric tangent.
-                copy_active(w, me, count, w.nodes.x_saved, w.nodes.q_saved, w.nodes.x, w.nodes.q)
+                copy_active(w, me, count, w.saved, w.now)
                 if tried < TRIES:
                     tried = tried + 1
                     part = real(0.35) * part
@@ -276,11 +270,12 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if tried > 0:
                 moved = moved + part * way
             tried = 0
-            residual = rest / wp.max(wp.max(force, touch.force_floor), tree.floor[touch.plant[b]] / touch.tolerance)
+            residual = rest / wp.max(wp.max(force, touch.limits.force_floor),
+                                     tree.floor[touch.plant[b]] / touch.limits.tolerance)
             if not wp.isfinite(rest):
                 reason = Reason.NOT_FINITE
                 break
-            if residual <= touch.tolerance:
+            if residual <= touch.limits.tolerance:
                 reason = Reason.NONE
                 break
             if same == 0:
@@ -312,7 +307,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                     tried = 1
                     part = ONE
                     leap = 1
-                    copy_active(w, me, count, w.nodes.x, w.nodes.q, w.nodes.x_saved, w.nodes.q_saved)
+                    copy_active(w, me, count, w.now, w.saved)
                 else:
                     plain = 1
                     same = 1
@@ -354,7 +349,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if leap == 1:
                 through = trial_crossing(tree, touch, w, me, count)
                 break
-            there = lane_sum(there + contact_energy(tree, touch, w, me, new, w.nodes.x_trial, w.nodes.q_trial))
+            there = lane_sum(there + contact_energy(tree, touch, w, me, new, w.trial))
             if trial == 0:
                 start = there
             else:
@@ -371,7 +366,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                 plain = CAREFUL
                 same = 1
                 continue
-            copy_active(w, me, count, w.nodes.x_trial, w.nodes.q_trial, w.nodes.x, w.nodes.q)
+            copy_active(w, me, count, w.trial, w.now)
             continue
         if found == 0:
             small = small + 1
@@ -382,7 +377,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
         small = 0
         if alpha * way > HALF * MOVE:
             spent = spent - 1  # limited by the clearance: a branch that springs back may take many such steps
-        copy_active(w, me, count, w.nodes.x_trial, w.nodes.q_trial, w.nodes.x, w.nodes.q)
+        copy_active(w, me, count, w.trial, w.now)
         moved = moved + alpha * way
     carry_unloaded(tree, w, me)
     return reason, used, residual, count

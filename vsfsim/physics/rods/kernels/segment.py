@@ -19,13 +19,24 @@ exp(spin) R. In the middle frame a and b are the spins of the two ends, e = b - 
 
 The second derivative along a path of constant spins follows by differentiating these once more; it is a form in (v', w,
 e).
+
+A wire that yields has a core that is elastic and perfectly plastic and a sheath that is elastic. The core, of bending
+stiffness Kw, carries the moment Kw r, r = (phi_2, phi_3) - phi_p, of norm Mp at most (a circular yield surface, because
+the core is round). phi_p is its plastic bending. The sheath carries (Kphi - Kw) phi. Over a stride from the plastic
+bending phi_p the moment is that of the backward Euler step (Simo and Hughes 1998, sections 1.4 and 3.3), which has a
+potential (Ortiz and Stainier 1999):
+
+    |Kw r| <= Mp:   W = Kw |r|^2 / 2,            M = Kw r,          dM/dphi = Kw I
+    else:           W = Mp |r| - Mp^2 / (2 Kw),  M = Mp r / |r|,    dM/dphi = Mp / |r| (I - r r^T / |r|^2)
+
+So Newton's method has its exact second derivative and its line search a potential, as without plasticity. At the end of
+a stride phi_p moves by r (1 - Mp / |Kw r|) and Mp times that length has become heat. A segment that has not yielded has
+the bits of an elastic one.
 """
 
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 mat33 = wp.mat33d
 vec3 = wp.vec3d
@@ -98,8 +109,54 @@ def strain(xp: vec3, qp: quat, xc: vec3, qc: quat, frame: quat, length: real):
 
 
 @wp.func
-def energy(s: Strain, kd: vec3, kphi: vec3):
-    return HALF * (wp.dot(wp.cw_mul(kd, s.d), s.d) + wp.dot(wp.cw_mul(kphi, s.phi), s.phi))
+def plastic_bending(phi: vec3, plastic: vec3):
+    """The two bendings of ``phi``, and r."""
+    bent = vec3(ZERO, phi[1], phi[2])
+    return bent, bent - plastic
+
+
+@wp.func
+def elastic_share(r: vec3, wire: wp.vec2d):
+    """Share of the core's bending ``r`` since it last yielded that remains elastic [-]."""
+    return wp.min(ONE, wire[1] / wp.max(wire[0] * wp.length(r), TINY * wire[1]))
+
+
+@wp.func
+def energy(s: Strain, kd: vec3, kphi: vec3, wire: wp.vec2d, plastic: vec3):
+    """Elastic energy, and what yielding since the start of the stride has taken [J]. ``wire``: bending stiffness of the
+    core and the moment at which it yields [N m], 0 for none; ``plastic``: its plastic bending [rad]."""
+    out = HALF * (wp.dot(wp.cw_mul(kd, s.d), s.d) + wp.dot(wp.cw_mul(kphi, s.phi), s.phi))
+    if wire[1] > ZERO:
+        phi, r = plastic_bending(s.phi, plastic)
+        size = wp.length(r)
+        core = HALF * wire[0] * wp.dot(r, r)
+        if wire[0] * size > wire[1]:
+            core = wire[1] * size - HALF * wire[1] * wire[1] / wire[0]
+        out = out + (core - HALF * wire[0] * wp.dot(phi, phi))
+    return out
+
+
+@wp.func
+def moment(s: Strain, kphi: vec3, wire: wp.vec2d, plastic: vec3):
+    """Torsional and bending moments in the middle frame [N m]."""
+    mu = wp.cw_mul(kphi, s.phi)
+    if wire[1] > ZERO:
+        phi, r = plastic_bending(s.phi, plastic)
+        mu = mu - wire[0] * (phi - elastic_share(r, wire) * r)
+    return mu
+
+
+@wp.func
+def moment_tangent(s: Strain, kphi: vec3, wire: wp.vec2d, plastic: vec3):
+    """Derivative of `moment` by torsion and bending [N m]."""
+    out = wp.diag(kphi)
+    if wire[1] > ZERO:
+        _phi, r = plastic_bending(s.phi, plastic)
+        share = elastic_share(r, wire)
+        if share < ONE:
+            plane = wp.diag(vec3(ZERO, ONE, ONE))
+            out = out - wire[0] * ((ONE - share) * plane + (share / wp.dot(r, r)) * wp.outer(r, r))
+    return out
 
 
 @wp.func
