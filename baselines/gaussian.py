@@ -8,20 +8,19 @@ overestimate. The paper therefore has a second variant that sets the mean to zer
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
+from vsfsim.baselines.visible_cloud import LearnedArrays
 from vsfsim.bench.method import Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
-class GaussianAverage(PosteriorAnswers):
+class GaussianAverage(PosteriorAnswers, LearnedArrays):
     """Prior mean: the average spring constant of the training objects' touched particles.
 
     Args:
@@ -42,7 +41,7 @@ class GaussianAverage(PosteriorAnswers):
         device: Warp device.
     """
 
-    _zero_mean = False
+    _name, _zero_mean = "gaussian", False
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
                  fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
@@ -52,7 +51,6 @@ class GaussianAverage(PosteriorAnswers):
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
                                              noise_share=noise_share, band=band, reach=reach, growth=growth,
                                              max_particles=max_particles))
-        self._prior: tuple[float, float] | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Estimate the prior's mean [N/m] and variance [(N/m)^2].
@@ -69,28 +67,16 @@ class GaussianAverage(PosteriorAnswers):
         if values.size == 0 or values.var() == 0.0:
             raise MethodError(f"the Gaussian prior cannot be estimated: {len(specimens)} training objects with "
                               f"{values.size} touched particles. Give a train split whose touches meet the objects.")
-        self._prior = (0.0 if self._zero_mean else float(values.mean()), float(values.var()))
+        self._learned = {"mean": 0.0 * values.mean() if self._zero_mean else values.mean(), "variance": values.var()}
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Start from the prior and fit the springs to the support touches."""
-        if self._prior is None:
-            raise MethodError("the Gaussian prior was not estimated yet; call meta_fit or load first.")
-        mean, variance = self._prior
+        mean, variance = float(self._learned["mean"]), float(self._learned["variance"])
         self._view = view
         self.posterior = Posterior.of(self.shelf.get(view), support, prior_mean=mean, prior_var=variance)
-
-    def save(self, folder: Path) -> None:
-        """Write the prior."""
-        (folder / "prior.json").write_text(json.dumps({"mean": self._prior[0], "variance": self._prior[1]}
-                                                      if self._prior else None))
-
-    def load(self, folder: Path) -> None:
-        """Read a prior that `save` wrote."""
-        table = json.loads((folder / "prior.json").read_text())
-        self._prior = None if table is None else (table["mean"], table["variance"])
 
 
 class GaussianZero(GaussianAverage):
     """Prior mean: zero; the variance is that of `GaussianAverage`."""
 
-    _zero_mean = True
+    _name, _zero_mean = "gaussian-zero", True

@@ -8,24 +8,28 @@ angles. Without an arm it is 7 numbers here too: the probe's position, its press
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vsfsim.baselines.visible_cloud import digest
+from vsfsim.baselines.visible_cloud import LearnedArrays, digest, one_thread
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.registry import NAMES, view_token
+
+if TYPE_CHECKING:  # torch is imported where it is used
+    import torch
+
+    from vsfsim.baselines.implicit_maml import Network
 
 HIDDEN = (32, 128, 64, 32, 16)
 ENCODER = (64, 7)
 PRECISIONS = ("float64", "float32")
 
 
-class Imaml:
+class Imaml(LearnedArrays):
     """iMAML without vision.
 
     Args:
@@ -43,7 +47,7 @@ class Imaml:
         precision: "float64" or "float32", which takes about half the time where an object has thousands of readings.
     """
 
-    _vision = False
+    _name, _vision = "imaml", False
 
     def __init__(self, *, seed: int = 0, epochs: int = 400, tasks_per_step: int = 0, outer_rate: float = 1e-3,
                  inner_rate: float = 1e-3, inner_steps: int = 30, regularisation: float = 2.0,
@@ -61,7 +65,6 @@ class Imaml:
         self.inner_rate, self.inner_steps = inner_rate, inner_steps
         self.regularisation, self.cg_damping, self.cg_steps = regularisation, cg_damping, cg_steps
         self.features, self.weights, self.device = features, weights, device
-        self._scale: dict[str, np.ndarray] | None = None
         self._tokens: dict[bytes, np.ndarray] = {}  # by view: every shot and seed has the same views
         self._at = "cpu"  # device of batches
 
@@ -93,9 +96,9 @@ class Imaml:
         if not (y.std(axis=0) > 0.0).all():
             raise MethodError("imaml cannot be trained: the training readings never vary. Give touches that meet "
                               "the objects.")
-        self._scale = {"x_mean": x.mean(axis=0), "x_std": np.maximum(x.std(axis=0), 1e-6), "y_std": y.std(axis=0),
-                       "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
-        self._network = self._build(x.shape[1], y.shape[1])
+        scale = {"x_mean": x.mean(axis=0), "x_std": np.maximum(x.std(axis=0), 1e-6), "y_std": y.std(axis=0),
+                 "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
+        self._learned = scale
         start = self._network.start(torch.Generator().manual_seed(self.seed), dtype=self._real())
         self._at = self.device
         theta = start.to(self.device).requires_grad_(True)
@@ -103,9 +106,7 @@ class Imaml:
         table = self._table([samples for touches in rows for samples in touches])
         first = np.cumsum([0, *(len(touches) for touches in rows)])
         optimiser = torch.optim.Adam([theta], lr=self.outer_rate)
-        before = torch.get_num_threads()
-        torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other
-        try:
+        with one_thread():
             for _ in range(self.epochs):
                 for step in self._steps(len(rows), rng):
                     halves = [self._halves(first[i], first[i + 1], rng) for i in step]
@@ -117,24 +118,20 @@ class Imaml:
                         self._network, phi, support, query, steps=self.cg_steps, regularisation=self.regularisation,
                         damping=self.cg_damping).mean(dim=0)
                     optimiser.step()
-        finally:
-            torch.set_num_threads(before)
-            self._at = "cpu"
-        self._theta = theta.detach().cpu()
-        if not torch.isfinite(self._theta).all():
-            self._scale = None
+        self._at = "cpu"
+        if not torch.isfinite(theta).all():
             raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or "
                               "inner_rate.")
+        self._learned = {**scale, "theta": theta.detach().cpu().numpy()}
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Gradient descent on the support touches, from the meta-learned start."""
-        if self._scale is None:
-            raise MethodError("imaml was not trained yet; call meta_fit or load first.")
         from vsfsim.baselines import implicit_maml as im
 
         check_support(support)
         self._view_token = self._token(view)
-        table = self._table([self._no_samples(), *(_samples(reading) for reading in support)])
+        none = np.zeros((0, len(self._learned["x_mean"]))), np.zeros((0, len(self._learned["y_std"])))
+        table = self._table([none, *(_samples(reading) for reading in support)])
         batch = table.batch([np.arange(len(support) + 1)], self._view_rows([self._view_token]))
         self._phi = im.adapt(self._network, self._theta, batch, rate=self.inner_rate, steps=self.inner_steps,
                              regularisation=self.regularisation)
@@ -145,48 +142,25 @@ class Imaml:
 
         out, token = [], self._view_rows([self._view_token])
         for action in touches:
-            x = (_inputs(action) - self._scale["x_mean"]) / self._scale["x_std"]
+            x = (_inputs(action) - self._learned["x_mean"]) / self._learned["x_std"]
             with torch.no_grad():
                 answer = self._network(self._phi, torch.as_tensor(x, dtype=self._real())[None], token)[0]
-            out.append(answer.double().cpu().numpy() * self._scale["y_std"])
+            out.append(answer.double().cpu().numpy() * self._learned["y_std"])
         return out
 
-    def save(self, folder: Path) -> None:
-        """Write what was learned."""
-        if self._scale is None:
-            raise MethodError("imaml has nothing to save yet; call meta_fit first.")
-        (folder / "imaml.json").write_text(json.dumps({"vision": self._vision, "features": self.features}) + "\n")
-        np.savez(folder / "imaml.npz", **self._scale, theta=self._theta.numpy())
-
-    def load(self, folder: Path) -> None:
-        """Read what `save` wrote.
-
-        Raises:
-            MethodError: nothing there, or it was learned from another kind of input.
-        """
-        import torch
-
-        try:
-            table = json.loads((folder / "imaml.json").read_text())
-            with np.load(folder / "imaml.npz") as file:
-                arrays = dict(file)
-        except (OSError, ValueError) as error:
-            raise MethodError(f"imaml: nothing can be read from '{folder}': {error}. Give a folder that "
-                              f"`save` wrote.") from error
-        mine = {"vision": self._vision, "features": self.features}
-        if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
-            raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
-        self._theta = torch.as_tensor(arrays.pop("theta"), dtype=self._real())
-        self._scale = arrays
-        self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
-
-    def _no_samples(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros((0, len(self._scale["x_mean"]))), np.zeros((0, len(self._scale["y_std"])))
-
-    def _build(self, inputs: int, outputs: int):
+    @property
+    def _network(self) -> Network:
         from vsfsim.baselines.implicit_maml import Network
 
-        return Network(inputs, outputs, token=len(self._scale["token_mean"]), hidden=HIDDEN, encoder=ENCODER)
+        sizes = {name: len(value) for name, value in self._learned.items()}
+        return Network(sizes["x_mean"], sizes["y_std"], token=sizes["token_mean"], hidden=HIDDEN, encoder=ENCODER)
+
+    @property
+    def _theta(self) -> torch.Tensor:
+        """The start of all adaptations (P,)."""
+        import torch
+
+        return torch.as_tensor(self._learned["theta"], dtype=self._real())
 
     def _token(self, view: View) -> np.ndarray:
         if not self._vision:
@@ -215,14 +189,14 @@ class Imaml:
         """The samples of touches, standardised, where the network is."""
         from vsfsim.baselines.implicit_maml import Table
 
-        s = self._scale
+        s = self._learned
         return Table([((x - s["x_mean"]) / s["x_std"], y / s["y_std"]) for x, y in touches], self._real(), self._at)
 
     def _view_rows(self, tokens: Sequence[np.ndarray]):
         """Standardised vectors of views (B, c), as a tensor where the network is."""
         import torch
 
-        token = np.clip((np.stack(tokens) - self._scale["token_mean"]) / self._scale["token_std"], -6.0, 6.0)
+        token = np.clip((np.stack(tokens) - self._learned["token_mean"]) / self._learned["token_std"], -6.0, 6.0)
         return torch.as_tensor(token, dtype=self._real(), device=self._at)
 
     def _real(self):
@@ -234,7 +208,7 @@ class Imaml:
 class ImamlVision(Imaml):
     """iMAML whose network also receives one vector of the view (SBML: DINOv2's class token)."""
 
-    _vision = True
+    _name, _vision, _settings = "imaml-vision", True, ("features",)
 
 
 def _inputs(action: Action) -> np.ndarray:

@@ -10,19 +10,18 @@ the weighted mean
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from vsfsim.baselines.surface_touches import SurfaceView, single_number
+from vsfsim.baselines.visible_cloud import LearnedArrays
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
-class NearSprings:
+class NearSprings(LearnedArrays):
     """Springs under the surface.
 
     Args:
@@ -30,11 +29,12 @@ class NearSprings:
         trust: c, the weight of the training objects [m^2].
     """
 
+    _name = "near-springs"
+
     def __init__(self, *, reach: float = 0.02, trust: float = 1e-4):
         if not (reach > 0.0 and trust > 0.0):
             raise MethodError(f"near-springs: reach is {reach!r} m and trust {trust!r} m^2; both must be positive.")
         self.reach, self.trust = reach, trust
-        self._prior: float | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Estimate k_0 [N/m].
@@ -50,13 +50,12 @@ class NearSprings:
         if sums[1] == 0.0:
             raise MethodError(f"near-springs: no touch of the {len(specimens)} training objects passes the visible "
                               f"surface. Give touches that meet the objects.")
-        self._prior = float(sums[0] / sums[1])
+        self._learned = {"prior": sums[0] / sums[1]}
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Keep the springs of the support."""
-        if self._prior is None:
-            raise MethodError("near-springs has no spring of the training objects yet; call meta_fit or load first.")
         check_support(support)
+        self._prior = float(self._learned["prior"])
         self._view = SurfaceView(view)
         rows = [self._sums(self._view, reading) for reading in support]
         self._place = np.array([row[0] for row in rows]).reshape(-1, 3)
@@ -73,20 +72,11 @@ class NearSprings:
         mean = np.maximum(self._springs(points), 0.0)
         return Estimate(mean, mean * np.sqrt(self.trust / self._weights(points)[1]))
 
-    def save(self, folder: Path) -> None:
-        """Write k_0."""
-        (folder / "near-springs.json").write_text(json.dumps({"prior": self._prior}) + "\n")
-
-    def load(self, folder: Path) -> None:
-        """Read k_0 that `save` wrote."""
-        self._prior = json.loads((folder / "near-springs.json").read_text())["prior"]
-
     def _springs(self, points: np.ndarray) -> np.ndarray:
         above, below = self._weights(points)
         return above / below
 
     def _weights(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        assert self._prior is not None
         away = np.linalg.norm(points[:, None] - self._place[None], axis=2)
         weight = np.exp(-0.5 * (away / self.reach) ** 2)
         return self.trust * self._prior + weight @ self._sum[:, 0], self.trust + weight @ self._sum[:, 1]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.baselines.surface_touches import SurfaceView, functions, projected, single_number
-from vsfsim.baselines.visible_cloud import LearnedArrays
+from vsfsim.baselines.visible_cloud import LearnedArrays, one_thread
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
@@ -64,8 +64,6 @@ class NeuralProcess(LearnedArrays):
         Raises:
             MethodError: no training object has two touches with a force, or the weights end at no finite number.
         """
-        import torch
-
         usable = [s for s in specimens if len(s.touches) >= 2]
         for specimen in usable:
             single_number("cnp", (r.action for r in specimen.touches))
@@ -83,13 +81,9 @@ class NeuralProcess(LearnedArrays):
             inputs[k, :len(a)], there[k, :len(a)] = _standard(state, a), 1.0
             outputs[k, :len(a)] = b / state["scale"]
             outputs[k, :len(a), 2:] = b[:, 2:]  # R has no unit
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)
-        try:
+        with one_thread():
             for k in range(self.networks):
                 state |= self._train(k, inputs, outputs, there)
-        finally:
-            torch.set_num_threads(threads)
         if not all(np.isfinite(value).all() for value in state.values()):
             raise MethodError("cnp diverged in training: its weights are not finite. Lower the rate.")
         self._learned = state

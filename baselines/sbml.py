@@ -7,9 +7,8 @@ a new object the network's output is the prior, and touches update it (eq. 16, K
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +18,7 @@ from scipy.spatial import cKDTree
 from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
-from vsfsim.baselines.visible_cloud import visible_cloud
+from vsfsim.baselines.visible_cloud import LearnedArrays, visible_cloud
 from vsfsim.bench.method import Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
@@ -32,7 +31,7 @@ if TYPE_CHECKING:  # torch is imported where it is used
     from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
 
 
-class Sbml(PosteriorAnswers):
+class Sbml(PosteriorAnswers, LearnedArrays):
     """SBML with a prior learned by `meta_fit`.
 
     Args:
@@ -69,6 +68,9 @@ class Sbml(PosteriorAnswers):
             where trials can be forks.
     """
 
+    _name = "sbml"
+    _settings = ("structure", "features", "output", "second", "networks")
+
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
                  seed: int = 0, networks: int = 1, common_std: float = 0.5, rate: float = 1e-4, epochs: int = 400,
                  patience: int = 40, dropout: float = 0.1, output: str = "softplus", second: str = "std",
@@ -99,7 +101,7 @@ class Sbml(PosteriorAnswers):
         self._search = PoseSearch(seed=seed)
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None
-        self._learned: list[MetaPrior] = []
+        self._trained: list[MetaPrior] = []
         self._level, self._naive = Level(), (0.0, 1.0)  # weights; naive mean [N/m] and variance [(N/m)^2]
         self._width: Width | None = None  # of predicted readings; None for noise_std and noise_share
         self.training: list[Training] = []
@@ -135,7 +137,7 @@ class Sbml(PosteriorAnswers):
         common = self.networks > 1 and self.structure == "HE" and self.common_std > 0.0
         known = [Composition.of("HE+HO", self._normaliser(f)) for f in raw] if common else parts
         tasks = [self._task(*row) for row in zip(models, specimens, raw, known)]
-        self._learned, self.training, self._width, held_out, own = [], [], None, [], []
+        self._trained, self.training, self._width, held_out, own = [], [], None, [], []
         for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
                 self.seed, spawn_key=(2, number)).generate_state(1)[0])
@@ -144,7 +146,7 @@ class Sbml(PosteriorAnswers):
             self.training.append(train(network, [t for i, t in enumerate(tasks) if i not in held],
                                        [t for i, t in enumerate(tasks) if i in held], rate=self.rate,
                                        epochs=self.epochs, patience=self.patience, seed=seed))
-            self._learned.append(network)
+            self._trained.append(network)
             if self.networks > 1 and held:
                 rest = _pooled([fit for i, fit in enumerate(fits) if i not in held])
                 for i in sorted(held):
@@ -157,19 +159,19 @@ class Sbml(PosteriorAnswers):
                     own.append((models[i], specimens[i], prior))
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2
-        self._learned = [network.cpu() for network in self._learned]
+        self._trained = [network.cpu() for network in self._trained]
         if own:
             self._width = Width.of([one for given in own for one in self._missed(*given)])
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Prior from the view, then the support touches (eq. 16)."""
-        if not self._learned or self._normaliser is None:
+        if not self._trained or self._normaliser is None:
             raise MethodError("sbml has no prior yet; call meta_fit or load first.")
         model = self.shelf.get(view)
         if id(model) not in self._priors:
             features = self._normaliser(self._features(model, view))
             part = Composition.of(self.structure, features)
-            found = [network.of(features, part) for network in self._learned]
+            found = [network.of(features, part) for network in self._trained]
             self._priors[id(model)] = found[0] if self.networks == 1 else self._blended(found, model, view)
         self._view = view
         self.posterior = Posterior.under(model, support, self._priors[id(model)])
@@ -180,18 +182,15 @@ class Sbml(PosteriorAnswers):
         self.shelf = other.shelf
 
     def save(self, folder: Path) -> None:
-        """Write the prior to a folder, which is made if missing: prior.json, and prior.npz with the weights."""
-        if not self._learned or self._normaliser is None:
+        """Write the prior to a folder, which is made if missing."""
+        if not self._trained or self._normaliser is None:
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
-        table = {"structure": self.structure, "features": self.features, "output": self.output, "second": self.second,
-                 "networks": self.networks, "size": len(self._normaliser.mean), "unit": self._learned[0].unit,
-                 "level": asdict(self._level), "naive": list(self._naive), "count": len(self._learned),
-                 "width": None if self._width is None else asdict(self._width)}
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
-        weights = {f"net{number}.{name}": value.cpu().numpy() for number, network in enumerate(self._learned)
+        weights = {f"{number}.{name}": value.cpu().numpy() for number, network in enumerate(self._trained)
                    for name, value in network.state_dict().items()}
-        np.savez(folder / "prior.npz", mean=self._normaliser.mean, std=self._normaliser.std, **weights)
+        self._learned = {"mean": self._normaliser.mean, "std": self._normaliser.std, "naive": np.array(self._naive),
+                         "unit": np.array(self._trained[0].unit), "level": np.array(astuple(self._level)),
+                         "width": np.array(astuple(self._width) if self._width else ()), **weights}
+        super().save(folder)
 
     def load(self, folder: Path) -> None:
         """Read a prior that `save` wrote.
@@ -203,30 +202,19 @@ class Sbml(PosteriorAnswers):
 
         from vsfsim.vsf.meta.prior import Spread
 
-        try:
-            table = json.loads((folder / "prior.json").read_text())
-            with np.load(folder / "prior.npz") as file:
-                arrays = dict(file)
-        except (OSError, ValueError) as error:
-            raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that "
-                              f"`save` wrote.") from error
-        # A folder that is older than a parameter was written with the only choice of its time.
-        table = {"second": "std", "networks": 1, "count": 1, "level": {}, "naive": [0.0, 1.0], "width": None, **table}
-        for key in ("structure", "features", "output", "second", "networks"):
-            if table.get(key) != getattr(self, key):
-                raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not "
-                                  f"'{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
+        super().load(folder)
+        found = dict(self._learned)
         self._priors.clear()
-        self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
-        self._level, self._naive = Level(**table["level"]), tuple(table["naive"])
-        self._width = None if table["width"] is None else Width(**table["width"])
-        self._learned = []
-        for number in range(table["count"]):
-            network = self._build(table["size"], Spread(table["unit"], table["unit"]), self.seed)
-            marks = (f"net{number}.", "net.")
-            network.load_state_dict({name.partition(".")[2]: torch.as_tensor(value) for name, value in arrays.items()
-                                     if name.startswith(marks)})
-            self._learned.append(network)
+        self._normaliser = Normaliser(found.pop("mean"), found.pop("std"))
+        self._naive, unit = tuple(found.pop("naive").tolist()), float(found.pop("unit"))
+        self._level, width = Level(*found.pop("level").tolist()), found.pop("width").tolist()
+        self._width = Width(*width) if width else None
+        self._trained = []
+        for number in dict.fromkeys(name.partition(".")[0] for name in found):
+            network = self._build(len(self._normaliser.mean), Spread(unit, unit), self.seed)
+            network.load_state_dict({name.partition(".")[2]: torch.as_tensor(value) for name, value in found.items()
+                                     if name.startswith(f"{number}.")})
+            self._trained.append(network)
 
     def _blended(self, priors: Sequence[GaussianPrior], model: ParticleModel, view: View) -> GaussianPrior:
         return blended(priors, self._level, self._near(model, view), naive_mean=self._naive[0],

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.baselines.surface_touches import DEPTH, Projected, SurfaceView, functions, projected, single_number
-from vsfsim.baselines.visible_cloud import LearnedArrays
+from vsfsim.baselines.visible_cloud import LearnedArrays, one_thread
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
@@ -84,12 +84,8 @@ class SurfaceGp(LearnedArrays):
             loss.backward()
             return loss
 
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)  # matrices of some tens of rows
-        try:
+        with one_thread():
             search.step(closure)
-        finally:
-            torch.set_num_threads(threads)
         learned = {name: value.detach().numpy().copy() for name, value in asked.items()}
         if not all(np.isfinite(v).all() for v in learned.values()):
             raise MethodError("surface-gp: the search for the likeliest process ended at a number that is not finite; "

@@ -3,7 +3,9 @@ of what a method has seen, under which it keeps what it computed from it; and th
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +39,26 @@ def digest(*arrays: np.ndarray) -> bytes:
     return out.digest()
 
 
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread of torch until the block ends: between matrices of a hundred rows more threads wait for each other."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 class LearnedArrays:
     """A method whose `meta_fit` sets `_learned`, arrays by name."""
 
     _name = ""
     """Of the method, and of its file."""
+    _settings: tuple[str, ...] = ()
+    """Attributes without which the arrays say nothing: a method with others does not load them."""
     _arrays: dict[str, np.ndarray] | None = None
 
     @property
@@ -55,10 +72,27 @@ class LearnedArrays:
         self._arrays = arrays
 
     def save(self, folder: Path) -> None:
-        """Write what was learned."""
-        np.savez(folder / f"{self._name}.npz", **self._learned)
+        """Write what was learned to a folder, which is made if missing."""
+        learned = self._learned
+        folder.mkdir(parents=True, exist_ok=True)
+        settings = {f"set.{key}": np.array(str(getattr(self, key))) for key in self._settings}
+        np.savez(folder / f"{self._name}.npz", **learned, **settings)
 
     def load(self, folder: Path) -> None:
-        """Read what `save` wrote."""
-        with np.load(folder / f"{self._name}.npz") as file:
-            self._learned = dict(file)
+        """Read what `save` wrote.
+
+        Raises:
+            MethodError: there is nothing, or it was learned with other settings.
+        """
+        try:
+            with np.load(folder / f"{self._name}.npz") as file:
+                arrays = dict(file)
+        except (OSError, ValueError) as error:
+            raise MethodError(f"{self._name}: nothing that was learned can be read from '{folder}': {error}. Give a "
+                              f"folder that `save` wrote.") from error
+        for key in self._settings:
+            there, here = str(arrays.pop(f"set.{key}", "")), str(getattr(self, key))
+            if there != here:
+                raise MethodError(f"{self._name}: what lies in '{folder}' was learned with {key} '{there}', not "
+                                  f"'{here}'. Give --set {key}={there}.")
+        self._learned = arrays

@@ -2,7 +2,6 @@
 claims."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -59,7 +58,8 @@ def test_touches_reduce_the_error(method, train, subject):
 
 def saved_prior(method, folder):
     method.save(folder)
-    return json.loads((folder / "prior.json").read_text())
+    with np.load(folder / f"{method._name}.npz") as file:
+        return {key: float(value) for key, value in file.items()}
 
 
 def test_the_prior_is_the_spread_of_the_training_springs(train, tmp_path):
