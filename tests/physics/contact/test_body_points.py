@@ -41,8 +41,7 @@ def down(turn, above, spots, depths):
     return poses
 
 
-@pytest.mark.parametrize("linear", [False, True], ids=["fem", "linear"])
-@pytest.mark.parametrize("kind", SHARP)
+@pytest.mark.parametrize(("kind", "linear"), [("corner", False), ("edge", True), ("rim", True)])
 def test_an_edge_is_felt_from_the_first_touch_on_wherever_it_is(model, device, kind, linear):
     shape, turn, above = SHARP[kind]
     depths = CELL * np.array([-0.01, 0.002, 0.01, 0.02, 0.04, 0.08])
@@ -56,7 +55,7 @@ def test_an_edge_is_felt_from_the_first_touch_on_wherever_it_is(model, device, k
     assert (np.linalg.norm(frames.force[1:, :, :2], axis=2) < 0.5 * force[1:]).all()
 
 
-@pytest.mark.parametrize("kind", SHARP)
+@pytest.mark.parametrize("kind", ["corner", "edge"])
 def test_the_energy_is_the_work_of_an_edge(model, device, kind):
     """With the indentation that the mesh is too coarse for: most of the energy at first."""
     shape, turn, above = SHARP[kind]
@@ -70,8 +69,8 @@ def test_the_energy_is_the_work_of_an_edge(model, device, kind):
     assert np.abs(energy[1:] - work[1:]).max() < 0.04 * work[-1]
 
 
-@pytest.mark.parametrize("linear", [False, True], ids=["fem", "linear"])
-@pytest.mark.parametrize("shape", [Box((0.02, 0.024, 0.02)), Cylinder(0.012, 0.02)], ids=["box", "cylinder"])
+@pytest.mark.parametrize(("shape", "linear"), [
+    (Box((0.02, 0.024, 0.02)), False), (Cylinder(0.012, 0.02), True)], ids=["box", "cylinder"])
 def test_the_force_of_a_flat_punch_does_not_depend_on_the_number_of_frames(block, device, shape, linear):
     """A punch of two elements: 0.1 % are left, where the rim was found between the points it was 11 % (linear: 20 %).
     Of a punch that is one element wide up to 5 % are left."""

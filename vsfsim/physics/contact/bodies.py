@@ -5,6 +5,7 @@ Poses are not part of it: each frame gives one pose for each shape.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -58,7 +59,6 @@ class RigidBodies:
 
         Memory: 8 (float64) or 4 bytes a grid node, a few megabytes a mesh; the same mesh twice is stored once.
         """
-        kinds, sizes = zip(*(sdf.encode(s) for s in self.shapes), strict=True)
         grids = [sdf.grid(s) if isinstance(s, MeshFile) else None for s in self.shapes]
         different = {id(g): g for g in grids if g is not None}
         ends = np.cumsum([0, *(g.coefficients.size for g in different.values())])
@@ -69,20 +69,14 @@ class RigidBodies:
         def of(value: Any, default: Any) -> np.ndarray:
             return np.array([default if g is None else value(g) for g in grids])
 
-        zero = np.zeros(3)
+        kinds, sizes = zip(*(sdf.encode(s) for s in self.shapes), strict=True)
         columns = {
-            "kind": (np.array(kinds), wp.int32),
-            "size": (np.array(sizes), functions.vec4),
-            "start": (of(lambda g: starts[id(g)], 0), wp.int32),
-            "nodes": (of(lambda g: g.coefficients.shape, (0, 0, 0)), wp.vec3i),
-            "origin": (of(lambda g: g.origin, zero), functions.vec3),
-            "spacing": (of(lambda g: g.spacing, 1.0), functions.real),
-            "lower": (of(lambda g: g.lower, zero), functions.vec3),
-            "upper": (of(lambda g: g.upper, zero), functions.vec3),
-            "coefficients": (np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())]),
-                             functions.real),
-        }
+            "kind": kinds, "size": sizes, "start": of(lambda g: starts[id(g)], 0),
+            "nodes": of(lambda g: g.coefficients.shape, (0, 0, 0)), "spacing": of(lambda g: g.spacing, 1.0),
+            **{name: of(operator.attrgetter(name), np.zeros(3)) for name in ("origin", "lower", "upper")},
+            "coefficients": np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())])}
         bodies = functions.Bodies()
-        for name, (values, dtype) in columns.items():
-            setattr(bodies, name, wp.array(values, dtype=dtype, device=device))
+        for name, values in columns.items():
+            dtype = functions.Bodies.vars[name].type.dtype
+            setattr(bodies, name, wp.array(np.array(values), dtype=dtype, device=device))
         return bodies

@@ -20,10 +20,11 @@ import warp as wp
 
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, has_edges, inner_radius
-from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.contact.patch import first_of, shape_values
 from vsfsim.physics.contact.reach import Gaps
 from vsfsim.physics.elements import closest_point
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
 
 DEEP = 0.05
@@ -38,6 +39,8 @@ _SPACING = 0.5  # of a body's samples over the element size, and over the inner 
 _SHEET = 0.1  # `DEEP` of a sheet
 _FAR = 2.0  # way of the tip of the cone behind the rim of a sheet, over the rim's width
 _GRID = (6, 20)  # least and most steps of the grid on a face
+# of two soft bodies: that depth, and the spacing of the points on a face, over the smaller of both element sizes
+_DEEP_PAIR, _SPACING_PAIR, _GRID_PAIR = 0.1, 0.4, (3, 16)
 
 
 @dataclass(frozen=True)
@@ -122,9 +125,8 @@ class Intrusion:
                    for s, r in zip(bodies.shapes, radii, strict=True)]
         self._samples, self._owner = np.concatenate(samples), np.repeat(np.arange(len(samples)), [*map(len, samples)])
         steps = int(np.clip(np.ceil(3.0 * size / small), steps, _GRID[1])) if solid and np.isfinite(small) else steps
-        bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
         self._grid, self._faces, self._tets, self._rest, self._tip = (torch.as_tensor(a, device=device) for a in (
-            shape_values(bary) if solid else bary, mesh.faces.astype(np.int64), mesh.tets.astype(np.int64),
+            _face_grid(steps, mesh.faces.shape[1]), mesh.faces.astype(np.int64), mesh.tets.astype(np.int64),
             mesh.points, tip))
 
     def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> Overlap:
@@ -135,11 +137,10 @@ class Intrusion:
         # the grid of those faces that a body may reach, padded to the most of any touch
         ball = closest_point.balls(x, self._surface.faces)
         reached = self._gaps.nearest(here[None], ball[:, :, :3].transpose(0, 1)).T < ball[:, :, 3]
-        if most := int(reached.sum(dim=1).amax()):
-            at = torch.sort(reached.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
+        if (at := first_of(reached)).shape[1]:
             corners = x[torch.arange(count, device=self.device)[:, None, None], self._faces[at]]
             gap = self._gaps.nearest(here[None], (self._grid @ corners).flatten(1, 2).transpose(0, 1))
-            faces.scatter_(1, at, (-gap.T.view(count, most, -1).amin(dim=2)).clamp(min=0.0))
+            faces.scatter_(1, at, (-gap.T.view(*at.shape, -1).amin(dim=2)).clamp(min=0.0))
         inside = x.new_zeros(count)
         if self._coupled:
             # the middle of a quadratic tetrahedron: its corners count -1/8, its edges 1/4
@@ -171,6 +172,67 @@ class Intrusion:
         inside = found.near > self.tolerance
         met[columns], cut[columns] = (found.faces > 0.0) | inside, (found.faces > self.fine) | inside
         return torch.maximum(found.penetration, found.inside), met, cut & coarse
+
+
+class PairOverlap:
+    """How deep the two surfaces of an object and a sensor lie in one another, between their contact points too: points
+    on a grid over every face of either surface are held against the other body. A membrane is closed by the disk in
+    its rim.
+
+    Args:
+        model: the object.
+        sensor: the body with the touching surface, in its own frame.
+        device: Warp device.
+    """
+
+    tolerance: float
+    """Depth above which one body lies inside the other where no contact point feels it [m]."""
+
+    def __init__(self, model: Model, sensor: Model, *, device: str):
+        self._count = len(model.mesh.points)
+        self._rest = torch.as_tensor(np.concatenate([model.mesh.points, sensor.mesh.points]), device=device)
+        sizes = model.element_size, sensor.element_size
+        self.tolerance = _DEEP_PAIR * min(sizes)
+        carried = sensor.mesh.faces + self._count
+        self._surfaces = (Enclosure(model.mesh.faces, np.zeros((0, 3)), device=device),
+                          Enclosure(carried, rim_disk(carried), device=device))
+        steps = np.clip(np.ceil(np.array(sizes) / min(sizes) / _SPACING_PAIR), *_GRID_PAIR).astype(int)
+        self._grids = [torch.as_tensor(_face_grid(n, surface.faces.shape[2]), device=device)
+                       for n, surface in zip(steps, self._surfaces, strict=True)]
+
+    def check(self, columns: torch.Tensor, turn: torch.Tensor, origin: torch.Tensor,
+              u: torch.Tensor) -> torch.Tensor:
+        """How deep the surfaces lie in one another.
+
+        Args:
+            columns: touches (k,).
+            turn, origin: rotations (k, 3, 3) [-] and origins (k, 1, 3) [m] of the sensor in the world.
+            u: displacements (3 n, B) [m], the object's in the world, then the sensor's in its frame.
+
+        Returns:
+            Depth of the deepest point of either surface inside the other body (k,) [m].
+        """
+        count = len(columns)
+        x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
+        x[:, self._count:] = x[:, self._count:] @ turn.mT + origin
+        balls = [closest_point.balls(x, surface.faces) for surface in self._surfaces]
+        touch, out = torch.arange(count, device=x.device)[:, None, None], x.new_zeros(count)
+        for own, other, grid, ball, around in zip(self._surfaces, self._surfaces[::-1], self._grids, balls,
+                                                  balls[::-1], strict=True):
+            # faces that come near the box about the other surface, padded to the most of any touch
+            low = (around[:, :, :3] - around[:, :, 3:]).amin(dim=1, keepdim=True)
+            high = (around[:, :, :3] + around[:, :, 3:]).amax(dim=1, keepdim=True)
+            near = ((ball[:, :, :3] + ball[:, :, 3:] > low) & (ball[:, :, :3] - ball[:, :, 3:] < high)).all(dim=2)
+            if (at := first_of(near)).shape[1]:
+                points = grid @ x[touch, own.faces[0].long()[at]]
+                out = torch.maximum(out, other.depth(x, points.flatten(1, 2))[0].amax(dim=1))
+        return out
+
+
+def _face_grid(steps: int, corners: int) -> np.ndarray:
+    """Shape values (s, 3 or 6) of the points of a grid on a face with that many steps along its edges."""
+    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
+    return shape_values(bary) if corners == 6 else bary
 
 
 def rim_cone(faces: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -36,7 +36,7 @@ from vsfsim.physics.contact.patch import (
     shape_values,
     smooth_radius,
 )
-from vsfsim.physics.contact.reach import Reach
+from vsfsim.physics.contact.reach import Gaps
 from vsfsim.physics.linear.rest_factor import Response
 from vsfsim.physics.model import Model
 
@@ -74,20 +74,20 @@ class LocalIndentation:
     Args:
         model: the object.
         padded: the contact points, f parts a touch.
-        reach: distances to the rigid bodies (K).
+        gaps: distances to the rigid bodies (K).
         points: contact points at rest (B, 6 f, 3) [m].
         law: share of the stiffness of each (B, f, 6) [-] that acts down to a depth (B, f) [m], which are set here.
         on: whether there is any such compliance.
         missing: what the object lacks where it is touched; None for the mean of places.
     """
 
-    def __init__(self, model: Model, padded: Padded, reach: Reach, points: torch.Tensor,
+    def __init__(self, model: Model, padded: Padded, gaps: Gaps, points: torch.Tensor,
                  law: tuple[torch.Tensor, torch.Tensor], *, on: bool, missing: MissingCompliance | None = None):
-        nu, radii, faces = poisson_ratio(model), [smooth_radius(s) for s in reach.bodies.shapes], model.mesh.faces
+        nu, radii, faces = poisson_ratio(model), [smooth_radius(s) for s in gaps.bodies.shapes], model.mesh.faces
         curvature = model.mesh.curvature() if faces.shape[1] == 6 else np.zeros(len(faces))
         self._round = [0.0 < r < np.inf or bool(r and curvature.any()) for r in radii]
         self._on = on and nu is not None and any(self._round)
-        self._reach, self._factor, self._missing = reach, FITTED * (1.0 - (nu or 0.0) ** 2), missing
+        self._gaps, self._factor, self._missing = gaps, FITTED * (1.0 - (nu or 0.0) ** 2), missing
         self._points = points.transpose(0, 1).contiguous()
         face = np.where(padded.key < len(faces), padded.key, -1)
         edge = np.append(np.sqrt(2.0 * model.mesh.face_area()), 0.0)[face]
@@ -118,7 +118,7 @@ class LocalIndentation:
         least, radius = torch.full_like(self._cover.T, torch.inf), torch.full_like(self._cover.T, torch.inf)
         own_place = self._cover.new_zeros((2, 2, *self._cover.shape))  # compliance and weight, at two radii
         for k, is_round in enumerate(self._round):
-            gap = self._reach.nearest(pose[None], self._points, body=k)
+            gap = self._gaps.nearest(pose[None], self._points, body=k)
             nearer = gap < least
             inside = (self._cover.T * (gap < 0.0)).sum(dim=0)
             own = (inside / (2.0 * np.pi)).sqrt() if is_round else torch.full_like(inside, torch.inf)

@@ -177,6 +177,12 @@ def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:
             onset)
 
 
+def first_of(chosen: torch.Tensor) -> torch.Tensor:
+    """Numbers (k, m) of the ``chosen`` (k, n) bool of each row, in order, and of others up to the most of any row."""
+    order = torch.sort(chosen.to(torch.int8), dim=1, descending=True, stable=True)[1]
+    return order[:, :int(chosen.sum(dim=1).amax())]
+
+
 def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, at_points: torch.Tensor, nodes: int) -> torch.Tensor:
     """Forces (k, s, c) on the s = ``nodes`` of k patches of forces ``at_points`` (k, f q, c).
 

@@ -36,7 +36,7 @@ def bound(struct: Any, given: Mapping[str, Any], size: tuple[int, ...],
     return out, tensors
 
 
-class ContactPoints:
+class Contact:
     """The contact points of B touches on the degrees of freedom of their patches, padded to s nodes.
 
     Subclasses say which points there are: `faces`, `own_stiffness` and `_launch`.
@@ -59,8 +59,11 @@ class ContactPoints:
     has_friction: bool
     springs: Springs | None = None
     """Springs that carry the rigid bodies."""
-    turn: tuple[int, torch.Tensor] | None = None
-    """See `stiffness.assembled`, of all touches."""
+    symmetric: bool
+    """Whether the stiffness is symmetric."""
+    solid: bool
+    """Whether rigid bodies touch a solid."""
+    batch: int
     _overlap: torch.Tensor  # how deep bodies lie in one another by the geometry at the last `extend_patch` (B,) [m]
     _passage: Any  # that check; its ``tolerance`` is the depth above which a body counts as inside [m]
 
@@ -71,6 +74,11 @@ class ContactPoints:
     def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
         """Stiffness of the contact points (k, p, 3, 3) [N/m]; ``geometric``: see `stiffness`."""
         raise NotImplementedError
+
+    @property
+    def turn(self) -> tuple[int, torch.Tensor] | None:
+        """See `stiffness.assembled`, of all touches."""
+        return None
 
     def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
         """Run a kernel over the points of the touches ``columns`` (k,)."""
@@ -86,6 +94,24 @@ class ContactPoints:
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Potential of the contact (k,) [J]."""
         return self._all("energy", columns).sum(dim=1)
+
+    def carried(self, columns: torch.Tensor) -> torch.Tensor:
+        """Potential of springs that carry the bodies (k,) [J]; 0 without."""
+        return torch.zeros_like(self._overlap[columns]) if self.springs is None else self.springs.energy(columns)
+
+    def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Elastic energy of the object that its elements do not show (k,) [J]."""
+        return torch.zeros_like(self._overlap[columns])
+
+    def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+        """Part of a ``move`` (k, 3 s) [m] of the patches after which the first contact point meets the inner body of
+        a rigid body (k,) [-], 1 where none does: past the middle of a body a point would be pushed out on the far
+        side."""
+        return torch.ones_like(self._overlap[columns])
+
+    def follow(self) -> bool:
+        """Let the local indentation follow bodies that springs carry; whether anything has changed."""
+        return False
 
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
         """Number of points beyond the middle of a body (k,); a solution has none."""

@@ -21,8 +21,8 @@ from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.mount import Mount, Springs
 from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, sheet_contact
-from vsfsim.physics.contact.points import ContactPoints, bound
-from vsfsim.physics.contact.reach import Reach
+from vsfsim.physics.contact.points import Contact, bound
+from vsfsim.physics.contact.reach import Gaps, plan
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real
@@ -31,7 +31,7 @@ CORE = 0.2
 """Depth over a body's inner radius at which its inner body begins [-]."""
 
 
-class RigidContact(ContactPoints):
+class RigidContact(Contact):
     """The contact of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
 
     The *patch* of a touch is the surface nodes that it can reach; all patches are padded to s nodes. ``columns`` (k,)
@@ -84,8 +84,9 @@ class RigidContact(ContactPoints):
                                   **({} if self.solid else {"steps": 3 * cuts}))
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros(poses.shape[1], dtype=torch.float64, device=device)
-        self._reach = Reach(model, bodies, device, local=local, by_place=self._by_place, sprung=mount is not None)
-        self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
+        self._gaps = Gaps(bodies, device)
+        self.first_gap, reachable, self._cuts = plan(self._gaps, model, poses, cuts, local=local,
+                                                     by_place=self._by_place, sprung=mount is not None)
         self._area = model.mesh.face_area()
         self._core = wp.array([min(CORE * inner_radius(s), 1.0) for s in bodies.shapes], dtype=real, device=device)
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
@@ -137,7 +138,7 @@ class RigidContact(ContactPoints):
                                                self.dof, device=self.device)
         missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
-        self._local_indentation = LocalIndentation(self.model, padded, self._reach, at_rest, (
+        self._local_indentation = LocalIndentation(self.model, padded, self._gaps, at_rest, (
             found["share"], found["soft"]), on=self._sinks, missing=missing or None)
 
     @property
@@ -200,7 +201,6 @@ class RigidContact(ContactPoints):
             self.springs.seen()
 
     def follow(self) -> bool:
-        """Let the local indentation follow bodies that springs carry; whether anything has changed."""
         if self.springs is None or not self._sinks or not self.springs.moved_on():
             return False
         self._sink(self._plan)
@@ -220,7 +220,7 @@ class RigidContact(ContactPoints):
     def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
         """Run a kernel over the parts of faces of ``columns`` (k,)."""
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32))])
+            self._points, self._gaps.set, len(self.bodies), wp.from_torch(columns.to(torch.int32))])
 
     def _sprung(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `Springs.settle`."""
@@ -241,11 +241,11 @@ class RigidContact(ContactPoints):
             self.springs.settle(columns, self._sprung)
 
     def friction_state(self) -> Any:
-        """See `ContactPoints`, with the points."""
+        """See `Contact`, with the points."""
         return self._padded, super().friction_state()
 
     def restore_friction(self, columns: torch.Tensor, state: Any) -> None:
-        """See `ContactPoints`; a patch that has grown since takes what its old points remembered."""
+        """See `Contact`; a patch that has grown since takes what its old points remembered."""
         points, kept = state
         if points is self._padded:
             super().restore_friction(columns, kept)
@@ -254,10 +254,6 @@ class RigidContact(ContactPoints):
                             for (found,) in (self._sets, kept))
             remember(mine, theirs, (points, self._padded), columns.tolist(), self.model.mesh.points, self._u_before,
                      self._before[1].cpu().numpy())
-
-    def carried(self, columns: torch.Tensor) -> torch.Tensor:
-        """Potential of springs that carry the bodies (k,) [J]; 0 without."""
-        return torch.zeros_like(self._overlap[columns]) if self.springs is None else self.springs.energy(columns)
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
@@ -298,13 +294,10 @@ class RigidContact(ContactPoints):
         return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
     def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        """Part of a ``move`` (k, 3 s) [m] of the patches after which the first contact point meets the inner body of
-        a rigid body (k,) [-], 1 where none does: past the middle of a body a point would be pushed out on the far
-        side."""
         own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=self.kernels.vec3)
         part = torch.ones((len(columns), self._local.shape[1]), dtype=torch.float64, device=self.device)
         wp.launch(self.kernels.reach, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-            self._points, self._reach.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._core, own,
+            self._points, self._gaps.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._core, own,
             wp.from_torch(part)])
         return part.amin(dim=1) if part.shape[1] else part.new_ones(len(columns))
 

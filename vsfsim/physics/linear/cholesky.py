@@ -21,7 +21,6 @@ import warp as wp
 from scipy.linalg import lapack
 
 from vsfsim.core.errors import MeshError
-from vsfsim.physics import clock
 from vsfsim.physics.linear.dissection import fronts
 from vsfsim.physics.runtime import ON_THE_HOST
 
@@ -125,11 +124,7 @@ class Cholesky:
         MeshError: the matrix is not positive definite.
     """
 
-    seconds: float
-    """Duration of the elimination [s]."""
-
     def __init__(self, order: Order, values: np.ndarray, real: type = np.float64):
-        began = clock.now()
         panels, self.real = np.empty(order.entries, real), real
         diagonal = np.empty(len(order.place))
         on = order.owners == order.neighbours
@@ -154,7 +149,6 @@ class Cholesky:
         self._size, self._fronts = len(order.place), len(order.tables)
         self._arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
             order.tables, order.below, order.place, panels)]
-        self.seconds = clock.now() - began
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The inverse times ``right``, both (3 n, k)."""

@@ -18,7 +18,6 @@ import scipy.sparse as sp
 import torch
 from filelock import FileLock
 
-from vsfsim.physics import clock
 from vsfsim.physics.linear.cholesky import Cholesky, Order, blocks_of
 from vsfsim.physics.runtime import kernel_cache
 
@@ -56,17 +55,15 @@ class RestFactor:
 
     size: int
     """Degrees of freedom, 3 n."""
-    seconds: float
-    """Duration of the factorisation [s], 0 before its first use."""
     columns_bytes: float = 512e6
     """Memory for columns of the inverse, of the touches of one run, and half of what is kept of them here [byte]."""
 
     def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, points: np.ndarray,
                  coupling: tuple[np.ndarray, float] | None = None):
-        self.seconds, self._points, self.coupling = 0.0, points, coupling
+        self._points, self.coupling = points, coupling
         self.stiffness, self.free, self.size = stiffness, free, len(free)
         mask = sp.diags(free)
-        self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
+        self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocsr()
         self._columns: dict[int, np.ndarray] = {}
         self._dense: dict[str, torch.Tensor] = {}
         self._on = ""
@@ -86,18 +83,10 @@ class RestFactor:
         return blocks_of(self._held)
 
     @functools.cached_property
-    def _held_rows(self) -> sp.csr_matrix:
-        return self._held.tocsr()
-
-    @functools.cached_property
     def _solver(self) -> Cholesky:
-        began = clock.now()
         values = np.asarray(self._blocks.data, np.float64)
         out = Cholesky(self.order, values, np.float32)
-        if not trusted(self._held_rows, out.solve, _loads(self)):
-            out = Cholesky(self.order, values)
-        self.seconds = clock.now() - began
-        return out
+        return out if self._trusts(out.solve) else Cholesky(self.order, values)
 
     @functools.cached_property
     def _gas(self) -> tuple[np.ndarray, np.ndarray, float]:
@@ -128,9 +117,20 @@ class RestFactor:
             _factors[key]._solver  # noqa: B018  made here
         return _factors[key]
 
+    def _trusts(self, solve: Callable[[np.ndarray], np.ndarray]) -> bool:
+        """Whether ``solve`` answers uniform forces along each axis, and random ones, to `_TRUST` in the energy norm of
+        the matrix."""
+        loads = np.hstack([np.tile(np.eye(3), (self.size // 3, 1)),
+                           np.random.default_rng(0).normal(size=(self.size, 1))]) * self.free[:, None]
+        x = solve(loads)
+        miss = loads - self._held @ x
+        # |e|_A^2 = e . A e with e = A^-1 miss, itself found by the factor; |x|_A^2 = x . b
+        error, energy = np.einsum("ij,ij->j", solve(miss), miss), np.einsum("ij,ij->j", x, loads)
+        return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= _TRUST**2 * energy).all())
+
     def _elastic(self, right: np.ndarray) -> np.ndarray:
         out = self._solver.solve(right)
-        return out + self._solver.solve(right - self._held_rows @ out)
+        return out + self._solver.solve(right - self._held @ out)
 
     def _coupled(self, out: np.ndarray) -> np.ndarray:
         if self.coupling is None:
@@ -171,25 +171,30 @@ class RestFactor:
         self._columns.clear()
         self._dense.clear()
 
-    def dense(self, device: str, *, exact: bool = True) -> torch.Tensor:
-        """The inverse (3 n, 3 n) [m/N] on a GPU, 0 where held; made once and kept until the next body. Unless it is to
-        be ``exact`` it has single precision, half of the memory and of the time, where that is accurate enough for
-        predictions and as a preconditioner."""
-        kept = self._dense.get(device)
-        if kept is None or (exact and kept.dtype != torch.float64):
-            kept = self._inverse_on(device)
-            short = kept if exact else kept.to(torch.float32)
-            if exact or trusted(self._held, lambda right: _times(short, right), _loads(self)):
-                kept = short
-            self._dense[device] = kept
-            torch.cuda.empty_cache()  # for the other processes
-        return kept
+    def dense(self, device: str) -> torch.Tensor:
+        """The inverse (3 n, 3 n) [m/N] on a GPU, 0 where held; made once and kept until the next body. It has single
+        precision, half of the memory and of the time, where that is accurate enough.
 
-    def _inverse_on(self, device: str) -> torch.Tensor:
-        out = _dense_inverse(self._held, self.free, device)
+        The processes of a machine take turns: for a moment the matrix and its inverse are there, twice the memory that
+        is kept.
+        """
+        if device in self._dense:
+            return self._dense[device]
+        mask, matrix = torch.as_tensor(self.free, device=device), self._held.tocoo()
+        with FileLock(kernel_cache() / f"{device.replace(':', '')}.lock"):
+            left = torch.sparse_coo_tensor(np.stack([matrix.row, matrix.col]), matrix.data, matrix.shape, device=device,
+                                           check_invariants=False).to_dense().mT
+            torch.linalg.cholesky(left, out=left)  # in place: it is symmetric, and stored column after column
+            out = torch.cholesky_inverse(left)
+            del left
+            torch.cuda.empty_cache()  # for the other processes
+        out.mul_(mask).mul_(mask[:, None])
         if self.coupling is not None:
             answer = torch.as_tensor(self._gas[1], device=device)
             out.addr_(answer, answer, alpha=-self._gas[2])
+        short = out.to(torch.float32)
+        self._dense[device] = out = short if self._trusts(lambda right: _times(short, right)) else out
+        torch.cuda.empty_cache()
         return out
 
     def stiffness_on(self, device: str) -> torch.Tensor:
@@ -200,27 +205,9 @@ class RestFactor:
         return self._moved
 
 
-def trusted(matrix: sp.spmatrix, solve: Callable[[np.ndarray], np.ndarray], loads: np.ndarray, *,
-            within: float = _TRUST) -> bool:
-    """Whether ``solve`` answers ``loads`` (3 n, k) to the relative error ``within`` in the matrix's energy norm."""
-    x = solve(loads)
-    miss = loads - matrix @ x
-    # |e|_A^2 = e . A e with e = A^-1 miss, itself found by the factor; |x|_A^2 = x . b
-    error, energy = np.einsum("ij,ij->j", solve(miss), miss), np.einsum("ij,ij->j", x, loads)
-    return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= within**2 * energy).all())
-
-
-def _loads(factor: RestFactor) -> np.ndarray:
-    """Forces (3 n, 4) [N] that a factor is tried with: uniform ones along each axis, and random ones."""
-    uniform = np.tile(np.eye(3), (factor.size // 3, 1))
-    return np.hstack([uniform, np.random.default_rng(0).normal(size=(factor.size, 1))]) * factor.free[:, None]
-
-
 class Response(Protocol):
     """How the body at rest responds to forces, for the touches of one run."""
 
-    took: float
-    """Time of the last `solve` on the host [s]; 0 before the first."""
     resident: bool
     """Whether all is done on a GPU, without the host."""
 
@@ -244,7 +231,7 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
         device: Warp device.
     """
     if device != "cpu" and factor.size <= DENSE:
-        return _Dense(factor.dense(device, exact=False), dof)
+        return _Dense(factor.dense(device), dof)
     return _Sparse(factor, dof, device)
 
 
@@ -253,24 +240,6 @@ def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
     must be 0)."""
     out = torch.zeros((size, len(dof)), dtype=values.dtype, device=values.device)
     return out.scatter_add_(0, dof.clamp(min=0).T, values.T)
-
-
-def _dense_inverse(matrix: sp.coo_matrix, free: np.ndarray, device: str) -> torch.Tensor:
-    """The inverse (3 n, 3 n) [m/N] of a positive definite ``matrix`` (3 n, 3 n) [N/m], rows and columns 0 where a
-    degree of freedom is not ``free`` (3 n,).
-
-    The processes of a machine take turns: for a moment the matrix and its inverse are there, twice the memory that is
-    kept.
-    """
-    with FileLock(kernel_cache() / f"{device.replace(':', '')}.lock"):
-        left = torch.sparse_coo_tensor(np.stack([matrix.row, matrix.col]), matrix.data, matrix.shape, device=device,
-                                       check_invariants=False).to_dense().mT
-        torch.linalg.cholesky(left, out=left)  # in place: it is symmetric, and stored column after column
-        out = torch.cholesky_inverse(left)
-        del left
-        torch.cuda.empty_cache()  # for the other processes
-    mask = torch.as_tensor(free, device=device)
-    return out.mul_(mask).mul_(mask[:, None])
 
 
 def _times(inverse: torch.Tensor, right: np.ndarray) -> np.ndarray:
@@ -283,7 +252,6 @@ class _Dense:
     """Products with the dense inverse (3 n, 3 n) [m/N] on a GPU; forces on patches multiply only the columns of all
     patches, whose degrees of freedom are ``dof`` (B, 3 s), -1 at padding."""
 
-    took = 0.0
     resident = True
 
     def __init__(self, inverse: torch.Tensor, dof: torch.Tensor):
@@ -321,7 +289,6 @@ class _Sparse:
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
         self._factor, self._dof = factor, dof
-        self.took = 0.0
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         batch, width = dof.shape
         few = batch <= _FEW and 8.0 * batch * width * factor.size <= factor.columns_bytes
@@ -355,10 +322,7 @@ class _Sparse:
         return 0.5 * (table + table.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
-        began = clock.now()
-        out = torch.as_tensor(self._factor.apply(right.detach().cpu().numpy()), device=right.device)
-        self.took = clock.now() - began
-        return out
+        return torch.as_tensor(self._factor.apply(right.detach().cpu().numpy()), device=right.device)
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         if self._whole is not None:

@@ -18,8 +18,7 @@ import warp as wp
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.contact.pair.contact import PairContact
 from vsfsim.physics.contact.pair.response import SENSOR_NODES
-from vsfsim.physics.contact.pair.sides import scale
-from vsfsim.physics.contact.pair.surfaces import farthest
+from vsfsim.physics.contact.pair.sides import farthest, scale
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
@@ -53,7 +52,7 @@ def side_by_side(model: Model, sensor: Model) -> Model:
         model, mesh=replace(model.mesh, points=np.concatenate([model.mesh.points, sensor.mesh.points])),
         blocks=(*model.blocks, *moved), free=np.concatenate([model.free, sensor.free]),
         load=np.concatenate([model.load, np.zeros_like(sensor.free)]), soft_factor=None,
-        factor=PairFactors(model.preconditioner, sensor.factor, 3 * count))
+        factor=PairFactors(model.preconditioner, sensor.factor, 3 * count))  # type: ignore[arg-type]
 
 
 class CoupledSolver(Solver):
@@ -130,12 +129,13 @@ class CoupledSolver(Solver):
         u = self._balance.u
         self.history.append(u.clone().cpu().numpy())
         split = 3 * len(self.object.mesh.points)
-        force = self._contact_force.view(-1, 3, u.shape[1])
+        force = self._balance.contact_force().view(-1, 3, u.shape[1])
         surface = torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)
         marked = torch.as_tensor(~converged, device=self.device)
         force = force.masked_fill(marked, torch.nan)
         self.surface_force.append(force[surface].cpu().numpy())
-        carried = self.contact.surfaces.carried
+        assert isinstance(self.contact, PairContact)
+        carried = self.contact.carried_by
         self.sensor_force.append(carried(force[split // 3:], place=False).cpu().numpy())
         rest = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None]
         own = rest + u[split:].view(-1, 3, u.shape[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.krylov import conjugate_gradients, gmres
 from vsfsim.physics.solve.tangent_factor import TangentFactors
@@ -22,7 +22,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         contact: contact, evaluated at the present state.
         columns: touches (k,).
         residual: unbalanced forces (3 n, k) [N].
-        near: whose contact stiffness has its geometric term (k,) bool, see `ContactPoints.stiffness`.
+        near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
         deadline: see `krylov`.

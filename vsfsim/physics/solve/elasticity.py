@@ -255,6 +255,11 @@ class Elasticity:
         _add(index, 0, self._energies, self._parts, self.energy)
         wp.to_torch(self.least_det)[at] = wp.to_torch(self._dets)[:, at].amin(dim=0)
 
+    def det(self, index: wp.array, u: wp.array) -> torch.Tensor:
+        """The least det F that the elements have at displacements u (3 n, B) [m], of the touches ``index`` (k,) [-]."""
+        Elasticity.forces(self, index, u)
+        return wp.to_torch(self.least_det)[wp.to_torch(index).long()]
+
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
         """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it
         is."""
@@ -271,7 +276,8 @@ class Elasticity:
             for first in range(0, len(block), _TOGETHER):
                 rows = slice(first, first + _TOGETHER)
                 nodes = block.nodes[rows].astype(np.int64)
-                matrix = block.part(rows, nodes).matrices(at, state.numpy()[rows, :, touch])
+                matrix = block.part(rows, nodes).matrices(
+                    at, np.ascontiguousarray(state.numpy()[rows, :, touch]))
                 places = order.find(nodes[:, :, None], nodes[:, None, :])
                 wp.launch(self.kernels.add_blocks, dim=len(nodes), device="cpu", inputs=[
                     wp.array(places, dtype=wp.int32, device="cpu"), wp.array(matrix, dtype=real, device="cpu"),
@@ -313,9 +319,8 @@ class LinearElasticity(Elasticity):
         wp.to_torch(self.least_det)[at] = 1.0
 
     def det(self, index: wp.array, u: wp.array) -> torch.Tensor:
-        """The least det F that the elements have at displacements u (3 n, B) [m], of the touches ``index`` (k,) [-]."""
-        super().forces(index, u)
-        out = wp.to_torch(self.least_det)[wp.to_torch(index).long()]
+        """See `Elasticity`."""
+        out = super().det(index, u)
         self.forces(index, u)
         return out
 

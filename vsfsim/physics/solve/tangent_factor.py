@@ -14,7 +14,7 @@ import warp as wp
 
 from vsfsim.core.errors import MeshError
 from vsfsim.physics import clock
-from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.linear.cholesky import Cholesky, Order
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.elasticity import Elasticity
@@ -38,7 +38,6 @@ class TangentFactors:
         self._model, self._elasticity, self._contact = model, elasticity, contact
         self._serves = (contact.device == "cpu" and contact.solid
                         and not any(block.collective for block in model.blocks))
-        self._seconds = 0.0
         self.forget()
 
     def forget(self) -> None:
@@ -55,16 +54,15 @@ class TangentFactors:
         np.add.at(self._spent, columns.cpu().numpy(), (steps.cpu().numpy() - _USUAL).clip(min=0))
 
     def renew(self, columns: torch.Tensor, u: torch.Tensor, deadline: float) -> torch.Tensor:
-        """Make factors at the displacements u (3 n, B) [m] for those of the touches ``columns`` (k,) that need one and
-        whose factor would be ready before the ``deadline`` of `clock.now`. Returns for which (k,) bool: the
+        """Make factors at the displacements u (3 n, B) [m] for those of the touches ``columns`` (k,) that need one,
+        before the ``deadline`` of `clock.now`. Returns for which (k,) bool: the
         tangents that `Elasticity` holds of these are projected ones now."""
         made = torch.zeros(len(columns), dtype=torch.bool, device=columns.device)
         if not self._serves or not self._contact.symmetric or not self._spent.any():
             return made
         order = self._model.preconditioner.order
         for k, b in enumerate(columns.tolist()):
-            expected = self._seconds or 1.5 * self._model.preconditioner.seconds
-            if (self._spent[b] <= order.work / _WORK or clock.now() + expected > deadline
+            if (self._spent[b] <= order.work / _WORK or clock.now() > deadline
                     or 8.0 * order.entries * self._contact.batch > _BYTES):
                 continue
             self._own[b] = self._make(order, columns[k:k + 1], u)
@@ -73,7 +71,6 @@ class TangentFactors:
 
     def _make(self, order: Order, column: torch.Tensor, u: torch.Tensor) -> Cholesky | None:
         """From the projected tangent with the contact's stiffness, supports held; None where rounding spoils it."""
-        began = clock.now()
         self._elasticity.tangent(wp.from_torch(column.to(torch.int32)), wp.from_torch(u), projected=True)
         values = np.zeros((len(order.neighbours), 3, 3))
         self._elasticity.add_matrices(int(column[0]), order, values)
@@ -89,8 +86,6 @@ class TangentFactors:
         diagonal = order.owners == order.neighbours
         values[diagonal] += (1.0 - free[order.owners[diagonal]])[:, :, None] * np.eye(3)
         try:
-            out = Cholesky(order, values, self._model.preconditioner.real)
+            return Cholesky(order, values, self._model.preconditioner.real)
         except MeshError:
             return None
-        self._seconds = clock.now() - began
-        return out

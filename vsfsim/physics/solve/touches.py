@@ -21,9 +21,9 @@ import torch
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics import clock
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.intrusion import LOST
 from vsfsim.physics.contact.mount import Mount
+from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import torch_threads
@@ -45,8 +45,6 @@ class Known(NamedTuple):
     """Poses (B, K, 4, 4)."""
     u: torch.Tensor
     """Displacements (3 n, B) [m]."""
-    force: torch.Tensor
-    """Contact forces (3 n, B) [N]."""
 
 
 class Solver:
@@ -107,7 +105,6 @@ class Solver:
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
-        self._contact_force = torch.zeros_like(self._balance.u)
         weight.apply(self._balance, previous)
         self.contact.begin_step(previous, self._balance.u)
         self.contact.move(previous, self._balance.every)
@@ -138,8 +135,8 @@ class Solver:
         balance.reset_counts()
         for part in way:
             balance.begun = balance.newton.copy(), balance.cg.copy()
-            begin, friction = self._step(self._at, part, deadline)
-            self._contact_force = balance.contact_force()
+            begin, friction = balance.u.clone(), contact.friction_state()
+            self._reach(balance.every, self._at, part, begin, deadline, self.options.halvings, friction)
             if part is way[-1]:
                 break
             contact.end_step(balance.every)
@@ -179,36 +176,23 @@ class Solver:
             contact.restore_friction(at, friction)
             contact.move(pose, balance.every)
             balance.evaluate(balance.every)
-            self._contact_force = balance.contact_force()
         self._work_check.begin(balance.every)
-        self._remember(pose, self._contact_force)
-        return pose
-
-    def _remember(self, pose: np.ndarray, force: torch.Tensor) -> None:
-        """Keep this equilibrium for later frames to begin from: all of them without friction, the last two with it."""
-        self._contact_force = force
-        self._equilibria.append(Known(pose, self._balance.u.clone(), force))
+        # for later frames to begin from: all of them without friction, the last two with it
+        self._equilibria.append(Known(pose, balance.u.clone()))
         most = _EQUILIBRIA_BYTES["cpu" if self.device == "cpu" else "cuda"]
-        if self.contact.has_friction or self._equilibria[0].u.nbytes * len(self._equilibria) > most:
+        if contact.has_friction or balance.u.nbytes * len(self._equilibria) > most:
             del self._equilibria[:-2]
+        return pose
 
     def _record(self, converged: np.ndarray) -> None:
         """Keep the displacements and forces of this frame for the caller; forces are NaN where it did not converge."""
         self.history.append(self._balance.u.clone().cpu().numpy())
-        force = self._contact_force.cpu().numpy().reshape(-1, 3, len(converged)).copy()
+        force = self._balance.contact_force().cpu().numpy().reshape(-1, 3, len(converged))
         for b in np.flatnonzero(~converged):
             force[self.contact.patches[b].nodes, :, b] = np.nan
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
-
-    def _step(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> tuple[torch.Tensor, Any]:
-        """Bring all touches from their equilibria at ``before`` into equilibrium at ``pose`` (B, K, 4, 4). Returns the
-        displacements (3 n, B) [m] and the state of friction that it began with."""
-        balance, contact = self._balance, self.contact
-        begin, friction = balance.u.clone(), contact.friction_state()
-        self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
-        return begin, friction
 
     def _known(self, pose: np.ndarray) -> Known | None:
         """The equilibrium at this very ``pose`` (B, K, 4, 4) if it is known and does not depend on the way."""

@@ -1,6 +1,8 @@
 """Contact of a batch of touches between an object and the deformable surface of a sensor that is carried along.
 
-A step knows, for every node of either surface, the faces of the other surface that it may meet (`surfaces`).
+The unknowns are the displacements of the object's nodes in the world and, after them, those of the sensor's nodes in
+the sensor's own frame: there its elements and its rest-state factor stay the same while it is carried along. A step
+knows, for every node of either surface, the faces of the other surface that it may meet.
 """
 
 from __future__ import annotations
@@ -11,19 +13,23 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.pair.overlap import PairOverlap
+from vsfsim.physics.contact.intrusion import PairOverlap
+from vsfsim.physics.contact.pair import kernels
 from vsfsim.physics.contact.pair.response import PairResponse
-from vsfsim.physics.contact.pair.surfaces import PairSurfaces
-from vsfsim.physics.contact.points import ContactPoints
+from vsfsim.physics.contact.pair.sides import farthest, make_sides, reachable
+from vsfsim.physics.contact.patch import first_of
+from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.model import Model
 
 _TURNED = 0.01  # change of a blended normal [rad] in a step above which it is blended again
 _NEW_GAP = 1e-9  # change of a gap [m] with renewed candidates above which the old one was wrong
+_MARGIN = 0.3  # of a stride: the surfaces may approach each other by so much in a step by their own motion
 
 
-class PairContact(ContactPoints):
-    """The contact of an object with the surface of a sensor (K = 1); the patch of a touch is all nodes of `surfaces`.
-    Methods without a description are those of `RigidContact`.
+class PairContact(Contact):
+    """The contact of an object with the surface of a sensor (K = 1). The patch of a touch is the nodes of the object in
+    reach, padded, and after them the m of the sensor: S in all. Methods without a description are those of
+    `RigidContact`.
 
     Args:
         model: the object.
@@ -38,85 +44,129 @@ class PairContact(ContactPoints):
     symmetric, potential_trusted_above, decrease = False, 1.0, 0.9
     # rubber mostly sticks
     friction_updated_below = 0.3
-    solid, flat = False, False
+    solid, flat, follows = False, False, False
     _memory = "anchored", "anchor_face", "anchor_shape", "limit", "across"
 
+    rotation: torch.Tensor
+    """Rotations of the sensor at present (B, 3, 3) [-]."""
+    origin: torch.Tensor
+    """Its origins (B, 1, 3) [m], world."""
+
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
-        self.model, self.sensor, self.device = model, sensor, device
-        self.has_friction = friction > 0.0
-        self.surfaces = PairSurfaces(model, sensor, friction, poses, device=device, stride=stride)
-        self._sides, self.kernels, self.batch = self.surfaces.sides, self.surfaces.kernels, self.surfaces.batch
-        self._sets = [side.tensors for side in self._sides]
-        self.follows, self.coulomb = False, torch.zeros(self.batch, dtype=torch.float64, device=device)
-        self.response = PairResponse(model, sensor, self.surfaces)
-        self.dof, self.mask, self.free = self.surfaces.dof, self.surfaces.mask, self.surfaces.free
+        self.device, self.batch, self.has_friction, self.kernels = (
+            device, poses.shape[1], friction > 0.0, kernels.kernels())
+        self._margin, self._reach = _MARGIN * stride, farthest(sensor)
+        reach, own = reachable(model, sensor, poses), sensor.mesh.points
+        nodes = [np.unique(model.mesh.faces[f]) for f in reach]
+        self.width = width = max(1, max(len(n) for n in nodes))
+        listed, rest = np.full((self.batch, width), -1, np.int64), np.zeros((self.batch, width, 3))
+        for b, n in enumerate(nodes):
+            listed[b, :len(n)], rest[b, :len(n)] = n, model.mesh.points[n]
+        carried = np.arange(len(own)) + len(model.mesh.points)
+        listed = np.concatenate([listed, np.tile(carried, (self.batch, 1))], axis=1)
+        dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1)
+        self.dof = torch.as_tensor(dof.reshape(self.batch, -1), device=device)
+        self.mask = (self.dof >= 0).to(torch.float64)
+        free = torch.as_tensor(np.concatenate([model.free, sensor.free]), dtype=torch.float64, device=device)
+        self.free = free[self.dof.clamp(min=0)] * self.mask
+        self._rest = torch.as_tensor(np.concatenate([rest, np.tile(own, (self.batch, 1, 1))], axis=1), device=device)
+        # positions now, when the step began, and where the surfaces would be if both had kept their shapes
+        self.x, self.x_before, self.x_swept = (self._rest.clone() for _ in range(3))
+        self.sides = make_sides(model, sensor, reach, nodes, width, {
+            "coefficient": float(friction), "x": self.x, "x_before": self.x_before, "x_swept": self.x_swept},
+            device=device)
+        self._sets = [side.tensors for side in self.sides]
+        self.response = PairResponse(model, sensor, self.dof[:, :3 * width], device=device)
         self._passage = PairOverlap(model, sensor, device=device)
-        self._overlap = torch.zeros(self.batch, dtype=torch.float64, device=device)
+        self._overlap, self.coulomb = (torch.zeros_like(self.mask[:, 0]) for _ in range(2))
+        self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
         # the touches whose points in contact were looked at last, and these
         self._known: tuple[torch.Tensor, list[torch.Tensor]] | None = None
         # whose normals were blended once more in this step
         self._blended = torch.zeros(self.batch, dtype=torch.bool, device=device)
 
+    def _place(self, pose: np.ndarray) -> None:
+        """Put the sensor at ``pose`` (B, 4, 4)."""
+        at = torch.as_tensor(pose, dtype=torch.float64, device=self.device)
+        self.rotation, self.origin = at[:, :3, :3], at[:, None, :3, 3]
+
+    def _world(self, columns: torch.Tensor | slice, moved: torch.Tensor) -> torch.Tensor:
+        """World positions (k, S, 3) [m] of the nodes of ``columns`` at displacements (k, 3 S) [m]."""
+        out = self._rest[columns] + moved.view(len(moved), -1, 3)
+        out[:, self.width:] = out[:, self.width:] @ self.rotation[columns].mT + self.origin[columns]
+        return out
+
+    def carried_by(self, vectors: torch.Tensor, *, place: bool) -> torch.Tensor:
+        """Vectors (m, 3, B) of the sensor's frame in the world, or points of it if ``place``, at the present pose."""
+        out = torch.einsum("bij,mjb->mib", self.rotation, vectors)
+        return out + self.origin[:, 0].T if place else out
+
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
         self._begin_friction()
-        self.surfaces.begin_step(before, self.gather(u))
+        self._moved, self._pose_before = self.gather(u), before[:, 0]
+        self._place(self._pose_before)
+        self.x_before.copy_(self._world(slice(None), self._moved))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
         """See `RigidContact`; finds what the touches ``columns`` (k,) may meet on the way."""
         self._overlap[columns], self._known = 0.0, None
-        if self.surfaces.move(pose, columns):
-            self._blended[columns] = False
+        pose, known = pose[:, 0], self._moved_to
+        self._place(pose)
+        if known is not None and np.array_equal(known[0], pose) and torch.equal(known[1], self._moved):
+            return
+        self._moved_to, self._blended[columns] = (pose.copy(), self._moved), False
+        self.x_swept.copy_(self._world(slice(None), self._moved))
+        self.x[columns] = self.x_swept[columns]
+        change = pose - self._pose_before
+        way = np.linalg.norm(change[:, :3, 3], axis=1) + self._reach * np.linalg.norm(change[:, :3, :3], axis=(1, 2))
+        self._find_candidates(float(way.max()) + self._margin, columns, blend=columns)
+
+    def _find_candidates(self, within: float, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
+        """Find the faces no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions.
+        The touches ``blend`` (j,) also get new normals."""
+        self._launch(self.kernels.search, columns, within)
+        for side in self.sides if len(blend) else ():
+            side.tensors["smooth"][blend] = side.blended(self.x)[blend]
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
         """See `RigidContact`: finds what may meet what again from where the surfaces are now. True if that finds new
         contact, or normals that have turned."""
-        before = [side.tensors["gap"][columns].clamp(max=0.0) for side in self._sides]
-        self.surfaces.displace(columns, self.gather(u)[columns])
+        before, moved = self._all("gap", columns).clamp(max=0.0), self.gather(u, columns)
+        self.x[columns] = self._world(columns, moved)
         turned = columns[(self._turned() & ~self._blended)[columns]]
         self._blended[turned] = True  # once in a step: more would chase the last digit
-        self.surfaces.find_candidates(self.surfaces.margin, columns, blend=turned)
-        self.evaluate(columns, self.gather(u)[columns])
-        if len(turned) > 0 or any(bool(((old - side.tensors["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
-                                  for side, old in zip(self._sides, before, strict=True)):
+        self._find_candidates(self._margin, columns, blend=turned)
+        self.evaluate(columns, moved)
+        change = self._all("gap", columns).clamp(max=0.0) - before
+        if len(turned) > 0 or bool((change.abs() > _NEW_GAP).any()):
             return True
         self._overlap[columns] = self.overlap(columns, u)
         return False
 
     def overlap(self, columns: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         """How deep the surfaces of ``columns`` (k,) lie in one another at displacements u (3 N, B) [m]: (k,) [m]."""
-        return self._passage.check(columns, self.surfaces.turn[columns], self.surfaces.origin[columns], u)
+        return self._passage.check(columns, self.rotation[columns], self.origin[columns], u)
 
     def _turned(self) -> torch.Tensor:
         """Whose normals have turned where they touch since they were blended (B,) bool."""
         out = torch.zeros(self.batch, dtype=torch.bool, device=self.device)
-        for side in self._sides:
+        for side in self.sides:
             at, node = (side.tensors["gap"] < 0.0).nonzero(as_tuple=True)
             face = side.tensors["face"][at, node].long()
-            change = side.blended(self.surfaces.x)[at, face] - side.tensors["smooth"][at, face]
+            change = side.blended(self.x)[at, face] - side.tensors["smooth"][at, face]
             change = change.norm(dim=2).amax(dim=1)
             out[at[change > _TURNED]] = True
         return out
 
-    def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
-        for side in self._sides:
+    def _launch(self, kernel: Any, columns: torch.Tensor, *more: float) -> None:
+        for side in self.sides:
             wp.launch(kernel, dim=(side.tensors["stiffness"].shape[1], len(columns)), device=self.device,
-                      inputs=[side.points, wp.from_torch(columns.to(torch.int32))])
+                      inputs=[side.points, wp.from_torch(columns.to(torch.int32)), *more])
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
-        self.surfaces.displace(columns, displacement)
+        self.x[columns] = self._world(columns, displacement)
         self._launch(self.kernels.evaluate, columns)
         self._known = None
-
-    def carried(self, columns: torch.Tensor) -> torch.Tensor:
-        return torch.zeros_like(self._overlap[columns])
-
-    local_energy = carried  # its elements show all of it
-
-    def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        return torch.ones_like(self._overlap[columns])
-
-    def follow(self) -> bool:
-        return False
 
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """See `RigidContact`; nodes have no area, and the radius is not measured."""
@@ -130,11 +180,10 @@ class PairContact(ContactPoints):
         if self._known is not None and torch.equal(self._known[0], columns):
             return self._known[1]
         parts = []
-        for side in self._sides:
+        for side in self.sides:
             on = (side.tensors["gap"][columns] < 0.0) | (side.tensors["limit"][columns] > 0.0)
-            most = int(on.sum(dim=1).amax())
-            chosen, order = torch.sort(on.to(torch.int8), dim=1, descending=True, stable=True)
-            node, chosen = order[:, :most], chosen[:, :most].to(torch.float64)
+            node = first_of(on)
+            chosen = on.gather(1, node).to(torch.float64)
             for face, shape, force in (("face", "shape", "push"), ("anchor_face", "anchor_shape", "drag")):
                 there, weight, pull, stiffness = (side.tensors[name][columns[:, None], node] for name in (
                     face, shape, force, f"{force}_stiffness"))
@@ -156,18 +205,18 @@ class PairContact(ContactPoints):
 
     @property
     def turn(self) -> tuple[int, torch.Tensor]:
-        return self.surfaces.width, self.surfaces.turn
+        return self.width, self.rotation
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """See `RigidContact`; in the frames of the unknowns."""
         out = self.nodal_of(columns, self._found(columns)[2]).view(len(columns), -1, 3)
-        out[:, self.surfaces.width:] = out[:, self.surfaces.width:] @ self.surfaces.turn[columns]
+        out[:, self.width:] = out[:, self.width:] @ self.rotation[columns]
         return out.flatten(1)
 
     def _on_sensor(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces on the sensor's nodes (k, m, 3) [N], world."""
-        own = self.nodal(columns).view(len(columns), -1, 3)[:, self.surfaces.width:]
-        return own @ self.surfaces.turn[columns].mT
+        own = self.nodal(columns).view(len(columns), -1, 3)[:, self.width:]
+        return own @ self.rotation[columns].mT
 
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `RigidContact`: the force on the sensor (k, 1, 3) [N]."""
@@ -175,5 +224,5 @@ class PairContact(ContactPoints):
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `RigidContact`: the moment on the sensor (k, 1, 3) [N m]."""
-        lever = self.surfaces.x[columns][:, self.surfaces.width:] - self.surfaces.origin[columns]
+        lever = self.x[columns][:, self.width:] - self.origin[columns]
         return torch.linalg.cross(lever, self._on_sensor(columns)).sum(dim=1, keepdim=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from vsfsim.physics.contact.pair.surfaces import PairSurfaces
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
@@ -19,22 +18,18 @@ class PairResponse:
     Args:
         model: the object.
         sensor: the body with the touching surface.
-        surfaces: the surfaces of both.
+        dof: degrees of freedom of the object's nodes in reach of each touch (B, 3 s); those of the sensor follow.
+        device: Warp device.
     """
 
     resident = False
 
-    def __init__(self, model: Model, sensor: Model, surfaces: PairSurfaces):
-        self.device, self.sensor, self._surfaces = surfaces.device, sensor, surfaces
-        self._rows, self._split = 3 * len(model.mesh.points), 3 * surfaces.width
+    def __init__(self, model: Model, sensor: Model, dof: torch.Tensor, *, device: str):
+        self.device, self.sensor = device, sensor
+        self._rows, self._split = 3 * len(model.mesh.points), dof.shape[1]
         inverse = sensor.factor.solve(np.diag(sensor.free))
         self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=self.device)
-        self._object: Response = response(model.preconditioner, surfaces.dof[:, :self._split], device=self.device)
-
-    @property
-    def took(self) -> float:
-        """Time of the object's last `Response.solve` [s]."""
-        return self._object.took
+        self._object: Response = response(model.preconditioner, dof, device=device)
 
     def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
         """See `rest_factor.Response`; bodies do not move one another."""

@@ -1,7 +1,7 @@
 """The two sides of a pair of deformable surfaces: the nodes of one surface, and the faces of the other one that they
 may meet.
 
-Both bodies are at rest here; `surfaces` moves them.
+Both bodies are at rest here; `PairContact` moves them.
 """
 
 from __future__ import annotations
@@ -91,38 +91,26 @@ def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: 
     """
     mesh, own = model.mesh, sensor.mesh
     batch, m = len(reach), len(own.points)
-    most = max(1, max(len(f) for f in reach))
-    faces = np.zeros((batch, most, 6), np.int32)
-    normal_of = np.zeros((batch, width, 3), np.int32)
-    tied = np.zeros((batch, width))
-    area, modulus = mesh.face_area(), model.surface_modulus
-    own_area, own_modulus = own.face_area(), sensor.surface_modulus
+    faces = np.zeros((batch, max(1, max(len(f) for f in reach)), 6), np.int32)
+    # of the object's nodes and of the sensor's
+    stiffness, facet = ([np.zeros((batch, n, *more), kind) for n in (width, m)]
+                        for more, kind in (((), float), ((3,), np.int64)))
+    area, modulus, own_modulus = mesh.face_area(), model.surface_modulus, sensor.surface_modulus
     soft = float(np.median(own_modulus))
     for b, (f, n) in enumerate(zip(reach, nodes, strict=True)):
-        if not len(f):
-            continue
-        local = np.searchsorted(n, mesh.faces[f])
-        faces[b, :len(f)] = local
-        # a node has a share of its faces; the softer body bounds the pressure, so it sets the stiffness
-        w = PENALTY * np.minimum(modulus[f], soft) * np.sqrt(area[f]) / 6.0
-        np.add.at(tied[b], local, _SECOND * w[:, None])
-        normal_of[b, local] = local[:, None, :3]
-    corners = own.faces.shape[1]
-    object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
-    softer = np.maximum(object_modulus[:, None], _LEAST_MODULUS * own_modulus[None, :])
-    pressed = PENALTY * np.minimum(own_modulus[None, :], softer) * np.sqrt(own_area)
-    carried_stiffness = np.zeros((batch, m))
-    for b in range(batch):
-        np.add.at(carried_stiffness[b], own.faces, pressed[b][:, None] / corners)
-    carried_normal = np.zeros((m, 3), np.int64)
-    carried_normal[own.faces] = own.faces[:, None, :3]
-    at = own.faces + width
-
-    def many(values: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(values, (batch, *values.shape))
-
-    return (_side(width, many(width + carried_normal), carried_stiffness, faces, [len(f) for f in reach], both, device),
-            _side(0, normal_of, tied, many(at), [len(at)] * batch, both, device))
+        local = faces[b, :len(f)] = np.searchsorted(n, mesh.faces[f])
+        # the softer body bounds the pressure, so it sets the stiffness
+        softer = np.maximum(np.median(modulus[f]) if len(f) else soft, _LEAST_MODULUS * own_modulus)
+        for k, (own_faces, of_pressure, size) in enumerate((
+                (local, _SECOND * np.minimum(modulus[f], soft), area[f]),
+                (own.faces, np.minimum(own_modulus, softer), own.face_area()))):
+            # a node has a share of its faces
+            share = PENALTY * of_pressure * np.sqrt(size) / own_faces.shape[1]
+            np.add.at(stiffness[k][b], own_faces, share[:, None])
+            facet[k][b, own_faces] = own_faces[:, None, :3]
+    at = np.broadcast_to(own.faces + width, (batch, *own.faces.shape))
+    return (_side(width, width + facet[1], stiffness[1], faces, [len(f) for f in reach], both, device),
+            _side(0, facet[0], stiffness[0], at, [len(own.faces)] * batch, both, device))
 
 
 def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarray, count: Sequence[int],
@@ -208,3 +196,8 @@ def _spots(model: Model, sensor: Model) -> np.ndarray:
                         _MOST_PARTS))
     grid = np.array([(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]) / parts
     return np.einsum("kc,fcx->fkx", grid, corners)
+
+
+def farthest(sensor: Model) -> float:
+    """How far the sensor's surface reaches from the origin of its frame [m]."""
+    return float(np.linalg.norm(sensor.mesh.points, axis=1).max())
