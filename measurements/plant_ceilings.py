@@ -29,8 +29,7 @@ from vsfsim.data.provenance import commit
 from vsfsim.data.records import Touch
 from vsfsim.data.streams import Stream
 from vsfsim.generate.job import jobs_of
-from vsfsim.generate.plants.admit import beams, grow
-from vsfsim.generate.plants.prepare import Subject, prepare_job
+from vsfsim.generate.plants.subject import Subject, beams, grow, prepare_job
 from vsfsim.generate.plants.touches import finish_touches, solve
 from vsfsim.generate.recipe import make_recipe
 

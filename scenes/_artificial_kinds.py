@@ -7,11 +7,10 @@ filling lets the trunk tilt. Which wire a factory puts into which part is not pu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.table import between
 
 REGIONS = ("joint", "trunk", "branch", "petiole", "leaf")
 JOINT, TRUNK, BRANCH, PETIOLE, LEAF = range(5)
@@ -204,62 +203,30 @@ PLANTS: dict[str, Named] = {
 class Options:
     """The parameters of the family."""
 
-    plant: str
+    plant: Literal[(*PLANTS, "by-object", "random")] = "by-object"
     """A key of `PLANTS`; "by-object" for the first name for object 0 of a dataset, the second for object 1, and so on;
     or "random" for a random one with every size drawn anew."""
-    variation: float
+    variation: Annotated[float, between(0.0, 0.5)] = 0.1
     """Largest relative deviation of a size from the named plant's [-]."""
-    wood_segments: int
+    wood_segments: Annotated[int, between(10, 1000, whole=True)] = 160
     """Largest number of segments of stems and branches; longer segments, not fewer branches, keep to it."""
-    leaf_segments: int
+    leaf_segments: Annotated[int, between(0, 2000, whole=True)] = 260
     """Largest number of segments of petioles and blades; the plant has only as many leaves as this allows."""
-    size: float
+    size: Annotated[float, between(0.3, 2.0)] = 1.0
     """Factor on the lengths of stems and branches; diameters and leaves keep theirs [-]."""
-    girth: float
+    girth: Annotated[float, between(0.5, 2.0)] = 1.0
     """Factor on the diameters of stems, branches, petioles and midribs, and so on those of their wires [-]."""
-    leaves: float
+    leaves: Annotated[float, between(0.1, 5.0)] = 1.0
     """Factor on the number of leaves of an axis [-]."""
-    segment: float
+    segment: Annotated[float, between(0.002, 0.1)] = 0.025
     """Least length of the segments of stems and branches [m]."""
-    yields: bool
+    yields: bool = False
     """Whether wires yield; they are elastic otherwise."""
 
 
-def read_options(parameters: Mapping[str, Any], where: str) -> Options:
-    """Check the scene's parameters.
-
-    Raises:
-        SceneError: an unknown parameter or plant, or a number out of its range.
-    """
-    allowed = tuple(f.name for f in fields(Options))
-    for key in parameters:
-        if key not in allowed:
-            raise SceneError(unknown_key(where, key, allowed))
-    names = (*PLANTS, "by-object", "random")
-    plant = parameters.get("plant", "by-object")
-    if plant not in names:
-        raise SceneError(f"{where}: plant is {plant!r}. {did_you_mean(str(plant), names)}")
-    number = {key: _number(parameters, key, default, low, high, where) for key, default, low, high in (
-        ("variation", 0.1, 0.0, 0.5), ("wood_segments", 160, 10, 1000), ("leaf_segments", 260, 0, 2000),
-        ("size", 1.0, 0.3, 2.0), ("girth", 1.0, 0.5, 2.0), ("leaves", 1.0, 0.1, 5.0),
-        ("segment", 0.025, 0.002, 0.1))}
-    yields = parameters.get("yields", False)
-    if not isinstance(yields, bool):
-        raise SceneError(f"{where}: yields is {yields!r}; it must be true or false.")
-    return Options(plant, number["variation"], int(number["wood_segments"]), int(number["leaf_segments"]),
-                   number["size"], number["girth"], number["leaves"], number["segment"], yields)
-
-
-def name_of(options: Options, pick: int, number: int) -> str:
-    """The name of object ``number``; ``pick`` is a random number from 0 to ``len(PLANTS)`` - 1."""
+def name_of(options: Options, pick: int, index: int) -> str:
+    """The name of object ``index``; ``pick`` is a random number from 0 to ``len(PLANTS)`` - 1."""
     names = tuple(PLANTS)
     if options.plant == "random":
         return names[pick]
-    return names[number % len(names)] if options.plant == "by-object" else options.plant
-
-
-def _number(parameters: Mapping[str, Any], key: str, default: float, low: float, high: float, where: str) -> float:
-    value = parameters.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-        raise SceneError(f"{where}: {key} is {value!r}; it must be a number from {low:g} to {high:g}.")
-    return float(value)
+    return names[index % len(names)] if options.plant == "by-object" else options.plant

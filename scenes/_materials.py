@@ -60,8 +60,9 @@ CLASSES: dict[str, MaterialClass] = {
 }
 """Classes whose typical colours and textures both depend on the material."""
 
-COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55), (0.14, 0.40, 0.20),
-              (0.74, 0.60, 0.14), (0.38, 0.23, 0.12), (0.48, 0.46, 0.44), (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
+COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55),
+              (0.14, 0.40, 0.20), (0.74, 0.60, 0.14), (0.38, 0.23, 0.12), (0.48, 0.46, 0.44),
+              (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
 """Colours of whole shoes, linear RGB, 0 to 1."""
 SOLE_MATERIAL = "ribbed-rubber"
 """Class of the sole in `TEXTURED` and `GRADED`."""

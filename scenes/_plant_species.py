@@ -6,13 +6,12 @@ species.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.table import between
 
 REGIONS = ("trunk", "branch", "petiole", "leaf")
 TRUNK, BRANCH, PETIOLE, LEAF = range(4)
@@ -149,63 +148,38 @@ SPECIES: dict[str, Species] = {
 class PlantOptions:
     """The parameters of a plant."""
 
-    species: str
+    species: Literal[(*SPECIES, "random", "by-object")] = "random"
     """A key of `SPECIES`; "random" for a random one with every size drawn within a factor of 1.5; or "by-object" for
     the first species for object 0 of a dataset, the second for object 1, and so on."""
-    scale: float
+    scale: Annotated[float, between(0.2, 2.0)] = 1.0
     """Factor on all lengths [-]."""
-    variation: float
+    variation: Annotated[float, between(0.0, 0.5)] = 0.15
     """Largest relative deviation of a size from the species' value [-]."""
-    leaf_share: float
+    leaf_share: Annotated[float, between(0.0, 1.0)] = 1.0
     """Fraction of the leaves that grow [-]."""
-    max_segments: int
+    max_segments: Annotated[int, between(3, 2000, whole=True)] = 500
     """Largest number of segments; the plant has only as many leaves as this allows."""
-    appearance_informative: float
+    appearance_informative: Annotated[float, between(0.0, 1.0)] = 0.8
     """Probability that a part's appearance depends on its own stiffness [-]."""
-    leaves: bool
+    leaves: bool = True
     """Whether the plant has leaves."""
-    modulus_factor: float
+    modulus_factor: Annotated[float, between(1e-6, 1e3)] = 1.0
     """Factor on all moduli [-]."""
-    segment: float
+    segment: Annotated[float, between(0.002, 0.1)] = 0.02
     """Length of the segments of stems and branches [m]."""
 
 
-def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
-    """Check the scene's parameters.
-
-    Raises:
-        SceneError: an unknown parameter or species, or a number out of its range.
-    """
-    allowed = tuple(f.name for f in fields(PlantOptions))
-    for key in parameters:
-        if key not in allowed:
-            raise SceneError(unknown_key(where, key, allowed))
-    names = (*SPECIES, "random", "by-object")
-    species, leaves = parameters.get("species", "random"), parameters.get("leaves", True)
-    if species not in names:
-        raise SceneError(f"{where}: species is {species!r}. {did_you_mean(str(species), names)}")
-    if not isinstance(leaves, bool):
-        raise SceneError(f"{where}: leaves is {leaves!r}; it must be true or false.")
-    number = {key: _number(parameters, key, default, low, high, where) for key, default, low, high in (
-        ("scale", 1.0, 0.2, 2.0), ("variation", 0.15, 0.0, 0.5), ("leaf_share", 1.0, 0.0, 1.0),
-        ("max_segments", 500, 3, 2000),
-        ("appearance_informative", 0.8, 0.0, 1.0), ("modulus_factor", 1.0, 1e-6, 1e3), ("segment", 0.02, 0.002, 0.1))}
-    return PlantOptions(species, number["scale"], number["variation"], number["leaf_share"],
-                        int(number["max_segments"]), number["appearance_informative"], leaves,
-                        number["modulus_factor"], number["segment"])
-
-
-def drawn(options: PlantOptions, rng: np.random.Generator, number: int) -> tuple[str, Species]:
-    """Name and species of object ``number``, with random sizes. The number of draws does not depend on the outcome."""
+def drawn(options: PlantOptions, rng: np.random.Generator, index: int) -> tuple[str, Species]:
+    """Name and species of object ``index``, with random sizes. The number of draws does not depend on the outcome."""
     names = tuple(SPECIES)
     pick, wild = int(rng.integers(len(names))), options.species == "random"
-    name = names[pick] if wild else names[number % len(names)] if options.species == "by-object" else options.species
+    name = names[pick] if wild else names[index % len(names)] if options.species == "by-object" else options.species
     kind = SPECIES[name]
     spread = np.log(1.5) if wild else np.log1p(options.variation)
     f = np.exp(spread * rng.uniform(-1.0, 1.0, 8))
     s = options.scale
-    levels = tuple(replace(level, count=max(1, round(level.count * f[0])), angle=level.angle * f[1] ** 0.5,
-                           length=level.length * f[2]) for level in kind.levels)
+    levels = tuple(replace(level, count=max(1, round(level.count * f[0])), angle=level.angle * f[1]
+                           ** 0.5, length=level.length * f[2]) for level in kind.levels)
     length, radius = kind.leaves.petiole
     blade = kind.leaves.blade
     leaves = replace(kind.leaves, count=max(1, round(kind.leaves.count * f[3])),
@@ -214,10 +188,3 @@ def drawn(options: PlantOptions, rng: np.random.Generator, number: int) -> tuple
     kind = replace(kind, height=s * kind.height * f[6], spread=s * kind.spread, radius=s * kind.radius * f[7],
                    levels=levels, leaves=leaves, pot=(s * kind.pot[0], s * kind.pot[1]))
     return name, kind
-
-
-def _number(parameters: Mapping[str, Any], key: str, default: float, low: float, high: float, where: str) -> float:
-    value = parameters.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-        raise SceneError(f"{where}: {key} is {value!r}; it must be a number from {low:g} to {high:g}.")
-    return float(value)

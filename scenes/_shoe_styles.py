@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.table import between, typed, value
 
 REGIONS = ("sole", "toe_cap", "upper", "tongue", "heel_counter")
 
@@ -90,15 +90,15 @@ STYLES: dict[str, Style] = {
 class ShoeOptions:
     """The parameters of a shoe besides its form."""
 
-    style: str
+    style: Literal["sneaker", "boot", "runner", "slipper"] = "sneaker"
     """Key of `STYLES`."""
-    side: str
+    side: Literal["left", "right"] = "right"
     """"left" or "right"."""
-    variation: float
+    variation: Annotated[float, between(0.0, 0.3)] = 0.05
     """Largest relative deviation from the style's form, for values that the scene does not give [-]."""
-    appearance_informative: float
+    appearance_informative: Annotated[float, between(0.0, 1.0)] = 0.8
     """Probability that a region has the appearance of its own material [-]."""
-    materials: str
+    materials: Literal["style", "any", "graded"] = "style"
     """With "style", the style's own materials, which colour and texture indicate. With "any", most parts except the
     sole are of one class of `_materials.TEXTURED` in a random colour, so that only the texture indicates the material.
     With "graded", the same with the moduli of `_materials.GRADED`."""
@@ -111,39 +111,12 @@ def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator,
     Raises:
         SceneError: an unknown parameter, style or side, or a number out of its range.
     """
-    allowed = (*RANGES, *(f.name for f in fields(ShoeOptions)))
-    for key in parameters:
-        if key not in allowed:
-            raise SceneError(unknown_key(where, key, allowed))
-    options = ShoeOptions(
-        _word(parameters, "style", "sneaker", tuple(STYLES), where),
-        _word(parameters, "side", "right", ("left", "right"), where),
-        _number(parameters, "variation", 0.05, 0.0, 0.3, where),
-        _number(parameters, "appearance_informative", 0.8, 0.0, 1.0, where),
-        _word(parameters, "materials", "style", ("style", "any", "graded"), where),
-    )
+    options, form = typed(parameters, ShoeOptions, where, also=tuple(RANGES)), {}
     usual = STYLES[options.style].form
-    form = {}
     for name, (low, high) in RANGES.items():
         # Every factor is drawn, needed or not, so that fixing one parameter does not change the others.
         factor = 1.0 + options.variation * rng.uniform(-1.0, 1.0)
-        if name in parameters:
-            form[name] = _number(parameters, name, 0.0, low, high, where)
-        else:
-            form[name] = float(np.clip(getattr(usual, name) * factor, low, high))
+        drawn = float(np.clip(getattr(usual, name) * factor, low, high))
+        asked = Annotated[float, between(low, high, "(lengths in metres)")]
+        form[name] = value(parameters.get(name, drawn), asked, f"{where}: {name}")
     return ShoeForm(**form), options
-
-
-def _number(parameters: Mapping[str, Any], key: str, default: float, low: float, high: float, where: str) -> float:
-    value = parameters.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-        raise SceneError(f"{where}: {key} is {value!r}; it must be a number from {low:g} to {high:g} (lengths "
-                         f"in metres).")
-    return float(value)
-
-
-def _word(parameters: Mapping[str, Any], key: str, default: str, allowed: tuple[str, ...], where: str) -> str:
-    value = parameters.get(key, default)
-    if value not in allowed:
-        raise SceneError(f"{where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
-    return value

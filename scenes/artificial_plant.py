@@ -31,24 +31,10 @@ import numpy as np
 
 from vsfsim.core.plant import Plant, Pot
 from vsfsim.core.solid import Appearance
-from vsfsim.scenes._artificial_kinds import (
-    BRANCH,
-    JOINT,
-    KINDS,
-    LEAF,
-    PETIOLE,
-    PLANTS,
-    REGIONS,
-    TRUNK,
-    Kind,
-    Leaves,
-    Level,
-    Named,
-    Options,
-    Stalk,
-    name_of,
-    read_options,
-)
+from vsfsim.core.table import typed
+from vsfsim.scenes import _artificial_kinds as kinds
+from vsfsim.scenes._artificial_kinds import BRANCH, JOINT, LEAF, PETIOLE, PLANTS, REGIONS, TRUNK, Options
+from vsfsim.scenes._growth import Growth
 
 E_STEEL = 2.0e11
 """Young's modulus of steel wire [Pa]."""
@@ -62,10 +48,6 @@ YIELD_STRESS = 3.0e8
 """At which the wire yields, soft steel of 250 to 400 MPa [Pa]."""
 _WIRE_SPREAD = 0.05
 """Standard deviation of ln of the wire's diameter over the outer one, from part to part [-]."""
-_GOLDEN = 2.399963
-"""The golden angle [rad]."""
-_DIRECTION_SPREAD = 0.05
-"""Standard deviation of the random change of an axis's direction per segment [rad]."""
 _DENSITY = 1000.0
 """Of all parts [kg/m^3]; it matters in scenes with gravity only."""
 _JOINT_LENGTH, _JOINT_RADIUS = 0.01, 0.01
@@ -84,31 +66,32 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
     Raises:
         SceneError: a parameter is unknown or out of its range.
     """
-    options = read_options(parameters, where)
-    name = name_of(options, int(rng.integers(len(PLANTS))), number)
+    options = typed(parameters, Options, where)
+    name = kinds.name_of(options, int(rng.integers(len(PLANTS))), number)
     kind = _sized(PLANTS[name], options, rng)
     tree = _Tree(kind, options, rng)
     tree.grow()
     region = np.array(tree.region)
     count = [int((region[1:] == r).sum()) for r in range(len(REGIONS))]
     nodes = np.array(tree.nodes)
-    return Plant(
-        nodes, np.array(tree.parent), np.array(tree.radius), np.array(tree.half_width), np.array(tree.normal),
-        np.array(tree.modulus), np.full(len(nodes), _DENSITY), region, REGIONS, look=np.array(tree.axis),
-        appearance=_appearance(tree, kind, rng), pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
-        wire=np.array(tree.wire), yielding=np.array(tree.core) if options.yields else None, name=name,
-        notes=(f"{name}: {count[TRUNK] + count[BRANCH]} segments of wood, {count[PETIOLE] + count[LEAF]} of "
-               f"{tree.leaves} leaves (each stands for {tree.each:.1f}), {nodes[:, 2].max():.2f} m high.",))
+    return Plant(nodes, np.array(tree.parent), np.array(tree.radius), np.array(tree.half_width),
+                 np.array(tree.normal), np.array(tree.modulus), np.full(len(nodes), _DENSITY),
+                 region, REGIONS, look=np.array(tree.axis), appearance=_appearance(tree, kind, rng),
+                 pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]), wire=np.array(tree.wire),
+                 yielding=np.array(tree.core) if options.yields else None, name=name,
+                 notes=(f"{name}: {count[TRUNK] + count[BRANCH]} segments of wood, "
+                        f"{count[PETIOLE] + count[LEAF]} of {tree.leaves} leaves (each stands for "
+                        f"{tree.each:.1f}), {nodes[:, 2].max():.2f} m high.",))
 
 
-def _sized(named: Named, options: Options, rng: np.random.Generator) -> Kind:
+def _sized(named: kinds.Named, options: Options, rng: np.random.Generator) -> kinds.Kind:
     """The kind of a named plant with its own sizes. The number of draws does not depend on the outcome."""
-    kind = KINDS[named.kind]
+    kind = kinds.KINDS[named.kind]
     wild = options.plant == "random"
     f = np.exp((math.log(1.3) if wild else math.log1p(options.variation)) * rng.uniform(-1.0, 1.0, 8))
     size, girth = options.size * named.size * f[0], options.girth * named.girth * f[1]
 
-    def scaled(stalk: Stalk, by: float) -> Stalk:
+    def scaled(stalk: kinds.Stalk, by: float) -> kinds.Stalk:
         return replace(stalk, length=size * by * stalk.length, diameter=girth * stalk.diameter)
 
     levels = tuple(replace(level, count=max(1, round(level.count * named.dense * f[2])),
@@ -116,26 +99,25 @@ def _sized(named: Named, options: Options, rng: np.random.Generator) -> Kind:
     length, width, thick = kind.leaves.blade
     petiole = kind.leaves.petiole
     blade = named.leaf * f[5]
-    leaves = replace(kind.leaves, count=max(1, round(options.leaves * kind.leaves.count * named.dense * f[6])),
-                     petiole=None if petiole is None else replace(petiole, length=blade * petiole.length,
-                                                                  diameter=girth * petiole.diameter),
-                     blade=(blade * length, blade * width, thick), midrib=girth * kind.leaves.midrib)
+    leaves = replace(
+        kind.leaves, count=max(1, round(options.leaves * kind.leaves.count * named.dense * f[6])),
+        petiole=None if petiole is None else replace(petiole, length=blade * petiole.length,
+                                                     diameter=girth * petiole.diameter),
+        blade=(blade * length, blade * width, thick), midrib=girth * kind.leaves.midrib)
     return replace(kind, stem=scaled(kind.stem, f[7]), levels=levels, leaves=leaves)
 
 
-class _Tree:
-    """The plant while it grows: lists with one entry per node, and lists with one entry per axis."""
+class _Tree(Growth):
+    """The plant while it grows; of each axis its region."""
 
-    def __init__(self, kind: Kind, options: Options, rng: np.random.Generator):
-        self.kind, self.options, self.rng = kind, options, rng
-        self.wood, self.sheet = _drawn(rng, E_WOOD), _drawn(rng, E_SHEET)
-        self.nodes = [np.array([0.0, 0.0, kind.pot[1] - _JOINT_LENGTH])]
-        self.parent, self.radius, self.half_width, self.normal = [-1], [0.01], [0.0], [np.zeros(3)]
-        self.modulus, self.region, self.axis, self.wire = [1e9], [JOINT], [0], [0.0]
+    def __init__(self, kind: kinds.Kind, options: Options, rng: np.random.Generator):
+        super().__init__(rng, np.array([0.0, 0.0, kind.pot[1] - _JOINT_LENGTH]), 0.01)
+        self.kind, self.options, self.axes = kind, options, [JOINT]
+        self.wood, self.sheet = self.drawn(E_WOOD), self.drawn(E_SHEET)
+        self.wire = [0.0]
         self.core = [(0.0, 0.0)]  # E I of the wires of each segment, and the moment at which they yield
-        self.axes: list[int] = [JOINT]  # region of each axis
         self.leaves, self.each = 0, 1.0
-        self.step = self._step()
+        self.step_length = self._step()
 
     def _step(self) -> float:
         """Length of the segments of wood [m]: the options' own, or longer so that all branches fit the budget."""
@@ -151,86 +133,62 @@ class _Tree:
         return step
 
     def grow(self) -> None:
-        kind, stems = self.kind, []
-        for k in range(kind.stems):
-            azimuth = k * _GOLDEN + self.rng.uniform(-0.3, 0.3)
-            out = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-            lean = kind.lean * self.rng.uniform(0.5, 1.0)
-            way = math.cos(lean) * np.array([0.0, 0.0, 1.0]) + math.sin(lean) * out
+        kind, bearers = self.kind, []
+        for way, place in self.stems(kind.stems, kind.spread, kind.lean, 0.001):
             root = 0
-            if kind.spread > 0.0:  # a stiff segment in the filling leads to the foot of the stem
-                place = self.nodes[0] + kind.spread * math.sqrt((k + 0.5) / kind.stems) * out + [0.0, 0.0, 0.001]
-                root = self._node(0, place, 0.01, JOINT, 1e11, 0)
+            if place is not None:  # a stiff segment in the filling leads to the foot of the stem
+                root = self._part(0, place, 0.01, JOINT, 1e11, 0)
             second = math.pi * _JOINT_RADIUS**4 / 4.0
-            foot = self._node(root, self.nodes[root] + _JOINT_LENGTH * way, _JOINT_RADIUS, JOINT,
-                              _drawn(self.rng, kind.joint) * _JOINT_LENGTH / second, 0)
-            stems.append(self._stalk(foot, way, kind.stem, TRUNK, self.step))
-        bearers = stems
+            foot = self._part(root, self.nodes[root] + _JOINT_LENGTH * way, _JOINT_RADIUS, JOINT,
+                              self.drawn(kind.joint) * _JOINT_LENGTH / second, 0)
+            bearers.append(self._stalk(foot, way, kind.stem, TRUNK, self.step_length))
         for level in kind.levels:
             bearers = [child for axis in bearers for child in self._branches(axis, level)]
         self._add_leaves(bearers, kind.leaves)
 
-    def _node(self, parent: int, place: np.ndarray, radius: float, region: int, modulus: float, axis: int,
-              half_width: float = 0.0, normal: np.ndarray | None = None, wire: float = 0.0,
-              core: tuple[float, float] = (0.0, 0.0)) -> int:
-        self.nodes.append(place)
-        self.parent.append(parent)
-        self.radius.append(radius)
-        self.half_width.append(half_width)
-        self.normal.append(np.zeros(3) if normal is None else normal)
-        self.region.append(region)
-        self.modulus.append(modulus)
-        self.axis.append(axis)
+    def _part(self, *segment: Any, wire: float = 0.0, core: tuple[float, float] = (0.0, 0.0), **more: Any) -> int:
+        """Add a segment with its wire."""
         self.wire.append(wire)
         self.core.append(core)
-        return len(self.nodes) - 1
+        return self.node(*segment, **more)
 
     def _new_axis(self, region: int) -> int:
         self.axes.append(region)
         return len(self.axes) - 1
 
-    def _stalk(self, start: int, way: np.ndarray, stalk: Stalk, region: int, step: float,
+    def _stalk(self, start: int, way: np.ndarray, stalk: kinds.Stalk, region: int, step: float,
                factor: float = 1.0) -> list[int]:
         """Grow a round part of ``factor`` times its length from node ``start``; its nodes, the start first."""
         length = factor * stalk.length
         count = max(1, round(length / step))
         wire = stalk.wire * stalk.diameter * math.exp(_WIRE_SPREAD * self.rng.normal())
         axis, out, at = self._new_axis(region), [start], start
+        several = self.each if region == PETIOLE else 1.0
         for k in range(count):
-            way = way + self.rng.normal(0.0, _DIRECTION_SPREAD, 3) - [0.0, 0.0, stalk.droop * length / count]
-            way = way / np.linalg.norm(way)
-            place = self.nodes[at] + length / count * way
+            way, place = self.step(at, way, length, count, stalk.droop)
             if place[2] < 0.03:  # nothing grows into the table
                 break
             outer = stalk.diameter * (1.0 - (1.0 - stalk.taper) * (k + 0.5) / count)
-            several = self.each if region == PETIOLE else 1.0
-            at = self._node(at, place, 0.5 * outer, region, several * round_modulus(outer, wire, self.wood), axis,
-                            wire=wire if region != PETIOLE else 0.0, core=wire_core(min(wire, outer), several))
+            at = self._part(at, place, 0.5 * outer, region, several
+                            * round_modulus(outer, wire, self.wood), axis, wire=wire if region
+                            != PETIOLE else 0.0, core=wire_core(min(wire, outer), several))
             out.append(at)
         return out
 
-    def _branches(self, axis: list[int], level: Level) -> list[list[int]]:
+    def _branches(self, axis: list[int], level: kinds.Level) -> list[list[int]]:
         out, turn = [], self.rng.uniform(0.0, 2.0 * math.pi)
         for k in range(level.count):
             place = level.start + (1.0 - level.start) * (k + 0.5) / level.count
-            joint = axis[max(1, min(len(axis) - 1, round(place * (len(axis) - 1))))] if len(axis) > 1 else axis[0]
-            way = self._around(joint, turn + k * _GOLDEN, level.angle * self.rng.uniform(0.8, 1.2))
+            joint, way = self.branch(axis, place, turn, k, level.angle)
             # Branches that start higher are shorter.
-            out.append(self._stalk(joint, way, level.stalk, BRANCH, self.step,
+            out.append(self._stalk(joint, way, level.stalk, BRANCH, self.step_length,
                                    self.rng.uniform(0.85, 1.15) * (1.2 - 0.35 * place)))
         return [branch for branch in out if len(branch) > 1]
 
-    def _around(self, node: int, azimuth: float, angle: float) -> np.ndarray:
-        along = self.nodes[node] - self.nodes[self.parent[node]]
-        along = along / np.linalg.norm(along)
-        side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
-        side /= np.linalg.norm(side)
-        across = math.cos(azimuth) * side + math.sin(azimuth) * np.cross(along, side)
-        return math.cos(angle) * along + math.sin(angle) * across
-
-    def _add_leaves(self, bearers: list[list[int]], leaves: Leaves) -> None:
+    def _add_leaves(self, bearers: list[list[int]], leaves: kinds.Leaves) -> None:
         """Grow leaves on the axes ``bearers``, as many as the budget allows."""
-        parts = max(2, min(4, round(leaves.blade[0] / 0.06)))
+        length, width, thickness = leaves.blade
+        parts = max(2, min(4, round(length / 0.06)))
         each = parts + (leaves.petiole is not None)
         sites = list(itertools.product(range(len(bearers)), range(leaves.count)))
         room = min(len(sites), self.options.leaf_segments // each)
@@ -238,34 +196,17 @@ class _Tree:
         turns = self.rng.uniform(0.0, 2.0 * math.pi, len(bearers) + 1)
         for s in sorted(self.rng.permutation(len(sites))[:room]):
             bearer, k = sites[s]
-            axis = bearers[bearer]
             place = leaves.start + (1.0 - leaves.start) * (k + 0.5) / leaves.count
-            joint = axis[max(1, min(len(axis) - 1, round(place * (len(axis) - 1))))] if len(axis) > 1 else axis[0]
-            way = self._around(joint, turns[bearer] + k * _GOLDEN, leaves.angle * self.rng.uniform(0.8, 1.2))
-            at = joint
+            at, way = self.branch(bearers[bearer], place, turns[bearer], k, leaves.angle)
             if leaves.petiole is not None:
-                at = self._stalk(joint, way, leaves.petiole, PETIOLE, leaves.petiole.length)[-1]
-            self._blade(at, way, leaves, parts)
+                at = self._stalk(at, way, leaves.petiole, PETIOLE, leaves.petiole.length)[-1]
+            wire = leaves.midrib * math.exp(_WIRE_SPREAD * self.rng.normal())
+            axis = self._new_axis(LEAF)
+            for start, end, normal, share in self.blade(at, way, length, leaves.droop, parts):
+                modulus = self.each * blade_modulus(width * share, thickness, wire, self.sheet)
+                self._part(start, end, 0.5 * thickness, LEAF, modulus, axis, 0.5 * (width * share),
+                           normal, core=wire_core(wire, self.each))
             self.leaves += 1
-
-    def _blade(self, at: int, way: np.ndarray, leaves: Leaves, parts: int) -> None:
-        length, width, thickness = leaves.blade
-        wire = leaves.midrib * math.exp(_WIRE_SPREAD * self.rng.normal())
-        axis = self._new_axis(LEAF)
-        for k in range(parts):
-            way = way - np.array([0.0, 0.0, leaves.droop * length / parts])
-            way = way / np.linalg.norm(way)
-            place = self.nodes[at] + length / parts * way
-            if place[2] < 0.02:
-                return
-            normal = np.array([0.0, 0.0, 1.0]) - way[2] * way
-            if np.linalg.norm(normal) < 0.1:  # the normal of an upright blade is arbitrary
-                normal = np.cross(way, np.array([1.0, 0.0, 0.0]))
-            normal /= np.linalg.norm(normal)
-            local = width * math.sin(math.pi * (0.12 + 0.76 * (k + 0.5) / parts))
-            modulus = self.each * blade_modulus(local, thickness, wire, self.sheet)
-            at = self._node(at, place, 0.5 * thickness, LEAF, modulus, axis, 0.5 * local, normal,
-                            core=wire_core(wire, self.each))
 
 
 def round_modulus(outer: float, wire: float, wood: float) -> float:
@@ -289,11 +230,7 @@ def blade_modulus(width: float, thickness: float, wire: float, sheet: float) -> 
     return sheet + E_STEEL * math.pi * wire**4 / 64.0 / (width * thickness**3 / 12.0)
 
 
-def _drawn(rng: np.random.Generator, span: tuple[float, float]) -> float:
-    return math.exp(rng.uniform(math.log(span[0]), math.log(span[1])))
-
-
-def _appearance(tree: _Tree, kind: Kind, rng: np.random.Generator) -> Appearance:
+def _appearance(tree: _Tree, kind: kinds.Kind, rng: np.random.Generator) -> Appearance:
     """The appearance of every axis: the colour of its part, with a small random tint. The colour of a part says
     nothing about its own wire."""
     bark, green = np.array(kind.bark), np.array(kind.foliage)

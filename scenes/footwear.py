@@ -1,8 +1,9 @@
 """A shoe made of the materials of shoes: the form of the family `shoe`, with a midsole on an outsole, a padded tongue,
 and for each part the elastic law, the density and the look of its material.
 
-`model` names one of 23 shoes (`vsfsim.scenes._footwear_models.MODELS`), or is "random": then `style` is one of the four
-classes and each part's material is drawn. Moduli, sheet thicknesses and looks are drawn within the material's bounds.
+`model` names one of 23 shoes (`vsfsim.scenes._footwear_materials.MODELS`), or is "random": then `style` is one of the
+four classes and each part's material is drawn. Moduli, sheet thicknesses and looks are drawn within the material's
+bounds.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
+from vsfsim.core.table import check_keys, one_of, value
 from vsfsim.scenes import shoe
-from vsfsim.scenes._footwear_materials import MATERIALS, draw_look, law_of, modulus_of
-from vsfsim.scenes._footwear_models import CHOICES, MODELS, PARTS, WALLS
+from vsfsim.scenes._footwear_materials import CHOICES, MATERIALS, MODELS, PARTS, WALLS, draw_look, law_of, modulus_of
 from vsfsim.scenes._shoe_styles import RANGES, STYLES, read_parameters
 
 WALL = 0.006
@@ -45,21 +46,15 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     """
     if not 0.004 <= resolution <= 0.030:
         raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
-    for key in parameters:
-        if key not in (*_OWN, *RANGES):
-            raise SceneError(unknown_key(where, key, (*_OWN, *RANGES)))
-    name, names = parameters.get("model", "random"), (*MODELS, "random")
-    if name not in names:
-        raise SceneError(f"{where}: model is {name!r}. {did_you_mean(str(name), names)}")
+    check_keys(parameters, where, (*_OWN, *RANGES))
+    name = one_of(parameters.get("model", "random"), (*MODELS, "random"), f"{where}: model")
+    lined = value(parameters.get("lined", False), bool, f"{where}: lined")
     if name != "random" and "style" in parameters:
-        raise SceneError(f"{where}: model is {name!r}, whose style is '{MODELS[name].style}'; take style out, or write "
-                         f"model = \"random\".")
+        raise SceneError(f"{where}: model is {name!r}, whose style is '{MODELS[name].style}'; take "
+                         "style out, or write model = \"random\".")
     own = MODELS.get(name)
     style = own.style if own else parameters.get("style", "sneaker")
     given = {key: value for key, value in parameters.items() if key not in ("model", "lined")}
-    lined = parameters.get("lined", False)
-    if not isinstance(lined, bool):
-        raise SceneError(f"{where}: lined is {lined!r}; it is true or false.")
     # A named shoe looks as its model says; a random one has a part in ten that looks like another material.
     usual = {"wall": WALL, "appearance_informative": 1.0 if own else 0.9, **(own.form if own else {})}
     form, options = read_parameters({**usual, **given, "style": style}, rng, where)
@@ -71,8 +66,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     shares: dict[str, np.ndarray] = {}
     for part in PARTS:
         shares.setdefault(materials[part], rng.uniform(size=2))
-    modulus = np.array([modulus_of(materials[part], walls[part], shares[materials[part]], lined=lined)
-                        for part in PARTS])
+    modulus = np.array([modulus_of(materials[part], walls[part], shares[materials[part]],
+                                   lined=lined) for part in PARTS])
     every = tuple(MATERIALS)
     looks = []
     for part in PARTS:

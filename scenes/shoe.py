@@ -263,15 +263,17 @@ class _Profile:
         o = form.opening
         self.half_width = _spline(form.length, ((0.0, heel), (0.16, heel), (0.42, waist), (0.68, ball),
                                                 (0.85, 0.97 * ball), (1.0, 0.88 * ball)))
-        self.top = _spline(form.length, (
-            (0.0, 1.06 * form.collar_height), (0.06, 1.05 * form.collar_height), (0.20, form.collar_height),
-            (0.5 * (0.2 + o), 0.45 * form.collar_height + 0.55 * form.throat_height), (o, form.throat_height),
-            (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002), (0.76, 1.10 * toe), (0.90, toe),
-            (1.0, 0.92 * toe)))
-        self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel), (0.62, form.sole_fore),
-                                          (1.0, form.sole_fore)))
-        self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch), (0.44, form.arch), (0.56, 0.0),
-                                            (1.0, 0.0)))
+        self.top = _spline(form.length,
+                           ((0.0, 1.06 * form.collar_height), (0.06, 1.05 * form.collar_height),
+                            (0.20, form.collar_height), (0.5 * (0.2 + o), 0.45 * form.collar_height
+                                                         + 0.55 * form.throat_height),
+                            (o, form.throat_height),
+                            (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002),
+                            (0.76, 1.10 * toe), (0.90, toe), (1.0, 0.92 * toe)))
+        self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel),
+                                          (0.62, form.sole_fore), (1.0, form.sole_fore)))
+        self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch),
+                                            (0.44, form.arch), (0.56, 0.0), (1.0, 0.0)))
         self.spring = _spline(form.length, ((0.0, 0.0), (0.70, 0.0), (0.85, 0.30 * form.toe_spring),
                                             (1.0, form.toe_spring)))
 

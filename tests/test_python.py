@@ -49,7 +49,7 @@ import sys, vsfsim
 heavy = [name for name in ("numpy", "scipy", "h5py", "typer", "rich", "warp", "torch") if name in sys.modules]
 assert heavy == [], heavy
 assert set(vsfsim.__all__) <= set(dir(vsfsim))
-import vsfsim.press.text                 # importing a package's module must not take the function's place
+import vsfsim.press.figures              # importing a package's module must not take the function's place
 assert callable(vsfsim.press) and callable(vsfsim.generate) and callable(vsfsim.tasks)
 from vsfsim import evaluate, generate, load, methods, press, tasks
 assert "fewshot-shoes-v3-mini-v1" in tasks() and "gaussian" in methods()
@@ -183,9 +183,9 @@ def test_a_torch_view_works_with_workers(dataset, start, workers):
 
 def test_evaluate_is_the_command(toy, tmp_path, vsfsim_command):
     (tmp_path / "toy-v1.toml").write_text(TASK)
-    here = vsfsim.evaluate("gaussian", tmp_path / "toy-v1.toml", toy, out=tmp_path / "here.json")
-    out = vsfsim_command("evaluate", "--method", "gaussian", "--task", "toy-v1.toml", "--dataset", toy, "--json", "-",
-                         cwd=tmp_path)
+    here = vsfsim.evaluate("gaussian", tmp_path / "toy-v1.toml", toy, out=tmp_path / "here.json", seeds=1)
+    out = vsfsim_command("evaluate", "--method", "gaussian", "--task", "toy-v1.toml", "--dataset",
+                         toy, "--json", "-", "--seeds", 1, cwd=tmp_path)
     told = json.loads(out.stdout)
     assert {metric: {shot: score.mean for shot, score in by_shot.items()} for metric, by_shot in here.scores.items()} \
         == {metric: {shot: score["mean"] for shot, score in by_shot.items()}

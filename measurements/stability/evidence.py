@@ -116,7 +116,7 @@ def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float,
     free = not any(float(cell.factors.get(name, 0.0)) for name in ("friction", "gravity"))
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"], result.audit["energy"],
-        result.audit["penetration"], result.converged, _resolved(result), tuple(result.more["reason"]),
+        result.audit["penetration"], result.converged, _resolved(result), result.reason,
         result.more["seconds"], len(result.depth), free, float(result.more["edge"]),
         heavy=float(cell.factors.get("gravity", 0.0)) > 0.0, surface=surface, poses=arrays["poses"],
         shapes=tuple(scene.bodies), mesh=mesh, moved=arrays["displacement"],
@@ -137,7 +137,7 @@ def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
         np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged, _resolved(result),
-        tuple(result.more["reason"]), result.more["seconds"], solved.scene.press.frames[0], False,
+        result.reason, result.more["seconds"], solved.scene.press.frames[0], False,
         float(result.more["edge"]),
         surface=surface, membrane=membrane)
 

@@ -106,9 +106,9 @@ def test_the_example_of_the_page_runs(env, monkeypatch, capsys):
         "at_random", "farthest", "most_uncertain"]
 
 
-@pytest.mark.parametrize(("given", "message"), [
-    ({"objects": "all"}, "objects is 'all'"), ({"touches": 0}, "touches 0"), ({"fold": 1}, "fold is 1"),
-])
+@pytest.mark.parametrize(("given", "message"),
+                         [({"objects": "all"}, "objects is 'all'"), ({"touches": 0}, "touches 0"),
+                          ({"fold": 1}, "fold is 1"),])
 def test_wrong_arguments_are_refused(env, given, message):
     with pytest.raises(TaskError, match=message):
         env(**given)

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from small_scenes import BLOCK
+from test_tradeoff import Imagined
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
@@ -15,9 +16,6 @@ from vsfsim.data.kept import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
 from vsfsim.generate.trade import buy
-from vsfsim.generate.trade.curve import Curve
-from vsfsim.generate.trade.setting import Ground
-from vsfsim.generate.trade.touches import Run
 
 SCENE = 'name = "small"' + BLOCK + """
 [touches]
@@ -35,40 +33,19 @@ splits = { train = 2 }
 """
 
 
-class Imagined:
-    """Two touches with an error of 100 h^2, and with more frames marked on coarse elements."""
-
-    ground = Ground("fem-coarse", 0.02, 4, None, ("linear", "fem-coarse"))
-    count, what = 2, "2 touches"
-
-    def __init__(self, *_, **__):
-        pass
-
-    def run(self, setting):
-        return Run(tuple(self._curve(setting) for _ in range(2)), 0.5, 1.0, 1.0, 100.0, 10,
-                   (setting.resolution,) * 2)
-
-    def near(self, number, setting):
-        return Run((self._curve(setting, 1e-3),), 0.5, 1.0, 1.0, 100.0, 5, (0.1 * setting.resolution,))
-
-    def _curve(self, setting, part=1.0):  # the ladder is fine where it is touched
-        share, good = np.array([0.5, 1.0]), np.ones(2, bool)
-        return Curve(share, {"force": share * (1.0 + part * 100.0 * setting.resolution**2)}, good,
-                     good & (setting.resolution > 0.018))
-
-
 @pytest.fixture
 def scene(tmp_path):
     return parse_scene(SCENE, tmp_path / "small.toml")
 
 
 def test_the_cheapest_setting_that_keeps_it_is_chosen_once(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(buy, "DatasetTouches", Imagined)
+    monkeypatch.setattr(buy, "DatasetTouches", lambda *_, **__: Imagined(0.02))
     given = {"seed": 0, "objects": 2, "device": "cpu", "cache": None, "note": None}
-    tier, options = buy.bought(scene, tmp_path / "new", 0.1, **given)
-    # 100 h^2 over the way in: 3.2 % at 20 mm, which keeps it with half of the frames marked; 15.4 mm has none marked
+    tier, options = buy.bought(scene, tmp_path / "new", 0.15, **given)
+    # 300 h^2 over the way in: 7 % at 20 mm, which keeps it with all frames marked; 15.4 mm has none marked
     assert tier == "fem-coarse" and options["resolution"] == pytest.approx(0.02 / 1.3)
-    assert options["accuracy"]["expected"] == pytest.approx(100 * (0.02 / 1.3) ** 2 * np.sqrt(0.625), rel=0.02)
+    rms = np.sqrt(np.mean(np.arange(1, 5) ** 4) / 4**4)
+    assert options["accuracy"]["expected"] == pytest.approx(300 * (0.02 / 1.3) ** 2 * rms, rel=0.02)
     with pytest.raises(SceneError, match=r"--accuracy is 0.2 %, but the most exact setting of the pilot, .* Ask for"):
         buy.bought(scene, tmp_path / "new", 0.002, **given)
 
@@ -99,7 +76,7 @@ def test_a_promise_is_kept_by_19_of_20():
 
 @pytest.mark.slow
 def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(buy, "DatasetTouches", Imagined)
+    monkeypatch.setattr(buy, "DatasetTouches", lambda *_, **__: Imagined(0.02))
     monkeypatch.setattr("vsfsim.generate.on_solids.make_each", _in_this_process)
     made = run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
     monkeypatch.setattr(buy, "DatasetTouches", None)  # a second pilot would fail

@@ -45,8 +45,8 @@ def test_a_fit_to_one_touch_predicts_another(made):
     known = dataclasses.replace(recording.readings[0], value=recording.clean[0])
     true = view.touches[3].normal_force()
     for field in ("parts", "smooth"):
-        (touch,) = fitted(made.recipe, view.name, [recording.queries[3].action], support=[known], tier="fem-coarse",
-                          field=field)
+        (touch,) = fitted(made.recipe, view.name, [recording.queries[3].action], support=[known],
+                          tier="fem-coarse", field=field)
         # the data are of the tier linear
         assert np.abs(touch.normal_force() - true).max() < 0.1 * true.max()
 

@@ -141,8 +141,9 @@ def test_a_worker_that_is_killed_is_said_to_be(scene, tmp_path, monkeypatch):
 def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(made, scene, tmp_path):
     """One worker writes the first of two views; then the interrupt comes, as a terminal sends it, to all processes."""
     out = tmp_path / "d"
-    process = subprocess.Popen(command("generate", scene.path, "--out", out, "--workers", 1), text=True,
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+    process = subprocess.Popen(command("generate", scene.path, "--out", out, "--workers", 1),
+                               text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               start_new_session=True,
                                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     while process.poll() is None and not list(out.glob("*.h5")):
         time.sleep(0.005)

@@ -1,6 +1,6 @@
 """Proof by addition: a new sensor is a package with an effector, a row of the schema and an observation.
 
-The package below, a load cell behind a rigid probe, is installed by pip and found through its entry points.
+The package below, a load cell behind a rigid probe, is found through its entry points.
 `generate`, `verify`, `load`, `press`, `evaluate` and the baselines take it as it is.
 """
 
@@ -69,7 +69,7 @@ import cell_reading  # noqa: F401  (its row of the schema)
 from vsfsim.core.errors import SceneError
 from vsfsim.core.table import between, typed
 from vsfsim.generate.effectors.probe import Probe
-from vsfsim.generate.press_result import Column, Curves
+from vsfsim.generate.press_result import Column
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,8 +102,9 @@ class LoadCell(Probe):
         result, (most, step) = super().press(loaded, request), self.settings(loaded.sample(request.seed))
         cell = self.reading(result.force[:, 2], most, step)
         return dataclasses.replace(
-            result, more={**result.more, "cell_force": cell}, columns=(*result.columns, Column("cell N", cell, ".2f")),
-            plot=(*result.plot, Curves("load cell [N]", {"reading": cell})),
+            result, more={**result.more, "cell_force": cell},
+            readings=(*result.readings, Column("cell N", cell, ".2f")),
+            plot={**result.plot, "load cell [N]": {"reading": cell}},
             arrays={**result.arrays, "cell_force": (cell, "reading of the load cell (T,) [N]")})
 
     @staticmethod
@@ -114,21 +115,13 @@ class LoadCell(Probe):
 EFFECTOR = LoadCell()
 '''
 
-PACKAGE = """
-[build-system]
-requires = ["setuptools"]
-build-backend = "setuptools.build_meta"
-[project]
-name = "load-cell"
-version = "1.0"
-[tool.setuptools]
-py-modules = ["load_cell", "cell_reading"]
-[project.entry-points."vsfsim.effectors"]
-load-cell = "load_cell:EFFECTOR"
-[project.entry-points."vsfsim.observations"]
-cell-force = "cell_reading:OBSERVATION"
-[project.entry-points."vsfsim.metrics"]
-worst_touch = "cell_reading:WORST"
+ENTRIES = """
+[vsfsim.effectors]
+load-cell = load_cell:EFFECTOR
+[vsfsim.observations]
+cell-force = cell_reading:OBSERVATION
+[vsfsim.metrics]
+worst_touch = cell_reading:WORST
 """
 
 SCENE = """
@@ -168,12 +161,13 @@ metrics = { primary = "rmse", ranking_shot = 3 }
 
 @pytest.fixture(scope="module")
 def load_cell(tmp_path_factory):
-    """The package, built and installed by pip into a folder of the path, and its effector's module."""
-    source, folder = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("site")
-    for name, text in (("pyproject.toml", PACKAGE), ("load_cell.py", LOAD_CELL), ("cell_reading.py", READING)):
-        (source / name).write_text(text)
-    subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation",
-                    "--target", str(folder), str(source)], check=True, timeout=300)
+    """The package, as an installer leaves it in a folder of the path, and its effector's module."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "load_cell-1.0.dist-info").mkdir()
+    for name, text in (("load_cell.py", LOAD_CELL), ("cell_reading.py", READING),
+                       ("load_cell-1.0.dist-info/METADATA", "Name: load-cell\nVersion: 1.0\n"),
+                       ("load_cell-1.0.dist-info/entry_points.txt", ENTRIES)):
+        (folder / name).write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)  # processes that are spawned have the same path
         patch.setattr(schema, "FIELDS", [*schema.FIELDS])
@@ -214,8 +208,8 @@ def test_methods_are_scored_on_it(made):
            for name, result in results.items()})
     for result in results.values():
         assert result.scores["rmse_ratio"]["3"].mean < 0.9, "of predicting nothing"
-        worst = max(sse / n for shot, run, n, sse in zip(*(result.queries[k] for k in ("shot", "seed", "n", "sse")))
-                    if (shot, run) == ("3", 0))
+        worst = max(sse / n for shot, run, n, sse in zip(*(result.queries[k] for k in (
+            "shot", "seed", "n", "sse"))) if (shot, run) == ("3", 0))
         assert result.scores["worst_touch"]["3"].per_seed[0] == pytest.approx(worst**0.5)
 
 

@@ -13,9 +13,8 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import find_scene, find_task
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.generate.job import jobs_of
-from vsfsim.generate.plants.batches import make_together
-from vsfsim.generate.plants.prepare import prepare_job
-from vsfsim.generate.plants.touches import make_view
+from vsfsim.generate.plants.subject import prepare_job
+from vsfsim.generate.plants.touches import make_together, make_view
 from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.robot.reach import LINE_POSITION
@@ -142,11 +141,10 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
 
 @pytest.mark.slow
 def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
-    """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one
-    batch."""
+    """The way of a GPU: prepared and finished by other processes, solved in one batch."""
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, device=device)
     jobs = jobs_of(recipe, scene_file.path, tmp_path, None)
-    assert {*make_together(jobs, device=device, workers=2, part=1)} == {job.name for job in jobs}
+    assert {*make_together(jobs, device=device, workers=2)} == {job.name for job in jobs}
     for job in jobs:
         together, alone = read_view(job.file), make_view(job, device=device)
         assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target)

@@ -141,8 +141,9 @@ def test_errors_are_told_by_what_presses(made, task, tmp_path, monkeypatch):
                for key, action in zip(q.keys, q.actions)}
     np.savez(tmp_path / "zero.npz", **answers)
     found = by_kind(predictions.score_predictions(tmp_path / "zero.npz", task, made, name="zero"), task)
-    assert found == {'{"cylinder": [0.008, 0.02]}': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0)),
-                     '{"sphere": 0.01} from the side': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0))}
+    assert found == {
+        '{"cylinder": [0.008, 0.02]}': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0)),
+        '{"sphere": 0.01} from the side': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0))}
 
 
 def test_a_file_holds_the_shapes_and_refuses_a_press_without_one(made, tmp_path):

@@ -213,11 +213,14 @@ def test_a_cloud_is_read_as_it_was_written_and_becomes_a_picture(tmp_path):
 
 @pytest.mark.parametrize("harm, words", [
     (lambda seq: (seq / "angles.npy").unlink(), r"seq_001 has no kinova_state.npy or angles.npy"),
-    (lambda seq: np.save(seq / "torques.npy", np.zeros((9, 6))), r"torques.npy has the shape \(9, 6\); \(9, 7\)"),
-    (lambda seq: np.save(seq / "angles.npy", np.full((9, 7), np.nan)), r"angles.npy is not finite in frame 0"),
-    (lambda seq: (seq.parent / "bg_pcd.pcd").unlink(), r"has no bg_pcd.pcd and rgbd_factory_config.yaml.*--assets"),
-    (lambda seq: (seq.parent / "rgbd_factory_config.yaml").write_text("bbox: [["), r"cannot be read as YAML"),
-])
+    (lambda seq: np.save(seq / "torques.npy", np.zeros((9, 6))),
+     r"torques.npy has the shape \(9, 6\); \(9, 7\)"),
+    (lambda seq: np.save(seq / "angles.npy", np.full((9, 7), np.nan)),
+     r"angles.npy is not finite in frame 0"),
+    (lambda seq: (seq.parent / "bg_pcd.pcd").unlink(),
+     r"has no bg_pcd.pcd and rgbd_factory_config.yaml.*--assets"),
+    (lambda seq: (seq.parent / "rgbd_factory_config.yaml").write_text("bbox: [["),
+     r"cannot be read as YAML"),])
 def test_a_bad_folder_is_named_and_leaves_nothing(tmp_path, harm, words):
     write_object(tmp_path / "real" / "one", np.random.default_rng(3), bubble=None, touches=2)
     harm(tmp_path / "real" / "one" / "seq_001")

@@ -97,8 +97,8 @@ def test_scores_are_a_share_of_the_possible(board, tmp_path):
     # a ceiling that errs itself: (1 - e) / (1 - c)
     half = dataclasses.replace(found.rows[1].scores["rmse_ratio"]["1"], mean=0.5)
     ceiling = dataclasses.replace(found.rows[1], scores={"rmse_ratio": {"1": half}})
-    assert leaderboard.share_of_possible(found.rows[0], leaderboard.possible(
-        dataclasses.replace(found, rows=(found.rows[0], ceiling))), "1") == pytest.approx((1.0 - springs) / 0.5)
+    assert leaderboard.share_of_possible(found.rows[0], leaderboard.possible(dataclasses.replace(
+        found, rows=(found.rows[0], ceiling))), "1") == pytest.approx((1.0 - springs) / 0.5)
     assert leaderboard.possible(dataclasses.replace(found, rows=found.rows[:1])) == {}
     write_site([found], tmp_path / "site")
     page = (tmp_path / "site" / "task-sprung-v1.html").read_text()
@@ -145,8 +145,8 @@ def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
         evaluate("resim", task, made, parameters={"teir": "fem"})
     with pytest.raises(SceneError, match="fem-corse"):
         again(made.recipe, made.entries[0].name, [], tier="fem-corse")
-    text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0",
-                                          '[arm]\nmodel = "gen3"')
+    text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = "
+                                          "500.0", '[arm]\nmodel = "gen3"')
     with pytest.raises(SceneError, match="its effector takes no paths"):
         again(dataclasses.replace(made.recipe, scene_text=text), made.entries[0].name, [])
 

@@ -23,8 +23,8 @@ from vsfsim.generate import workers
 from vsfsim.generate.effector import find_effector
 from vsfsim.generate.run import generate, make, planned
 
-RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2, splits={"test": 2},
-                device="cpu", tier="vsf", precision="float64", renderer="warp")
+RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
+                splits={"test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
 
 
 @pytest.fixture(scope="module")
@@ -148,11 +148,9 @@ def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, mon
     assert open_store(url).get("dataset.json") == (made.path / "dataset.json").read_bytes()
 
 
-@pytest.mark.parametrize(("given", "env", "found"), [
-    ("1/4", {}, (1, 4)),
-    ("auto", {"SLURM_ARRAY_TASK_ID": "7", "SLURM_ARRAY_TASK_MIN": "5", "SLURM_ARRAY_TASK_COUNT": "4"}, (2, 4)),
-    ("auto/3", {"JOB_COMPLETION_INDEX": "2"}, (2, 3)),
-])
+@pytest.mark.parametrize(("given", "env", "found"), [("1/4", {}, (1, 4)), ("auto", {
+    "SLURM_ARRAY_TASK_ID": "7", "SLURM_ARRAY_TASK_MIN": "5",
+    "SLURM_ARRAY_TASK_COUNT": "4"}, (2, 4)), ("auto/3", {"JOB_COMPLETION_INDEX": "2"}, (2, 3)),])
 def test_shards_are_read(given, env, found):
     assert shard_of(given, env) == found
 
@@ -217,14 +215,9 @@ def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkey
     assert contents(tmp_path / "d") == contents(made.path)
 
 
-def test_what_does_not_fit_a_device_is_made_in_smaller_parts_and_then_told():
-    def make(size, room=300, words="CUDA error 2: out of memory"):
-        if size > room:
-            raise RuntimeError(words)
-        return size
-
-    assert 17 < workers.largest(make, 4096, 17, "plants", "cuda:0") <= 300
+def test_a_device_without_memory_is_told():
     with pytest.raises(DatasetError, match=r"plants: the memory of cuda:0 does not suffice.*--touches"):
-        workers.largest(lambda size: make(size, room=3), 4096, 17, "plants", "cuda:0")
-    with pytest.raises(RuntimeError, match="another"):
-        workers.largest(lambda size: make(size, room=3, words="another"), 4096, 17, "plants", "cuda:0")
+        with workers.enough_memory("plants", "cuda:0"):
+            raise RuntimeError("CUDA error 2: out of memory")
+    with pytest.raises(RuntimeError, match="another"), workers.enough_memory("plants", "cuda:0"):
+        raise RuntimeError("another")

@@ -204,6 +204,6 @@ def test_a_corner_of_a_box_meets_a_tilted_plane_where_geometry_says():
     far = np.array([[0.0, 0.0, -100.0]])
     for faces in (mesh.faces, np.roll(mesh.faces, 1, axis=1)):
         mesh.faces = faces
-        found = clearance(SimpleNamespace(mesh=mesh, element_size=0.02), Box((0.04, 0.04, 0.04)), pose,
-                          np.array([0.0, 0.0, -1.0]), samples=far)
+        found = clearance(SimpleNamespace(mesh=mesh, element_size=0.02), Box((0.04, 0.04, 0.04)),
+                          pose, np.array([0.0, 0.0, -1.0]), samples=far)
         assert found == pytest.approx(0.048, abs=1e-9)

@@ -11,11 +11,10 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.trade import command, front
-from vsfsim.generate.trade.curve import Curve, distance
-from vsfsim.generate.trade.front import Point, sentence, with_front
+from vsfsim.generate.trade.front import Point, distance, sentence, with_front
 from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.setting import Ground, Setting
-from vsfsim.generate.trade.touches import Run
+from vsfsim.generate.trade.touches import Curve, Run
 from vsfsim.physics.convergence import curve_limit
 
 EDGE = (0.013, 0.010, 0.0077)
@@ -47,17 +46,18 @@ def test_a_curve_of_fewer_frames_is_read_between_them():
     coarse = Curve(share[1::2], {"force": share[1::2] ** 2}, good, ~good)
     off = distance("force", coarse, share, limit)
     # straight lines from (0, 0) over (1/2, 1/4) to (1, 1)
-    assert off.full == 0.0 and off.worst == pytest.approx(0.0625) and off.shallow == pytest.approx(1.0)
+    assert off["full"] == 0.0 and off["worst"] == pytest.approx(0.0625) and off["shallow"] == pytest.approx(1.0)
     assert distance("force", Curve(share[1::2], coarse.readings, np.array([True, False]), ~good), share, limit) is None
 
 
 def some(key, cpu, error, *, bar=0.004, shows=True):
-    return Point(key, "fem", cpu, cpu, cpu / 5, 1.0, 100.0, 0.0, error, bar,
+    return Point(key, "fem", cpu, cpu / 5, 1.0, 0.0, error, bar,
                  {"force": {"rms": error, "worst": error, "shallow": error, "full": error, "bar": bar}}, shows)
 
 
-POINTS = with_front([some("a, 20 mm", 0.1, 0.2), some("b, 20 mm", 0.2, 0.3), some("c", 0.5, 0.03), some("d", 2.0, 0.01),
-                     some("e", 3.0, 0.001), some("f", 0.05, 0.01, shows=False), some("g <b>", 0.4, math.nan)])
+POINTS = with_front([some("a, 20 mm", 0.1, 0.2), some("b, 20 mm", 0.2, 0.3), some("c", 0.5, 0.03),
+                     some("d", 2.0, 0.01), some("e", 3.0, 0.001),
+                     some("f", 0.05, 0.01, shows=False), some("g <b>", 0.4, math.nan)])
 
 
 def test_the_front_and_the_sentences():
@@ -69,34 +69,36 @@ def test_the_front_and_the_sentences():
 
 
 def test_the_page_is_whole_and_needs_no_network():
-    content = page("Title & more", ["about"], POINTS, ["5 %: c"], [])
+    content = page(POINTS, title="Title & more", about=["about"], sentences=["5 %: c"], notes=[])
     assert "<svg" in content and "<b>" not in content and "g &lt;b&gt;" in content and "Title &amp; more" in content
     assert content.count("<tr") == 1 + len(POINTS) and "src=" not in content
 
 
 class Imagined:
-    """Touches whose force is known in closed form: F (1 + k h^2) over the square of the depth."""
+    """Touches whose force is known in closed form: F (1 + k h^2) over the square of the depth. Of elements of over
+    18 mm every frame is marked."""
 
-    ground = Ground("fem-coarse", 0.01, 4, None, ("linear", "fem-coarse"))
     count, what = 2, "2 touches"
 
-    def __init__(self):
-        self.made = 0
+    def __init__(self, edge=0.01):
+        self.made, self.ground = 0, Ground("fem-coarse", edge, 4, None, ("linear", "fem-coarse"))
 
     def run(self, setting):
         self.made += 1
-        return Run(tuple(self._curve(setting, k) for k in range(2)), 0.5, 1.0 / setting.resolution, 1.0, 100.0, 10,
-                   (setting.resolution,) * 2)
+        return Run(tuple(self._curve(setting, k, setting.resolution) for k in range(2)), 0.5,
+                   1.0 / setting.resolution, 10, (setting.resolution,) * 2)
 
-    def near(self, number, setting):
-        return Run((self._curve(setting, number),), 0.5, 1.0, 1.0, 100.0, 5, (setting.resolution,))
+    def near(self, number, setting):  # the ladder is fine where it is touched
+        fine = 0.1 * setting.resolution
+        return Run((self._curve(setting, number, fine),), 0.5, 1.0, 5, (fine,))
 
-    def _curve(self, setting, k):
+    def _curve(self, setting, k, edge):
         count = setting.frames or 4
         share = np.arange(1, count + 1) / count
-        force = (1 + k) * share**2 * (1.0 + 300.0 * setting.resolution**2 + 0.1 * (setting.tier == "linear"))
+        force = (1 + k) * share**2 * (1.0 + 300.0 * edge**2 + 0.1 * (setting.tier == "linear"))
         good = np.ones(count, bool)
-        return Curve(share, {"force": force, "direction": force[:, None] * [0.0, 0.6, 0.8]}, good, ~good)
+        return Curve(share, {"force": force, "direction": force[:, None] * [0.0, 0.6, 0.8]}, good,
+                     good & (edge > 0.018))
 
 
 def test_a_sweep_goes_on_where_it_was_cut(tmp_path, monkeypatch):

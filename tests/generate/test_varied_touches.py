@@ -93,11 +93,12 @@ def test_no_spring_in_balance_is_marked(made, monkeypatch):
 
 
 @pytest.mark.parametrize("old, new, message", [
-    ("approach_range = [0.004, 0.02]", "approach_range = [0.02, 0.004]", r"approach_range is \[0.02, 0.004\]"),
-    ("approach_range = [0.004, 0.02]", "approach_range = [0.004, 0.02]\napproach = 0.01", "approach gives one value"),
+    ("approach_range = [0.004, 0.02]", "approach_range = [0.02, 0.004]",
+     r"approach_range is \[0.02, 0.004\]"), ("approach_range = [0.004, 0.02]",
+                                             "approach_range = [0.004, 0.02]\napproach = "
+                                             "0.01", "approach gives one value"),
     ("depth_range = [0.003, 0.006]", "depth_range = [0.0, 0.006]", r"it must satisfy 1e-05 <= low"),
-    ("mount_stiffness = 800.0", "mount_stiffness = 0.0", "mount_stiffness is 0"),
-])
+    ("mount_stiffness = 800.0", "mount_stiffness = 0.0", "mount_stiffness is 0"),])
 def test_mistakes_in_the_scene(old, new, message):
     with pytest.raises(SceneError, match=message):
         parse_scene(TEXT.replace(old, new), PATH)

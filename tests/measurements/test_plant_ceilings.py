@@ -22,7 +22,7 @@ from measurements.plant_ceilings import (
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.plants.admit import grow
+from vsfsim.generate.plants.subject import grow
 
 
 def scene(folder, *, plant, yields):

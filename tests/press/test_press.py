@@ -68,8 +68,8 @@ def test_what_is_left_out_is_assumed_and_said():
 
 @pytest.fixture(scope="module")
 def pressed():
-    text = (BOX + "[probe]\nshape = { plane = true }\n[press]\nfrom = [0, 0, 0.031]\nto = [0, 0, 0.0297]\nframes = "
-                  "2\nhold = 1\nretract = 2\n")
+    text = (BOX + "[probe]\nshape = { plane = true }\n[press]\nfrom = [0, 0, 0.031]\nto = [0, 0, "
+            "0.0297]\nframes = 2\nhold = 1\nretract = 2\n")
     request = Request()
     prepared = prepare(parse_scene(text, "s.toml").sample(), request)
     return prepared.model.mesh, solve(prepared, request)
@@ -77,15 +77,15 @@ def pressed():
 
 def test_the_state_of_every_frame_is_saved(pressed):
     mesh, result = pressed
-    saved = {name: values for name, (values, _) in result.arrays.items()}
+    saved = {name: values for name, (values, _) in result.saved().items()}
     assert saved["displacement"].shape == (5, len(mesh.points), 3)
     assert saved["contact_force"].shape == (5, len(mesh.surface_nodes()), 3) and saved["poses"].shape == (5, 1, 4, 4)
-    assert result.deepest == 1 and "All 5 frames converged." in result.more["statement"]
+    assert result.deepest == 1 and "All 5 frames converged." in result.statement
     assert not {"arrays", "panels", "points"} & result.table().keys()
     # what the condensed problem pushed with, and what the deformed surface answers, agree to the tier's tolerance,
     # 1e-6, times a few
-    assert saved["contact_force"].sum(axis=1) == pytest.approx(-result.force,
-                                                               abs=1e-9 + 1e-5 * np.abs(result.force).max())
+    assert saved["contact_force"].sum(axis=1) == pytest.approx(-result.force, abs=1e-9
+                                                               + 1e-5 * np.abs(result.force).max())
     assert result.force == pytest.approx(result.more["body_force"][:, 0], rel=1e-8)
     assert (saved["contact_force"][4] == 0.0).all()
 
@@ -113,8 +113,8 @@ def test_the_drawn_surface_is_closed_and_bends_with_the_body(pressed):
     assert length[top] == pytest.approx(3e-4, rel=0.2), "the plate presses the whole top by as much"
 
 
-@pytest.mark.parametrize("shape", [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04), Box((0.02, 0.03, 0.05)),
-                                   Plane()])
+@pytest.mark.parametrize("shape", [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04),
+                                   Box((0.02, 0.03, 0.05)), Plane()])
 def test_drawn_probes_lie_on_their_surface_and_are_wound_outwards(shape):
     vertices, faces = tessellate(shape, 0.1)
     if isinstance(shape, Plane):

@@ -15,7 +15,6 @@ from vsfsim.generate.effectors.bubble import inward_distance, result_of, solve
 from vsfsim.press import figures
 from vsfsim.press.command import Press
 from vsfsim.press.command import press as command
-from vsfsim.press.text import text as words
 
 
 def text(path):
@@ -106,7 +105,7 @@ def test_what_a_sensor_has_not_is_refused():
 @pytest.mark.slow
 def test_the_punyo_pressed_10_mm_onto_a_tip():
     result = command("punyo").result
-    print(words(result))
+    print(result.text())
     assert result.converged.all() and result.depth[-1] == pytest.approx(0.010, abs=1e-5)
     # over a ball of 3 mm, 10 mm deep: `vsfsim press punyo --refine 3` is extrapolated to 938.8 Pa and 4.890 N, errors
     # of 0.14 and 0.22 %
@@ -135,7 +134,7 @@ frames = 2
 def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
     made = solve(parse_scene(SOFT, "soft.toml").sample(0), Request())
     result = result_of(made, Request())
-    saved = {name: values for name, (values, _) in result.arrays.items()}
+    saved = {name: values for name, (values, _) in result.saved().items()}
     assert result.converged.all() and result.force[-1, 2] > 0.5
     assert result.reaction == pytest.approx(result.force, rel=1e-2, abs=1e-3), "the object is held"
     assert result.more["body_force"][:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)

@@ -28,8 +28,8 @@ from = [0.0, 0.0, FROM]
 to = [0.0, 0.0, TO]
 frames = FRAMES
 """
-BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", probe="sphere = 0.01", start=0.04,
-           stop=0.037, frames=2)
+BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", probe="sphere = 0.01",
+           start=0.04, stop=0.037, frames=2)
 
 
 @pytest.fixture
@@ -160,8 +160,9 @@ def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
         text = text.replace(old, new)
     (tmp_path / "s.toml").write_text(text)
     run = CliRunner()
-    out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot", str(tmp_path / "p.png"),
-                           "--picture", str(tmp_path / "q.png"), "--save", str(tmp_path / "s.npz"), "--seed", "9"])
+    out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot",
+                           str(tmp_path / "p.png"), "--picture", str(tmp_path / "q.png"), "--save",
+                           str(tmp_path / "s.npz"), "--seed", "9"])
     assert out.exit_code == 0, out.output
     found, saved = json.loads(out.stdout), np.load(tmp_path / "s.npz")
     force, reaction, torque = (np.array(found[key]) for key in ("force", "reaction", "torque"))

@@ -51,8 +51,8 @@ def test_parts_have_the_bending_stiffness_of_their_wires(all_plants):
     # the source's sheath is a third to a tenth of the wire, so rounding to two figures is not what differs
     assert bending(0.004, 0.0012) == pytest.approx(0.023, rel=0.05)
     assert bending(0.002, 0.0005) == pytest.approx(7.7e-4, rel=0.05)
-    assert bending(0.004, 0.0012) == pytest.approx(np.pi / 64 * (E_STEEL * 0.0012**4 + E_SHEATH * (0.004**4
-                                                                                                 - 0.0012**4)))
+    assert bending(0.004, 0.0012) == pytest.approx(np.pi / 64 * (E_STEEL * 0.0012**4 + E_SHEATH
+                                                                 * (0.004**4 - 0.0012**4)))
     leaf = blade_modulus(0.04, 0.0005, 0.0005, 2e8) * 0.04 * 0.0005**3 / 12.0
     assert 6e-4 < leaf < 8e-4
     # of rods up to 5.3 mm in a monstera's stalks, of petioles that stand for up to four

@@ -16,8 +16,7 @@ from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.validity import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import footwear
-from vsfsim.scenes._footwear_materials import MATERIALS, modulus_of
-from vsfsim.scenes._footwear_models import CHOICES, MODELS, PARTS
+from vsfsim.scenes._footwear_materials import CHOICES, MATERIALS, MODELS, PARTS, modulus_of
 
 WORST = 8.0  # degrees; two draws of every shoe gave 9.6 at least
 
@@ -138,7 +137,7 @@ def test_refusals() -> None:
         make(modl="work-boot")
     with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):
         make(resolution=0.1)
-    with pytest.raises(SceneError, match="lined is 1; it is true or false"):
+    with pytest.raises(SceneError, match="lined is 1; it must be true or false"):
         make(lined=1)
 
 

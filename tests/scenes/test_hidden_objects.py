@@ -67,8 +67,8 @@ def test_the_small_scene_has_the_first_objects(name: str) -> None:
     small, large = of(f"{name}-mini", 0)[0], of(name, 0)[0]
     for number in range(small.sample(0).dataset.objects):
         own, other = (written.sample(3, number=number).object for written in (small, large))
-        assert (own.shape, own.pose, own.yaw, own.young_modulus) == (other.shape, other.pose, other.yaw,
-                                                                      other.young_modulus)
+        assert (own.shape, own.pose, own.yaw, own.young_modulus) == (other.shape, other.pose,
+                                                                     other.yaw, other.young_modulus)
 
 
 @pytest.mark.parametrize("name", ["rope-punyo", "bag-punyo"])

@@ -28,8 +28,8 @@ def test_every_species_grows_and_they_differ():
     assert len(SPECIES) == 12 and len(set(sizes.values())) == 12 and max(soft.values()) > 10 * min(soft.values())
     again = grow({"species": "olive"}, np.random.default_rng(0), where="test")
     assert (again.nodes == grow({"species": "olive"}, np.random.default_rng(0), where="test").nodes).all()
-    order = [grow({"species": "by-object"}, np.random.default_rng(0), where="test", number=k).notes[0].split(":")[0]
-             for k in range(12)]
+    order = [grow({"species": "by-object"}, np.random.default_rng(0), where="test",
+                  number=k).notes[0].split(":")[0] for k in range(12)]
     assert order == list(SPECIES)
 
 
@@ -54,8 +54,8 @@ def test_the_full_scene_has_the_papers_size():
     """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a
     depth camera's noise; 3,255 touches and 807,103 readings in all."""
     scene = load_scene(find_scene("plants")).sample(0)
-    assert (scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70
-            and scene.arm.at_limit == "return")
+    assert (scene.dataset.objects == 12 and scene.dataset.views == 4
+            and 50 <= scene.touches.count <= 70 and scene.arm.at_limit == "return")
     touches = 12 * 4 * scene.touches.count
     assert touches == pytest.approx(3255, rel=0.01)
     assert touches * sum(scene.touches.frames) == pytest.approx(807_103, rel=0.01)

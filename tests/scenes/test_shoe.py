@@ -27,7 +27,7 @@ def make(seed: int = 0, *, resolution: float = 0.016, **parameters: object) -> S
 
 def test_no_inverted_tets_over_all_parameters() -> None:
     rng = np.random.default_rng(7)
-    for number in range(30):
+    for number in range(12):
         form = {name: float(rng.uniform(*span)) for name, span in RANGES.items()}
         solid = make(number, resolution=(0.016, 0.012)[number % 2], style=list(STYLES)[number % 4],
                      side=("left", "right")[number // 2 % 2], **form)
@@ -38,7 +38,7 @@ def test_no_inverted_tets_over_all_parameters() -> None:
 
 @pytest.mark.parametrize("style", STYLES)
 def test_usual_shoes_are_well_shaped(style: str) -> None:
-    for seed in range(5):
+    for seed in range(2):
         solid = make(seed, style=style, resolution=0.012)
         assert worst_angle(solid.vertices, solid.tets) > math.radians(USUAL)
 
@@ -103,7 +103,7 @@ def test_same_seed_same_shoe_and_other_seed_another() -> None:
 
 
 def test_moduli_follow_their_classes() -> None:
-    drawn = np.array([make(seed, style=style, resolution=0.03).young_modulus for style in STYLES for seed in range(20)])
+    drawn = np.array([make(seed, style=style, resolution=0.03).young_modulus for style in STYLES for seed in range(10)])
     assert np.array_equal(make(9).young_modulus, make(9, resolution=0.02).young_modulus)
     e = dict(zip(REGIONS, drawn.T))
     assert (e["sole"] >= 1e6).all() and (e["sole"] <= 1e7).all()
@@ -131,7 +131,7 @@ def test_appearance_goes_with_the_material_but_not_perfectly() -> None:
 def test_graded_shoes_look_like_those_of_any_material_and_are_of_five_narrow_grades() -> None:
     grades = sorted(m.young_modulus for name, m in GRADED.items() if name != SOLE_MATERIAL)
     assert all(high < after[0] for (_, high), after in itertools.pairwise(grades)), "no two overlap"
-    for seed in range(8):
+    for seed in range(4):
         graded, wide = (make(seed, resolution=0.03, materials=materials, appearance_informative=1.0)
                         for materials in ("graded", "any"))
         assert graded.appearance.texture == wide.appearance.texture
@@ -141,7 +141,8 @@ def test_graded_shoes_look_like_those_of_any_material_and_are_of_five_narrow_gra
             assert any(m.young_modulus[0] <= modulus <= m.young_modulus[1] for m in allowed)
 
 
-def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else() -> None:
+def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shoe, "improve_rank", lambda vertices, hexes, rank: rank)  # of the mesh alone
     moduli, bright, contrast, shoes = [], [], [], 90
     for seed in range(shoes):
         solid = make(seed, resolution=0.03, materials="any", appearance_informative=1.0)
@@ -158,8 +159,8 @@ def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else() -> None:
     moduli, bright, contrast = (np.array(x) for x in (moduli, bright, contrast))
     # Four sigma of the shoes, whose parts are drawn alone.
     assert abs(np.corrcoef(moduli.ravel(), bright.ravel())[0, 1]) < 4.0 / math.sqrt(shoes)
-    assert np.abs(moduli.mean(axis=0)
-                  - moduli.mean()).max() < 4.0 * moduli.std() / math.sqrt(shoes), "no part is softer than another"
+    assert np.abs(moduli.mean(axis=0) - moduli.mean()).max() < 4.0 * moduli.std() / math.sqrt(
+        shoes), "no part is softer than another"
     assert np.corrcoef(moduli.ravel(), contrast.ravel())[0, 1] < -0.8
     # Two parts are of the shoe's own class in 0.8^2 of the shoes; classes follow each other on a scale that each fills
     # a fifth of.

@@ -13,12 +13,17 @@ import pytest
 from mock_dataset import written
 
 from vsfsim.data.dataset import Dataset
-from vsfsim.view.page import data_of, page
+from vsfsim.view.command import page, view
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return written(tmp_path_factory.mktemp("view") / "toy", train=0, test=2, touches=3).path
+
+
+def data_of(content):
+    """The title and objects that a page holds."""
+    return json.loads(re.search(r'id="data">(.*?)</script>', content.decode(), re.S)[1])
 
 
 def values(table):
@@ -40,23 +45,23 @@ def test_the_page_holds_what_the_dataset_holds(folder, vsfsim, tmp_path):
     table = data_of(content)
     dataset = Dataset.open(folder)
     assert [o["name"] for o in table["objects"]] == list(dataset.names())
-    for shown, view in zip(table["objects"], dataset, strict=True):
-        truth = view.truth
+    for shown, given in zip(table["objects"], dataset, strict=True):
+        truth = given.truth
         assert (abs(values(shown["points"]) - truth.points) <= half_step(shown["points"])).all()
         modulus = shown["log_modulus"]
         assert (abs(values(modulus)[:, 0] - np.log10(truth.young_modulus)) <= half_step(modulus)).all()
         assert np.array_equal(np.frombuffer(base64.b64decode(shown["region"]), np.uint8), truth.region)
-        assert {touch["probe_radius"] for touch in shown["touches"]} == {view.probe.radius}
-        for told, touch in zip(shown["touches"], view.touches, strict=True):
+        assert {touch["probe_radius"] for touch in shown["touches"]} == {given.probe.radius}
+        for told, touch in zip(shown["touches"], given.touches, strict=True):
             assert np.allclose(told["force"], touch.force, rtol=0, atol=5.1e-5)
             assert np.allclose(told["normal_force"], touch.normal_force(), rtol=0, atol=5.1e-5)
             assert np.allclose(told["place"], touch.probe_pose()[:, :3, 3], rtol=0, atol=5.1e-6)
             assert np.allclose(told["target"], touch.target, rtol=0, atol=5.1e-6)
             assert told["touched"] == touch.touched and told["converged"] == touch.converged.tolist()
-        picture = {name: np.asarray(Image.open(io.BytesIO(base64.b64decode(shown["picture"][name].split(",")[1]))))
-                   for name in ("rgb", "depth")}
-        assert np.array_equal(picture["rgb"], view.view.rgb)
-        assert np.array_equal(picture["depth"][..., 1] > 0, view.view.mask)
+        picture = {name: np.asarray(Image.open(io.BytesIO(
+            base64.b64decode(shown["picture"][name].split(",")[1])))) for name in ("rgb", "depth")}
+        assert np.array_equal(picture["rgb"], given.view.rgb)
+        assert np.array_equal(picture["depth"][..., 1] > 0, given.view.mask)
 
 
 def test_the_page_needs_nothing_from_outside_and_names_cannot_end_its_data():
@@ -104,9 +109,11 @@ def test_bad_input_is_refused_and_nothing_is_written(words, found, folder, vsfsi
 def drawn(Image, page, where):
     """The page in a browser, of 900 by 700 pixels: (H, W, 3)."""
     picture = page.with_suffix(".png")
-    subprocess.run(["chromium", "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-                    "--enable-unsafe-swiftshader", "--window-size=900,700", "--virtual-time-budget=2000",
-                    f"--screenshot={picture}", f"file://{page}#{where}"], check=True, capture_output=True, timeout=120)
+    subprocess.run(["chromium", "--headless", "--no-sandbox", "--use-gl=angle",
+                    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+                    "--window-size=900,700", "--virtual-time-budget=2000",
+                    f"--screenshot={picture}", f"file://{page}#{where}"], check=True,
+                   capture_output=True, timeout=120)
     return np.asarray(Image.open(picture).convert("RGB")).astype(int)
 
 
@@ -169,7 +176,6 @@ def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp
     from vsfsim.bench.result import Result
     from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
     from vsfsim.view import scored
-    from vsfsim.view.command import view
 
     path, dataset = result
     monkeypatch.setattr(scored, "_dataset", lambda result: dataset)
@@ -211,7 +217,6 @@ def test_a_result_without_its_dataset_shows_maps_and_one_without_either_says_wha
 def test_a_recording_holds_what_the_page_holds(folder, tmp_path):
     pytest.importorskip("rerun")
     from vsfsim.core.errors import DatasetError
-    from vsfsim.view.command import view
 
     view(str(folder), tmp_path / "page.html", rerun=tmp_path / "toy.rrd")
     assert (tmp_path / "toy.rrd").read_bytes()[:4] == b"RRF2" and (tmp_path / "toy.rrd").stat().st_size > 10_000

@@ -38,8 +38,8 @@ def most_uncertain(observation: Observation, info: Mapping[str, Any], rng: np.ra
         MethodError: the estimator has no `predict_std`.
     """
     if "std" not in info:
-        raise MethodError("most_uncertain: the estimator has no predict_std(); choose another way, or an estimator "
-                          "that has it, say surface-gp or sbml.")
+        raise MethodError("most_uncertain: the estimator has no predict_std(); choose another way, "
+                          "or an estimator that has it, say surface-gp or sbml.")
     return int(np.argmax(np.where(observation["made"] == 0, info["std"], -np.inf)))
 
 

@@ -16,20 +16,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from vsfsim.bench.method import (
-    Action,
-    Method,
-    Reading,
-    Specimen,
-    build_method,
-    check_name,
-    checked_prediction,
-    frozen_view,
-)
+from vsfsim.bench import method as methods
+from vsfsim.bench.method import Action, Method, Reading, Specimen
 from vsfsim.bench.protocol import Query, divide, folds_of, record, specimen_of
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.core.errors import TaskError
-from vsfsim.core.shelf import methods
 from vsfsim.data.records import View
 
 _FAR = 1e6  # bound of the depths, places and readings of an observation
@@ -80,16 +71,16 @@ class TouchEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  Gymnasium's own annotation
 
-    def __init__(self, task: str | Task, *, dataset: str | Path | None = None, method: str | Method = "near-springs",
-                 parameters: Mapping[str, Any] | None = None, objects: str = "train", fold: int = 0,
-                 touches: int = 5) -> None:
+    def __init__(self, task: str | Task, *, dataset: str | Path | None = None,
+                 method: str | Method = "near-springs", parameters: Mapping[str, Any] | None = None,
+                 objects: str = "train", fold: int = 0, touches: int = 5) -> None:
         self.task = load_task(task) if isinstance(task, str) else task
         if self.task.primary not in ("rmse", "rmse_ratio"):
             raise TaskError(f"Touch-v0: task {self.task.name} ranks by {self.task.primary}. The reward is of predicted "
                             f"readings; give a task that ranks by rmse or rmse_ratio.")
         if objects not in ("train", "test") or touches < 1:
-            raise TaskError(f"Touch-v0: objects is '{objects}' and touches {touches}; objects is train or test, and an "
-                            f"episode has at least one touch.")
+            raise TaskError(f"Touch-v0: objects is '{objects}' and touches {touches}; objects is "
+                            "train or test, and an episode has at least one touch.")
         opened = open_dataset(self.task, dataset).blind()
         folds = folds_of(opened, self.task.protocol)
         if not 0 <= fold < len(folds):
@@ -101,7 +92,8 @@ class TouchEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
             raise TaskError(f"Touch-v0: fold {fold} of the dataset in {opened.path} has {len(folds[fold].train)} "
                             f"training objects; the estimator and the episodes need one each.")
         self._objects = [self._read(opened.load(name)) for name in asked]
-        self.method = _made(method, parameters or {})
+        self.method = method if not isinstance(method, str) else methods.build_method(
+            methods.find_method(method), parameters or {})
         self.method.meta_fit([self._read(opened.load(name)).specimen for name in learned])
         self.touches = touches
         count = max(len(one.pool) for one in self._objects)
@@ -118,14 +110,14 @@ class TouchEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
     def _read(self, view: Any) -> _Object:
         recording, draw = record(view, self.task), divide(view, self.task.protocol)
         plans = tuple(recording.queries[i].action for i in draw.pool)  # the path taken would tell the reading
-        places = np.array([[*plan.poses[np.argmax(plan.poses[:, :3, 3] @ plan.axis), :3, 3], *plan.axis]
-                           for plan in plans], np.float32)
-        return _Object(specimen_of(view, recording), frozen_view(view.view),
+        places = np.array([[*plan.poses[np.argmax(plan.poses[:, :3, 3] @ plan.axis), :3, 3],
+                            *plan.axis] for plan in plans], np.float32)
+        return _Object(specimen_of(view, recording), methods.frozen_view(view.view),
                        tuple(recording.readings[i] for i in draw.pool), plans, places,
                        tuple(recording.queries[i] for i in draw.query))
 
-    def reset(self, *, seed: int | None = None,
-              options: dict[str, Any] | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any]
+              | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Begin with an object drawn at random, or with ``options={"object": name}``.
 
         Raises:
@@ -153,18 +145,24 @@ class TouchEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
     def _measured(self) -> float:
         """Error on the query touches over that of predicting zero."""
-        one = self._object
+        one, queries = self._object, self._object.queries
         self.method.adapt(one.view, [one.pool[k] for k in self._made])
-        actions = [query.action for query in one.queries]
-        found = checked_prediction(self.method.predict(actions), actions, [f"query {k}" for k in range(len(actions))])
-        missed = sum(float(np.sum((p - q.clean)[q.scored] ** 2)) for p, q in zip(found, one.queries, strict=True))
-        return float(np.sqrt(missed / max(sum(float(np.sum(q.clean[q.scored] ** 2)) for q in one.queries), 1e-300)))
+        actions = [query.action for query in queries]
+        found = methods.checked_prediction(self.method.predict(actions), actions,
+                                           [f"query {k}" for k in range(len(actions))])
+        missed = sum(float(np.sum((p - q.clean)[q.scored] ** 2)) for p, q in zip(found, queries, strict=True))
+        whole = sum(float(np.sum(q.clean[q.scored] ** 2)) for q in queries)
+        return float(np.sqrt(missed / max(whole, 1e-300)))
+
+    def _left(self) -> np.ndarray:
+        """Whether a touch can still be made (n,) int8."""
+        left = np.zeros(self._shape[0], np.int8)
+        left[:len(self._object.pool)] = 1
+        left[self._made] = 0
+        return left
 
     def _shown(self) -> dict[str, np.ndarray]:
         one = self._object
-        made = np.ones(self._shape[0], np.int8)
-        made[:len(one.pool)] = 0
-        made[self._made] = 1
         places = np.zeros((self._shape[0], 6), np.float32)
         places[:len(one.pool)] = one.places
         readings = np.zeros(self._shape, np.float32)
@@ -172,25 +170,12 @@ class TouchEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
             value = np.where(one.pool[k].valid[:, None], one.pool[k].value, 0.0)
             readings[k, :len(value)] = value
         return {"rgb": np.array(one.view.rgb, np.uint8), "depth": np.array(one.view.depth, np.float32),
-                "places": places, "made": made, "readings": readings}
+                "places": places, "made": 1 - self._left(), "readings": readings}
 
     def _info(self) -> dict[str, Any]:
-        mask = np.zeros(self._shape[0], np.int8)
-        mask[:len(self._object.pool)] = 1
-        mask[self._made] = 0
-        info: dict[str, Any] = {"object": self._object.specimen.name, "error": self._error, "action_mask": mask}
+        one = self._object
+        info: dict[str, Any] = {"object": one.specimen.name, "error": self._error, "action_mask": self._left()}
         if callable(predict_std := getattr(self.method, "predict_std", None)):
             info["std"] = np.zeros(self._shape[0])
-            info["std"][:len(self._object.pool)] = [np.sqrt(np.mean(np.square(std)))
-                                                    for std in predict_std(self._object.plans)]
+            info["std"][:len(one.pool)] = [np.sqrt(np.mean(np.square(std))) for std in predict_std(one.plans)]
         return info
-
-
-def _made(method: str | Method, parameters: Mapping[str, Any]) -> Method:
-    if not isinstance(method, str):
-        return method
-    check_name(method)
-    shelf = methods()
-    if method not in shelf:
-        raise TaskError(f"Touch-v0: method '{method}' is no installed name; give the method itself.")
-    return build_method(shelf[method].load(), parameters)

@@ -130,8 +130,8 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
     """
     cloud = view.points()
     if not len(cloud):
-        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, "
-                         f"elevation and fov.")
+        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, "
+                         "azimuth, elevation and fov.")
     eye = view.camera_pose[:3, 3]
     out: list[Aim] = []
     for k in range(scene.required_touches.count):
@@ -147,8 +147,8 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
     return out
 
 
-def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np.random.Generator], *,
-              device: str = "cpu") -> list[Aim]:
+def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np.random.Generator],
+              *, device: str = "cpu") -> list[Aim]:
     """The touches of a view by the scene's rigid probes, each along the visible normal, tilted from it, or level.
 
     A target cannot be reached where another part of the object, or the table (z < 0), is in the way. The depth is cut
@@ -169,9 +169,8 @@ def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np
         found = _aim_at(presses[spec.kind(k)], model, samples, target, normal, rng)
         return None if found is None else dataclasses.replace(found, press=spec.kind(k))
 
-    aims = draw_aims(scene, view, stream, reach,
-                     unreachable="without meeting the table or another part first; use a smaller probe, approach or "
-                                 "depth.")
+    aims = draw_aims(scene, view, stream, reach, unreachable="without meeting the table or another "
+                     "part first; use a smaller probe, approach or depth.")
     return in_kinds(presses, aims, lambda press, mine: _limit(press, model, [aims[k] for k in mine], device))
 
 
@@ -231,13 +230,15 @@ def _limit(scene: Scene, model: Model, aims: list[Aim], device: str) -> list[Aim
     out = []
     poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
     # A limit of seconds would cut touches by how busy the machine is; iterations are limited.
-    frames = Solver(model, scene.probe, friction=scene.required_object.friction, device=device, linear=True,
-                    options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
+    frames = Solver(model, scene.probe, friction=scene.required_object.friction, device=device,
+                    linear=True, options=SolverOptions(tolerance=1e-3, local_indentation=True,
+                                                       seconds=float("inf"))).run(poses)
     for k, a in enumerate(aims):
         found = frames.converged[:, k]
         if not found[1:].any():
-            raise SceneError(f"{scene.source} [touches]: the linear response to the touch at {a.target.round(3)} m "
-                             f"was not found: {Reason(int(frames.reason[-1, k])).text}. Use a smaller depth.")
+            raise SceneError(f"{scene.source} [touches]: the linear response to the touch at "
+                             f"{a.target.round(3)} m was not found: "
+                             f"{Reason(int(frames.reason[-1, k])).text}. Use a smaller depth.")
         curve = _over_depth(depth, np.linalg.norm(frames.force[:, k], axis=1), found)
         over = np.flatnonzero(curve > spec.force_limit)
         cut = spec.depth

@@ -41,8 +41,8 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     radius = min(LARGEST_RADIUS, float(f"{RADIUS * size.min():.2g}"))
     if radius <= 0.0 or radius == LARGEST_RADIUS:
         return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
-    note = (f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken, {100 * RADIUS:g} % of the "
-            f"object's smallest edge.")
+    note = (f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken, "
+            f"{100 * RADIUS:g} % of the object's smallest edge.")
     return dataclasses.replace(scene, probe=Sphere(radius)), [note]
 
 
@@ -78,6 +78,6 @@ def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:
     (a, b, c), (x, y, z) = map(float, start), map(float, stop)
     spec = PressSpec(((a, b, c), (x, y, z)), (FRAMES,))
     note = (f"No [press] is given: the probe goes from above, {where}, from first contact at "
-            f"({', '.join(f'{v:.4g}' for v in start)}) m, "
-            f"{1e3 * depth:.3g} mm deep, {100 * depth / height:.2g} % of the height, in {FRAMES} frames.")
+            f"({', '.join(f'{v:.4g}' for v in start)}) m, {1e3 * depth:.3g} mm deep, "
+            f"{100 * depth / height:.2g} % of the height, in {FRAMES} frames.")
     return dataclasses.replace(scene, press=spec), [note]

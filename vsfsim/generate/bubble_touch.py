@@ -23,7 +23,7 @@ from vsfsim.core.shape import Plane
 from vsfsim.data.records import Touch, View
 from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, starts, surface_samples, tilted
 from vsfsim.generate.effector import Drawing
-from vsfsim.generate.record import audit, batches, verdict
+from vsfsim.generate.record import batches, recorded
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble, punyo_rms, stretches
 from vsfsim.physics.elements import gas
@@ -31,7 +31,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.coupled import CoupledSolver
 from vsfsim.physics.solve.frames import Frames, SolverOptions
 from vsfsim.physics.solve.touches import Solver
-from vsfsim.robot.path import times, touch_path, turn_to
+from vsfsim.robot.path import touch_path, turn_to
 from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera
 from vsfsim.sensing.bubble_touch import touch_fields
@@ -56,8 +56,8 @@ def tier_for(scene: Scene, asked: str | None) -> str:
     if tiers.TIERS[chosen].nonlinear:
         return chosen
     if (asked or scene.required_object.tier) != "auto":
-        raise SceneError(f"{scene.source}: tier '{chosen}' cannot be touched by a [sensor], which bends far; use "
-                         f"'fem-coarse' or finer.")
+        raise SceneError(f"{scene.source}: tier '{chosen}' cannot be touched by a [sensor], which "
+                         "bends far; use 'fem-coarse' or finer.")
     return "fem-coarse"
 
 
@@ -76,18 +76,18 @@ def draw_dome(scene: Scene) -> Drawing:
     largest, least = stretches(model)[(mesh.faces == apex).any(axis=1)].mean(axis=0)
     rate = gas.at_rest(model.blocks[2])[2]
     lines = [f"a bubble of {len(mesh.points)} nodes and {len(mesh.faces)} triangles, mean edge "
-             f"{1e3 * model.element_size:.2f} mm; "
-             f"read-out mesh of {len(model.read_out.flat)} nodes, {len(model.read_out.faces)} triangles, "
-             f"{len(model.read_out.rim)} on the rim",
-             f"  rim            {2e3 * spec.semi_axes[0]:.1f} x {2e3 * spec.semi_axes[1]:.1f} mm, E h "
-             f"{spec.modulus:.0f} N/m, pre-stretch {spec.pre_stretch:g}",
-             f"  free dome      apex {1e3 * mesh.points[apex, 2]:.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at "
+             f"{1e3 * model.element_size:.2f} mm; read-out mesh of {len(model.read_out.flat)} "
+             f"nodes, {len(model.read_out.faces)} triangles, {len(model.read_out.rim)} on the rim",
+             f"  rim            {2e3 * spec.semi_axes[0]:.1f} x {2e3 * spec.semi_axes[1]:.1f} mm, "
+             f"E h {spec.modulus:.0f} N/m, pre-stretch {spec.pre_stretch:g}",
+             "  free dome      "
+             f"apex {1e3 * mesh.points[apex, 2]:.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at "
              f"{model.pressure:.0f} Pa gauge; stretch at the apex {least:.3f} x {largest:.3f}",
              f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, "
              + (f"sealed: dp/dV {-1e-9 * rate:.3f} kPa/mL" if spec.sealed else "open")]
     if spec.semi_axes == type(spec)().semi_axes:
-        lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - rho^2)^0.763, a "
-                     f"real Punyo's")
+        lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - "
+                     "rho^2)^0.763, a real Punyo's")
     surface = Surface(mesh.points, mesh.faces, np.zeros(len(mesh.faces), np.int64), None, mesh.points)
     return Drawing(surface, None, "free dome", tuple(lines))
 
@@ -247,13 +247,10 @@ class Solved:
         poses, own = self.mount[:, k], frames.force[:, k]
         finite = (np.isfinite(own).all(axis=1) & np.isfinite(position).all(axis=(1, 2))
                   & np.isfinite(force).all(axis=(1, 2)) & np.isfinite(pressure))
-        found = verdict(frames.converged[:, k] & finite, frames.force_balance[:, k], np.maximum(frames.reason[:, k], 1))
-        return Touch(
-            time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal, force=own,
-            reaction=frames.reaction[:, k], residual=frames.residual[:, k], iterations=frames.iterations[:, k],
-            touched=bool((np.linalg.norm(np.nan_to_num(own), axis=1) > 0.0).any()), audit=audit(frames, k), **found,
-            **touch_fields(self.sensor, position, force, pressure, poses, converged=found["converged"], camera=camera,
-                           device=device))
+        touch = recorded(frames, k, poses, own, found=finite, axis=a.axis, target=a.target, normal=a.normal,
+                         touched=bool((np.linalg.norm(np.nan_to_num(own), axis=1) > 0.0).any()))
+        return dataclasses.replace(touch, **touch_fields(
+            self.sensor, position, force, pressure, poses, converged=touch.converged, camera=camera, device=device))
 
 
 def solve(scene: Scene, model: Model | None, sensor: BubbleModel, aims: Sequence[Aim], *, options: SolverOptions,
@@ -282,12 +279,13 @@ def solve(scene: Scene, model: Model | None, sensor: BubbleModel, aims: Sequence
         frames = solver.run(mount, start=first, keep=True, progress=tell)
         moved = np.stack(solver.history)[:, :3 * len(model.mesh.points)]
         yield Solved(scene, sensor, model, part, mount, frames, np.stack(solver.sensor_position),
-                     np.stack(solver.sensor_force), np.stack(solver.pressure), np.stack(solver.volume),
-                     moved.reshape(len(mount), -1, 3, len(part)))
+                     np.stack(solver.sensor_force), np.stack(solver.pressure),
+                     np.stack(solver.volume), moved.reshape(len(mount), -1, 3, len(part)))
 
 
-def _on_obstacles(scene: Scene, sensor: BubbleModel, aims: Sequence[Aim], mount: np.ndarray, first: np.ndarray,
-                  options: SolverOptions, device: str, progress: Callable[[int], None] | None) -> Solved:
+def _on_obstacles(scene: Scene, sensor: BubbleModel, aims: Sequence[Aim], mount: np.ndarray,
+                  first: np.ndarray, options: SolverOptions, device: str,
+                  progress: Callable[[int], None] | None) -> Solved:
     solver, gas = Solver(sensor, scene.bodies, friction=scene.frictions, device=device, options=options), []
 
     def done(frames: int) -> None:

@@ -52,10 +52,12 @@ def check_body(scene: Scene, model: Model) -> None:
     share = np.cumsum(model.mesh.volume[order]) / model.mesh.volume.sum()
     half = float(modulus[order[np.searchsorted(share, 0.5)]])
     if half < least:
-        refuse(scene, "own-weight", f"[object] young_modulus is {half:.3g} Pa or less in half of the body, which "
-               f"cannot carry its own weight: {density:g} kg/m^3 at {pull:g} m/s^2, {high:.3g} m high, take "
-               f"{least:.3g} Pa", "Moduli are in pascals, not in kPa. Give a larger one, or gravity = [0, 0, 0] for a "
-               "body without weight")
+        refuse(scene, "own-weight",
+               f"[object] young_modulus is {half:.3g} Pa or less in half of "
+               f"the body, which cannot carry its own weight: {density:g} kg/m^3 at {pull:g} "
+               f"m/s^2, {high:.3g} m high, take {least:.3g} Pa",
+               "Moduli are in pascals, not in "
+               "kPa. Give a larger one, or gravity = [0, 0, 0] for a body without weight")
 
 
 def _hidden(solid: Solid, field: MaterialField, k: int, part: Inclusion) -> str:
@@ -90,8 +92,8 @@ def nearest(bodies: RigidBodies, poses: np.ndarray, points: np.ndarray) -> Calla
                          for at, pose in zip(points, poses, strict=True))
 
 
-def check_contact(scene: Scene, names: Sequence[str], force: np.ndarray, gap: Callable[[int], float],
-                  moved: np.ndarray) -> None:
+def check_contact(scene: Scene, names: Sequence[str], force: np.ndarray,
+                  gap: Callable[[int], float], moved: np.ndarray) -> None:
     """Look at which bodies of a press touched.
 
     Args:
@@ -106,10 +108,11 @@ def check_contact(scene: Scene, names: Sequence[str], force: np.ndarray, gap: Ca
     """
     met = (force != 0.0).any(axis=(0, 2))
     if not met.any():
-        refuse(scene, "no-contact", "[press] never brings the probe, or what moves with it, into contact: it stays "
-               f"{1e3 * max(0.0, min(map(gap, range(len(names))))):.3g} mm away",
-               "Its points are world coordinates of the probe's or the sensor's origin in metres, from outside the "
-               "body into it. Change from and to")
+        refuse(scene, "no-contact",
+               "[press] never brings the probe, or what moves with it, into "
+               f"contact: it stays {1e3 * max(0.0, min(map(gap, range(len(names))))):.3g} mm away",
+               "Its points are world coordinates of the probe's or the sensor's origin in metres, "
+               "from outside the body into it. Change from and to")
         return
     most = float(np.linalg.norm(moved, axis=-1).max())
     for k in np.flatnonzero(~met).tolist():

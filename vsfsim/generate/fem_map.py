@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -37,37 +37,13 @@ _TOGETHER = 0.5  # share of the covariance of different parts that so few object
 _REACH = 0.06  # over which log E is alike where it varies smoothly [m]
 
 
-class Sprung(Planned, Protocol):
-    """What was done in a touch."""
-
-    @property
-    def mount_stiffness(self) -> float | None:
-        """Of the spring that carries the probe [N/m]; None for a rigid mount."""
-
-
-class Known(Protocol):
-    """A touch that was made."""
-
-    @property
-    def action(self) -> Sprung:
-        """What was done."""
-
-    @property
-    def value(self) -> np.ndarray:
-        """Normal forces (T, 1) [N]."""
-
-    @property
-    def valid(self) -> np.ndarray:
-        """Whether a frame has one (T,) bool."""
-
-
-def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequence[Known] = (), tier: str = "",
-           device: str = "cpu", field: str = "parts") -> list[Touch]:
+def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequence[Any] = (),
+           tier: str = "", device: str = "cpu", field: str = "parts") -> list[Touch]:
     """Build the object of a view from its recipe, fit its moduli to the ``support`` and touch it.
 
     Args:
         recipe: of the dataset. name: of the object view. plans: of the touches that are asked.
-        support: of the same object.
+        support: readings of the same object, each as `vsfsim.bench.method.Reading`.
         tier: of the simulation; "" for the dataset's own.
         device: Warp device of the touches that are asked; the fit runs on the CPU.
         field: one of `FIELDS`.
@@ -84,11 +60,11 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
     if scene.effector != "probe":
         raise SceneError(f"fem-map differentiates touches by rigid probes, and scene '{recipe.scene}' has none.")
     if scene.required_object.friction:
-        raise SceneError(f"fem-map differentiates touches without friction, and scene '{recipe.scene}' has friction = "
-                         f"{scene.required_object.friction:g}.")
+        raise SceneError("fem-map differentiates touches without friction, and scene "
+                         f"'{recipe.scene}' has friction = {scene.required_object.friction:g}.")
     if not tiers.TIERS[job.recipe.tier].nonlinear:
-        raise SceneError(f"fem-map needs a tier of large strain; give --set tier=fem-coarse instead of "
-                         f"'{job.recipe.tier}'.")
+        raise SceneError("fem-map needs a tier of large strain; give --set tier=fem-coarse "
+                         f"instead of '{job.recipe.tier}'.")
     prior = _prior(job, subject, field)
 
     model_of = functools.partial(tiers.model_of, scene, job.recipe.tier, subject.model.solid)
@@ -104,8 +80,8 @@ def _prior(job: Job, subject: Subject, field: str) -> Prior:
     others = [one for one in jobs_of(job.recipe, job.path, "", None)
               if one.object_index != job.object_index and one.view_index == 0][:_OTHERS]
     if not others:
-        raise SceneError(f"fem-map learns its prior from the other objects of the dataset, and scene "
-                         f"'{job.recipe.scene}' has {job.name} alone.")
+        raise SceneError("fem-map learns its prior from the other objects of the dataset, and "
+                         f"scene '{job.recipe.scene}' has {job.name} alone.")
     rows = []
     for other in others:
         body, values = tiers.body(other.scene(), job.recipe.tier, seed=other.stream(Stream.BODY), cache=other.cache)
@@ -126,5 +102,5 @@ def _prior(job: Job, subject: Subject, field: str) -> Prior:
     basis = smooth_basis(centre, reach=_REACH, std=max(float(np.nanstd(table)), _LEAST_STD))
     return Prior(np.concatenate([np.ones((len(centre), 1)), basis], axis=1),
                  np.concatenate([[level], np.zeros(basis.shape[1])]),
-                 np.diag(np.concatenate([[max(float(np.nanstd(np.nanmean(table, axis=1))), _LEAST_STD) ** 2],
-                                         np.ones(basis.shape[1])])))
+                 np.diag(np.concatenate([[max(float(np.nanstd(np.nanmean(table, axis=1))),
+                                              _LEAST_STD) ** 2], np.ones(basis.shape[1])])))

@@ -61,8 +61,8 @@ class Job:
         return stream(self.recipe.seed, kind, self.object_index, *keys[kind])
 
 
-def jobs_of(recipe: Recipe, path: Path, store: Path | str, cache: Path | None, *, mixed: bool = False,
-            poison: bool = False) -> list[Job]:
+def jobs_of(recipe: Recipe, path: Path, store: Path | str, cache: Path | None, *,
+            mixed: bool = False, poison: bool = False) -> list[Job]:
     """One job for every object view, in order; their files lie in ``store``."""
     split_of = [name for name, n in recipe.splits.items() for _ in range(n)]
     names = [(o, v, f"{recipe.scene}-{o:04d}-v{v}") for o in range(recipe.objects) for v in range(recipe.views)]

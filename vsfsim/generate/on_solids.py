@@ -1,25 +1,36 @@
-"""What all effectors that touch solids do alike."""
+"""What all effectors that touch solids do alike: views, drawings, and touches on a mesh that is fine where they are.
+
+The elements are small over the whole disc that a touch will meet, not at its middle alone, because its rim is where the
+pressure falls with an infinite slope.
+"""
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterator, Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import ObjectView, Touch, Truth
+from vsfsim.data.streams import Stream
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.solid import Subject, prepare, surface_of
-from vsfsim.generate.trade.near import audited
+from vsfsim.generate.trade.setting import LIMIT_TIER, LOCAL, RATIO
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
+from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
+
+ONE_IN = 10
+"""One touch in so many is audited, and one of every view at least."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +79,62 @@ class OnSolids(abc.ABC):
         """Build, look, aim, press."""
         subject = prepare(job, device=device)
         aims = self.aim(subject, device=device)
-        touches = audited(self.touch, self.manner(subject.scene).reach, subject, aims, device=device)
+        touches = self._audited(subject, aims, device=device)
         probe, each, friction = self.shapes(subject, aims)
         truth = truth_of(subject.model, subject.view, touches, each, friction=friction, device=device)
-        return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, subject.recorded,
-                          tuple(touches), truth, tuple(press.probe for press in subject.scene.presses[1:]))
+        return ObjectView(job.name, job.object_index, job.view_index, job.split, probe,
+                          subject.recorded, tuple(touches), truth,
+                          tuple(press.probe for press in subject.scene.presses[1:]))
+
+    def near(self, subject: Subject, a: Aim, options: Mapping[str, Any]) -> Subject:
+        """The object at the tier of the limit, with small elements where a touch meets it.
+
+        Args:
+            subject: the object.
+            a: the touch.
+            options: of the recipe, see `Job.scene`; the resolution is that of the elements elsewhere, ``contact`` the
+                level of those where it touches, see `LOCAL`.
+
+        Raises:
+            SceneError, MeshError: it cannot be built.
+        """
+        scene, options = subject.scene, {**subject.job.recipe.options, **options}
+        radius, size = self.contact_edge(scene, a, options["contact"])
+        own = tiers.element_size(dataclasses.replace(scene.required_object, resolution=None), LIMIT_TIER, scene.probe)
+        # what `tiers.body` makes of the half-width of an edge
+        share = tiers.TIERS[LIMIT_TIER].probe * min(1.0, options.get("resolution", own) / own)
+        side = np.cross(a.axis, np.eye(3)[np.abs(a.axis).argmin()])
+        side /= np.linalg.norm(side)
+        at = a.target + size * _disc(radius / size) @ np.stack([side, np.cross(a.axis, side)])
+        ends = np.stack([at - 2.0 * radius * a.axis, at + 2.0 * radius * a.axis])
+        return subject.again(LIMIT_TIER, options, edges=EdgePath(ends, np.full(len(at), size / share)))
+
+    def contact_edge(self, scene: Scene, a: Aim, level: int) -> tuple[float, float]:
+        """Radius of the disc that a touch will meet, sqrt(r d) of a ball of radius r that is pressed d deep (Hertz),
+        and longest edge of the elements in it on a ``level``, see `LOCAL` [m]."""
+        radius = float(np.sqrt(self.manner(scene).reach * a.depth))
+        return radius, LOCAL * radius / RATIO**level
+
+    def touch_near(self, subject: Subject, aims: list[Aim], *, device: str) -> list[Touch]:
+        """The touches of a subject, each on a mesh of its own where the recipe has a level for it."""
+        if "contact" not in subject.job.recipe.options:
+            return self.touch(subject, aims, device=device)
+        return [one for a in aims for one in self.touch(self.near(subject, a, {}), [a], device=device)]
+
+    def _audited(self, subject: Subject, aims: list[Aim], *, device: str) -> list[Touch]:
+        """The same; where the recipe promises an accuracy, some of the touches have the force on a mesh one level finer
+        in their audit."""
+        out, options = self.touch_near(subject, aims, device=device), subject.job.recipe.options
+        if "accuracy" not in options:
+            return out
+        rng = np.random.default_rng(subject.job.stream(Stream.AUDIT))
+        finer = {"resolution": options["resolution"] / RATIO, "contact": options.get("contact", 0) + 1}
+        for k in rng.permutation(len(out))[:max(1, round(len(out) / ONE_IN))].tolist():
+            (again,) = self.touch(self.near(subject, aims[k], finer), [aims[k]], device=device)
+            found = again.converged & np.isfinite(again.force).all(axis=1)
+            out[k] = dataclasses.replace(out[k], audit={**out[k].audit, "finer_force": np.where(
+                found[:, None], again.force, 0.0), "finer_converged": found})
+        return out
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
         """Each view in a process of its own."""
@@ -84,8 +146,8 @@ class OnSolids(abc.ABC):
         solid, values = tiers.body(scene, tier, seed=seed)
         mean = values.mean(axis=1)
         volume = quadratic_mesh(solid).volume
-        lines = [f"{len(solid.tets)} tetrahedra, {1e6 * volume.sum():.1f} cm^3, E {mean.min():.3g} to "
-                 f"{mean.max():.3g} Pa, tier {tier}"]
+        lines = [f"{len(solid.tets)} tetrahedra, {1e6 * volume.sum():.1f} cm^3, E {mean.min():.3g} "
+                 f"to {mean.max():.3g} Pa, tier {tier}"]
         for index, region in enumerate(solid.region_names):
             inside = np.asarray(solid.region) == index
             if inside.any():
@@ -96,3 +158,11 @@ class OnSolids(abc.ABC):
         truth = Truth(points=surface.vertices[solid.tets].mean(axis=1), young_modulus=mean,
                       region=np.asarray(solid.region), region_names=solid.region_names)
         return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), truth)
+
+
+def _disc(radius: float) -> np.ndarray:
+    """Points of a triangular lattice of spacing 1 in a disc (k, 2)."""
+    n = int(np.ceil(2.0 * radius))
+    i, j = (v.ravel() for v in np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
+    points = np.stack([i + 0.5 * j, np.sqrt(0.75) * j], axis=1)
+    return points[np.linalg.norm(points, axis=1) <= radius + 1e-9]

@@ -29,8 +29,8 @@ def splits_for(scene: Scene, objects: int) -> dict[str, int]:
     return out
 
 
-def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought: Mapping[str, Any] | None = None,
-                **options: Any) -> Recipe:
+def make_recipe(scene_file: SceneFile, request: Request | None = None, *,
+                bought: Mapping[str, Any] | None = None, **options: Any) -> Recipe:
     """What will be made of a request, with other values of some ``options``; None takes the scene's own number.
     ``bought`` is what an accuracy has chosen, see `vsfsim.generate.trade.buy`.
 
@@ -39,8 +39,8 @@ def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought
     """
     asked, scene = (request or Request()).but(**options), scene_file.sample(0)
     if scene.touches is None:
-        raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
-                         f"its touches.")
+        raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth "
+                         "and frames of its touches.")
     effector = effector_of(scene)
     given = scene.dataset or DatasetSpec(1, 1, {})
     objects, views, touches = (own if number is None else number for own, number in (
@@ -49,12 +49,11 @@ def make_recipe(scene_file: SceneFile, request: Request | None = None, *, bought
                          ("--seed + 1", asked.seed + 1)):
         if number < 1:
             raise SceneError(f"{name} is {number}; it must be at least 1.")
-    return Recipe(
-        scene=scene_file.name, scene_text=scene_file.text, seed=asked.seed, objects=objects, views=views,
-        touches=touches, splits=splits_for(scene, objects), device=asked.device.split(":")[0],
-        tier=effector.check(scene, asked.tier), precision="float64", renderer=asked.renderer,
-        options=dict(bought or {}),
-        files=files_of(scene_file, scene.effector))
+    return Recipe(scene=scene_file.name, scene_text=scene_file.text, seed=asked.seed,
+                  objects=objects, views=views, touches=touches, splits=splits_for(scene, objects),
+                  device=asked.device.split(":")[0], tier=effector.check(scene, asked.tier),
+                  precision="float64", renderer=asked.renderer, options=dict(bought or {}),
+                  files=files_of(scene_file, scene.effector))
 
 
 def files_of(scene_file: SceneFile, effector: str) -> dict[str, str]:
@@ -83,5 +82,6 @@ def check_files(recipe: Recipe, path: Path) -> None:
         written = parse_scene(recipe.scene_text, path)
         changed = differences(recipe.files, files_of(written, written.sample(0).effector))
         if changed:
-            raise DatasetError(f"the dataset cannot go on, because while it was made {'; '.join(changed)}. Restore "
-                               f"what it was made from, or delete the folder and generate it again.")
+            raise DatasetError("the dataset cannot go on, because while it was made "
+                               f"{'; '.join(changed)}. Restore what it was made from, or delete "
+                               "the folder and generate it again.")

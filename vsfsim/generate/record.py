@@ -1,4 +1,5 @@
-"""What a touch records of its frames besides readings: whether they are equilibria, why not, and the audit."""
+"""From solved frames to the record of a touch, for every effector: readings, whether each frame is an equilibrium, why
+not, and the audit."""
 
 from __future__ import annotations
 
@@ -6,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.data.records import AUDIT_COLUMNS
+from vsfsim.data.records import AUDIT_COLUMNS, Touch
 from vsfsim.physics.solve.frames import Reason
+from vsfsim.robot.path import times
 
 BALANCE = 1e-3  # design: force on the probe and reaction of the supports agree to this share
 OUT_OF_BALANCE = "force on the probe and reaction of the supports differ by over 0.1 %"
@@ -22,20 +24,26 @@ def batches(count: int, most: int) -> list[slice]:
     return [slice(start, start + size) for start in range(0, count, size)]
 
 
-def audit(frames: Any, column: int, *, frames_kept: int | None = None,
-          columns: tuple[str, ...] = AUDIT_COLUMNS) -> dict[str, np.ndarray]:
-    """The audit columns (T,) of one touch, by the names of the dataset."""
-    return {name: getattr(frames, name)[:frames_kept, column] for name in columns}
-
-
-def verdict(found: np.ndarray, force_balance: np.ndarray, reason: np.ndarray) -> dict[str, Any]:
-    """The fields ``converged``, ``reason`` and ``reason_names`` of a `Touch` of T frames.
+def recorded(frames: Any, k: int, poses: np.ndarray, force: np.ndarray, *, found: np.ndarray
+             | bool = True, columns: tuple[str, ...] = AUDIT_COLUMNS, **more: Any) -> Touch:
+    """The record of touch ``k`` of solved frames.
 
     Args:
-        found: the solver found an equilibrium of finite readings (T,).
-        force_balance: of the audit (T,) [-].
-        reason: the solver's code where it did not (T,).
+        frames: of the solver; the first T count.
+        k: its column.
+        poses: of the mount (T, 4, 4) [m].
+        force: on the effector (T, 3) [N].
+        found: whether the readings of a frame that converged are finite (T,).
+        columns: of the audit.
+        more: fields of the `Touch` besides those that frames hold.
     """
-    converged = found & (force_balance <= BALANCE)
-    code = np.where(converged, 0, np.where(found, len(REASONS), reason))
-    return {"converged": converged, "reason": code, "reason_names": REASONS}
+    kept = slice(len(poses))
+    found = frames.converged[kept, k] & found
+    converged = found & (frames.force_balance[kept, k] <= BALANCE)
+    reason = np.where(found, len(REASONS), np.maximum(frames.reason[kept, k], 1)).astype(np.int64)
+    return Touch(time=times(len(poses)), mount_pose=poses, force=force,
+                 reaction=frames.reaction[kept, k], residual=frames.residual[kept, k],
+                 iterations=frames.iterations[kept, k].astype(np.int64),
+                 audit={name: getattr(frames, name)[kept, k] for name in columns},
+                 converged=converged, reason=np.where(converged, 0, reason), reason_names=REASONS,
+                 **more)

@@ -30,17 +30,12 @@ from vsfsim.generate.solid import Subject, prepare
 class Planned(Protocol):
     """A touch before it is made, as a method is asked for it."""
 
-    @property
-    def poses(self) -> np.ndarray:
-        """Planned poses of the mount (T, 4, 4) [m]."""
-
-    @property
-    def axis(self) -> np.ndarray:
-        """Unit direction of the press (3,) [-]."""
-
-    @property
-    def probe(self) -> ProbeShape:
-        """What presses, one of the scene's shapes."""
+    poses: np.ndarray
+    """Planned poses of the mount (T, 4, 4) [m]."""
+    axis: np.ndarray
+    """Unit direction of the press (3,) [-]."""
+    probe: ProbeShape
+    """What presses, one of the scene's shapes."""
 
 
 def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = "", device: str = "cpu") -> list[Touch]:
@@ -66,8 +61,8 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     check_files(recipe, path)
     effector = effector_of(parse_scene(recipe.scene_text, path).sample(0))
     if not isinstance(effector, OnSolids):
-        raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their plans: its effector "
-                         f"takes no paths. Rigid probes and bubbles do.")
+        raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their "
+                         "plans: its effector takes no paths. Rigid probes and bubbles do.")
     job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
     if not tier:
         return job

@@ -13,22 +13,22 @@ import numpy as np
 from vsfsim.core.scene import Scene
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, Touch
 from vsfsim.generate.aim import Aim, starts
-from vsfsim.generate.record import audit, batches, verdict
+from vsfsim.generate.record import batches, recorded
 from vsfsim.physics import tiers
 from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.mesh.resolved import resolved
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames, SolverOptions
 from vsfsim.physics.solve.touches import Solver
-from vsfsim.robot.path import body_poses, times, touch_path
+from vsfsim.robot.path import body_poses, touch_path
 
 # touches that are solved together, on a CPU as many as share a back-solve; part of what fixes the bits
 BATCH = {"cpu": 16, "cuda": 64}
 
 
-def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device: str, options: SolverOptions,
-          keep: bool = False, progress: Callable[[int], None] | None = None,
-          ) -> Iterator[tuple[Solver, Frames, list[Touch]]]:
+def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device: str,
+          options: SolverOptions, keep: bool = False, progress: Callable[[int], None]
+          | None = None,) -> Iterator[tuple[Solver, Frames, list[Touch]]]:
     """Solve touches, `BATCH` at a time at most; yields the solver, the frames and the records of each batch.
 
     Args:
@@ -46,8 +46,8 @@ def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device:
         poses = np.stack([a.path if a.path is not None else
                           touch_path(scene.required_touches, scene.probe, a.contact, a.axis, depth=a.depth,
                                      approach=a.approach) for a in part], axis=1)
-        solver = Solver(model, scene.bodies, friction=scene.frictions, device=device, options=options,
-                        linear=not tiers.TIERS[tier].nonlinear)
+        solver = Solver(model, scene.bodies, friction=scene.frictions, device=device,
+                        options=options, linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
         placed = np.stack([body_poses(scene, poses[:, k]) for k in range(width)], axis=1)
         frames = solver.run(placed, start=body_poses(scene, starts(scene, part, poses[0])), keep=keep,
@@ -64,10 +64,7 @@ def _record(a: Aim, poses: np.ndarray, force: np.ndarray, frames: Frames, k: int
     mesh = MESH_COLUMNS if np.isfinite(frames.mesh_error[:, k]).all() else ()
     held = resolved(frames.mesh_error[:, k], frames.corner_det_f[:, k], solver.linear * frames.rotation[:, k],
                     frames.converged[:, k], solver.model.solid.parts) if mesh else None
-    found = frames.converged[:, k] & np.isfinite(force).all(axis=1)
-    return Touch(
-        time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal, force=force,
-        reaction=frames.reaction[:, k], residual=frames.residual[:, k], iterations=frames.iterations[:, k],
-        touched=bool((frames.penetration[:, k] > 0.0).any()), mount_stiffness=spring, resolved=held,
-        audit=audit(frames, k, columns=(*AUDIT_COLUMNS, *CONTACT_COLUMNS, *mesh)),
-        **verdict(found, frames.force_balance[:, k], frames.reason[:, k]))
+    return recorded(frames, k, poses, force, found=np.isfinite(force).all(axis=1), axis=a.axis,
+                    target=a.target, normal=a.normal,
+                    touched=bool((frames.penetration[:, k] > 0.0).any()), mount_stiffness=spring,
+                    resolved=held, columns=(*AUDIT_COLUMNS, *CONTACT_COLUMNS, *mesh))

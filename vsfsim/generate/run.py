@@ -63,8 +63,8 @@ class Plan:
     """Of the folder in which a task looks for this dataset."""
 
 
-def planned(scene: str | Path | SceneFile, out: str | Path | None = None, request: Request | None = None,
-            **options: Any) -> Plan:
+def planned(scene: str | Path | SceneFile, out: str | Path | None = None,
+            request: Request | None = None, **options: Any) -> Plan:
     """Look at what is asked; arguments and errors as `generate`."""
     asked = (request or Request()).but(**options)
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
@@ -74,16 +74,16 @@ def planned(scene: str | Path | SceneFile, out: str | Path | None = None, reques
     if asked.accuracy is not None:
         check_accuracy(asked.accuracy, asked.tier)
     recipe = make_recipe(loaded, asked)
-    known = dataset_folder(loaded.name, text=loaded.text, seed=recipe.seed, objects=recipe.objects, views=recipe.views,
-                           touches=recipe.touches, tier=recipe.tier)
+    known = dataset_folder(loaded.name, text=loaded.text, seed=recipe.seed, objects=recipe.objects,
+                           views=recipe.views, touches=recipe.touches, tier=recipe.tier)
     if asked.accuracy is not None:  # no task looks for such a dataset
         known = datasets() / f"{loaded.name}-accuracy-{100 * asked.accuracy:g}"
     folder = known if out is None else str(out) if is_url(out) else Path(out)
     return Plan(loaded, asked, recipe, folder, Path(known).name)
 
 
-def generate(scene: str | Path | SceneFile, out: str | Path | None = None, request: Request | None = None,
-             **options: Any) -> Dataset:
+def generate(scene: str | Path | SceneFile, out: str | Path | None = None,
+             request: Request | None = None, **options: Any) -> Dataset:
     """Make a dataset, or finish one that was interrupted, to the same bits; `vsfsim.generate` is this function.
 
     Args:
@@ -110,8 +110,9 @@ def make(plan: Plan) -> Made:
     """
     loaded, asked, recipe, folder = plan.loaded, plan.request, plan.recipe, plan.folder
     shard, note = asked.fan.shard, asked.note or (lambda _: None)
-    usual = Request(seed=asked.seed, tier=asked.tier, cache=asked.cache, progress=asked.progress, note=asked.note,
-                    objects=asked.objects, views=asked.views, touches=asked.touches, workers=asked.workers)
+    usual = Request(seed=asked.seed, tier=asked.tier, cache=asked.cache, progress=asked.progress,
+                    note=asked.note, objects=asked.objects, views=asked.views,
+                    touches=asked.touches, workers=asked.workers)
     if isinstance(folder, Path) and asked == usual:
         found = taken(folder, plan.name, progress=asked.progress, note=asked.note)  # with other options: other bits
         if found is not None:
@@ -136,8 +137,8 @@ def make(plan: Plan) -> Made:
         if shard is not None:
             there = finished_names(writer.store)
             failed = poisoned(writer.store) if asked.poison else {}
-            return Made(tuple(job.name for job in mine if job.name in there), len(jobs) - len(there) - len(failed),
-                        None, failed)
+            return Made(tuple(job.name for job in mine if job.name in there),
+                        len(jobs) - len(there) - len(failed), None, failed)
         dataset = writer.finish(leave_out=asked.poison)
         return Made(tuple(job.name for job in mine), 0, dataset, dataset.left_out)
 
@@ -153,8 +154,8 @@ def _here(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
 def _on_ray(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
     from vsfsim.core.system import engines
 
-    for number, error in engines.on_ray(partial(make_one, device=asked.device), jobs, address=asked.fan.ray,
-                                        gpus=asked.fan.gpus):
+    for number, error in engines.on_ray(partial(make_one, device=asked.device), jobs,
+                                        address=asked.fan.ray, gpus=asked.fan.gpus):
         if error and not asked.poison:
             raise DatasetError(f"{jobs[number].name}: {error}")
         yield jobs[number].name

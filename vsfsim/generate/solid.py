@@ -91,5 +91,5 @@ def surface_of(solid: Solid, scene: Scene) -> Surface:
     """The body's boundary at rest, for the cameras."""
     turn, shift = tiers.placement(scene.required_object)
     triangles, owner = solid.surface()
-    return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance,
-                   solid.vertices)
+    return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner],
+                   solid.appearance, solid.vertices)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -63,12 +64,34 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray, *, de
     return np.where(softness > 0.0, 1.0 / np.where(softness > 0.0, softness, 1.0), np.inf)
 
 
-def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[ProbeShape], *, friction: float,
-             device: str) -> Truth:
+def probed_points(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the visible cloud whose stiffness a dataset records, and their normals (k, 3)."""
+    cloud = view.points()
+    points = voxel_sample(cloud, PROBE_VOXEL)
+    return points, cloud_normals(cloud, points, view.camera_pose[:3, 3])
+
+
+def oracle(particles: np.ndarray, rows: Sequence[sparse.csr_matrix],
+           values: Sequence[np.ndarray]) -> dict[str, Any]:
+    """The fields of a `Truth` of the papers' particle model, fitted to noise-free readings (zero mean, std 1e4 N/m,
+    noise 1e-3).
+
+    Args:
+        particles: (n, 3) [m].
+        rows: of the readings of each touch, how they depend on the stiffnesses (k, n).
+        values: the readings (k,).
+    """
+    w = sparse.csr_matrix(sparse.vstack([sparse.csr_matrix((0, len(particles))), *rows]))
+    fitted = map_estimate(w, np.concatenate([np.zeros(0), *values]), noise_std=1e-3, prior_mean=0.0,
+                          prior_var=1e8) if len(particles) else np.zeros(0)
+    return {"vsf_points": particles, "vsf_stiffness": fitted, "vsf_touched": np.diff(w.tocsc().indptr) > 0}
+
+
+def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[ProbeShape], *,
+             friction: float, device: str) -> Truth:
     """The truth of a solid object's view, which no method may see.
 
-    The oracle VSF is the papers' particle model fitted to all noise-free, converged readings of this view (zero mean,
-    std 1e4 N/m, noise 1 mN).
+    The oracle VSF is fitted to all converged readings of this view, see `oracle`.
 
     Args:
         model: the object.
@@ -78,24 +101,17 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
         friction: Coulomb coefficient between probe and object [-].
         device: Warp device.
     """
-    mesh = model.mesh
-    eye = view.camera_pose[:3, 3]
-    cloud = view.points()
-    points = voxel_sample(cloud, PROBE_VOXEL)
-    normals = cloud_normals(cloud, points, eye)
+    mesh, (points, normals) = model.mesh, probed_points(view)
     stiffness = probe_stiffness(model, points, normals, device=device)
     keep = np.isfinite(stiffness)
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
-    rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
     moves = [(probe, touch.probe_pose()) for touch, probe in zip(touches, probes, strict=True)]
-    for touch, moved in zip(touches, simulate_each(particles, moves, friction=friction, device=device), strict=True):
-        rows.append(normal_force_rows(moved, len(particles), touch.axis)[np.flatnonzero(touch.converged)])
-        values.append(touch.normal_force()[touch.converged])
-    w = sparse.csr_matrix(sparse.vstack(rows))
-    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0, prior_var=1e8)
+    moved = simulate_each(particles, moves, friction=friction, device=device)
+    rows = [normal_force_rows(way, len(particles), touch.axis)[np.flatnonzero(touch.converged)]
+            for touch, way in zip(touches, moved, strict=True)]
     return Truth(
         points=mesh.points[mesh.tets[:, :4]].mean(axis=1), young_modulus=model.young_modulus.mean(axis=1),
         region=np.asarray(model.solid.region), region_names=model.solid.region_names,
         probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
-        vsf_points=particles, vsf_stiffness=fitted, vsf_touched=np.diff(w.tocsc().indptr) > 0)
+        **oracle(particles, rows, [touch.normal_force()[touch.converged] for touch in touches]))

@@ -25,8 +25,8 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
 
-_PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial.transform", "torch",
-            "trimesh", "warp")
+_PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg",
+            "scipy.spatial.transform", "torch", "trimesh", "warp")
 """What every worker imports, in 2.6 s of a core. No module of vsfsim: some start Warp, which opens a GPU's driver, and
 no fork survives that."""
 _ON_A_GPU, _ROOM = 16, 5 * 2**30
@@ -104,9 +104,10 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
             return
         except BrokenProcessPool as error:
             if not jobs[0].poison:
-                raise DatasetError("a worker process ended before its object view was finished, as one does that "
-                                   "is killed or out of memory. Run the same command again, which makes only what "
-                                   "is missing; with fewer --workers it needs less memory.") from error
+                raise DatasetError("a worker process ended before its object view was finished, as "
+                                   "one does that is killed or out of memory. Run the same command "
+                                   "again, which makes only what is missing; with fewer --workers "
+                                   "it needs less memory.") from error
         store = open_store(jobs[0].store)
         done = finished_names(store)
         left = [job for job in left if job.name not in done]
@@ -151,56 +152,40 @@ def make_one(job: Job, device: str) -> None:
     """
     store = open_store(job.store)
     check_kind(store, kind_of(device), mixed=job.mixed)
-    while True:
-        before = failure(store, job.name) if job.poison else Failure(0, "")
-        if before.count >= MOST_FAILURES:
-            return
+    if not job.poison:
+        _make(job, device)
+        return
+    while (before := failure(store, job.name)).count < MOST_FAILURES:
+        put_failure(store, job.name, Failure(before.count + 1, "its process died"))
         try:
-            if job.poison:
-                put_failure(store, job.name, Failure(before.count + 1, "its process died"))
-            write(job, effector_of(job.scene()).make_view(job, device=device), device)
-            if job.poison:
-                put_failure(store, job.name, Failure(0, ""))
+            _make(job, device)
+            put_failure(store, job.name, Failure(0, ""))
             return
         except Exception as error:
-            if is_short(error):
-                error = too_short(job.name, device)
-            if not job.poison:
-                raise error from None
             put_failure(store, job.name, Failure(before.count + 1, f"{type(error).__name__}: {error}"))
         except BaseException:  # stopped by the user or the scheduler, which is no fault of the view
-            if job.poison:
-                put_failure(store, job.name, before)
+            put_failure(store, job.name, before)
             raise
 
 
-def is_short(error: BaseException) -> bool:
-    """Whether the memory of a device did not suffice."""
-    return isinstance(error, RuntimeError) and "out of memory" in str(error).lower()
+def _make(job: Job, device: str) -> None:
+    with enough_memory(job.name, device):
+        write(job, effector_of(job.scene()).make_view(job, device=device), device)
 
 
-def too_short(what: str, device: str) -> DatasetError:
-    """What a user can do about it."""
-    return DatasetError(f"{what}: the memory of {device} does not suffice for its touches. Give fewer --touches, a "
-                        f"coarser --tier, fewer --workers on this device, or --device cpu.")
-
-
-def largest(make: Callable[[int], Any], most: int, least: int, what: str, device: str) -> Any:
-    """``make(size)`` of the largest size that the device's memory holds: ``most``, or a half, a quarter, ... of it.
-
-    Raises:
-        DatasetError: not even ``least`` fits.
+@contextlib.contextmanager
+def enough_memory(what: str, device: str) -> Iterator[None]:
+    """Raises:
+        DatasetError: the memory of a device did not suffice for the block; with what a user can do about it.
     """
-    size = most
-    while True:
-        try:
-            return make(size)
-        except RuntimeError as error:
-            if not is_short(error):
-                raise
-            if size <= least:
-                raise too_short(what, device) from None
-            size = max(least, size // 2)
+    try:
+        yield
+    except RuntimeError as error:
+        if "out of memory" not in str(error).lower():
+            raise
+        raise DatasetError(f"{what}: the memory of {device} does not suffice for its touches. Give "
+                           "fewer --touches, a coarser --tier, fewer --workers on this device, or "
+                           "--device cpu.") from None
 
 
 def kind_of(device: str) -> str:

@@ -1,4 +1,4 @@
-"""One press: result, text, figures, files, refinement.
+"""One press: files, figures, refinement.
 
 The package can be called: `vsfsim.press(scene)` is `vsfsim.press.command.press`.
 """

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
 from vsfsim.core.system.interactive import html_table
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.press_result import PressResult
+from vsfsim.generate.press_result import Column, PressResult, as_text, plain
+from vsfsim.physics.convergence import Convergence, convergence
 from vsfsim.physics.runtime import check_device
-from vsfsim.press import refine as refinement
-from vsfsim.press.text import marks, text
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,28 +34,17 @@ class Press:
     """One result a mesh, coarsest first; one result without a refinement."""
     device: str
     """Warp device, also of `picture`."""
-    convergence: Mapping[str, refinement.Convergence] | None = None
+    convergence: Mapping[str, Convergence] | None = None
     """Of a refinement: order, extrapolated value and error of each quantity at full depth, by name; else None."""
 
-    @property
-    def result(self) -> PressResult:
-        """The result on the only, or finest, mesh."""
-        return self.results[-1]
-
-    @property
-    def depth(self) -> np.ndarray:
-        """How far the effector is past first contact, or past its target (T,) [m]."""
-        return self.result.depth
-
-    @property
-    def force(self) -> np.ndarray:
-        """Contact force on the effector, world (T, 3) [N]."""
-        return self.result.force
-
-    @property
-    def normal_force(self) -> np.ndarray:
-        """Component of the force against the direction of the press (T,) [N]; what the tasks call normal-force."""
-        return self.result.normal_force
+    result = property(lambda self: self.results[-1])
+    """The result on the only, or finest, mesh."""
+    depth = property(lambda self: self.result.depth)
+    """How far the effector is past first contact, or past its target (T,) [m]."""
+    force = property(lambda self: self.result.force)
+    """Contact force on the effector, world (T, 3) [N]."""
+    normal_force = property(lambda self: self.result.normal_force)
+    """Component of the force against the direction of the press (T,) [N]; what the tasks call normal-force."""
 
     @property
     def converged(self) -> bool:
@@ -69,16 +59,18 @@ class Press:
 
     def text(self) -> str:
         """What the command prints: the table of the frames, whether it can be trusted, notes, the refinement."""
-        words = [text(self.result)]
+        words = [self.result.text()]
         if self.convergence is not None:
-            words += ["", *refinement.text(self.results, self.convergence)]
+            words += ["", *_refined(self.results, self.convergence)]
         return "\n".join(words)
 
     def table(self) -> dict[str, Any]:
         """What the command writes as JSON."""
         if self.convergence is None:
             return self.result.table()
-        return {**self.result.table(), "refinement": refinement.table(self.results, self.convergence)}
+        tables = {name.replace(" ", "_"): plain(vars(c)) for name, c in self.convergence.items()}
+        return {**self.result.table(), "refinement": {**(tables["normal_force"] if len(tables) == 1 else tables),
+                                                      "meshes": [r.table() for r in self.results]}}
 
     def plot(self, path: str | Path | None = None) -> Any:
         """Draw the force, and what else is read, against depth; returns the `matplotlib.figure.Figure`.
@@ -117,9 +109,9 @@ class Press:
         Raises:
             DatasetError: the file cannot be written.
         """
-        arrays: dict[str, Any] = {name: values for name, (values, _) in self.result.arrays.items()}
-        units, buffer = {name: words for name, (_, words) in self.result.arrays.items()}, io.BytesIO()
-        np.savez_compressed(buffer, units=np.array(json.dumps(units)), **arrays)
+        saved, buffer = self.result.saved(), io.BytesIO()
+        units = json.dumps({name: words for name, (_, words) in saved.items()})
+        np.savez_compressed(buffer, units=np.array(units), **{name: values for name, (values, _) in saved.items()})
         write_atomic(Path(path), buffer.getvalue())
 
     def __repr__(self) -> str:
@@ -129,14 +121,13 @@ class Press:
 
     def _repr_html_(self) -> str:
         columns = self.result.columns
-        found = marks(self.result.converged, self.result.resolved)
-        rows = list(zip(*(column.cells() for column in columns), found, strict=True))
+        rows = list(zip(*(column.cells() for column in columns), self.result.marks(), strict=True))
         return html_table(f"{self.scene}: {' '.join(self.result.words)}",
                           (*(column.heading for column in columns), ""), rows)
 
 
-def press(scene: str | Path | SceneFile, request: Request | None = None, *, refine: int | None = None,
-          **options: Any) -> Press:
+def press(scene: str | Path | SceneFile, request: Request | None = None, *,
+          refine: int | None = None, **options: Any) -> Press:
     """Press a probe into an object; `vsfsim.press` is this function.
 
     Args:
@@ -161,7 +152,7 @@ def press(scene: str | Path | SceneFile, request: Request | None = None, *, refi
         return Press(loaded.name, (effector.press(loaded, asked),), asked.device)
     results = tuple(effector.press(mesh, _of_mesh(asked, k, refine))
                     for k, mesh in enumerate(effector.finer(loaded, asked, refine)))
-    return Press(loaded.name, results, asked.device, refinement.extrapolate(results, str(loaded.path)))
+    return Press(loaded.name, results, asked.device, extrapolate(results, str(loaded.path)))
 
 
 def _of_mesh(request: Request, mesh: int, meshes: int) -> Request:
@@ -169,3 +160,44 @@ def _of_mesh(request: Request, mesh: int, meshes: int) -> Request:
     if (tell := request.progress) is None:
         return request
     return request.but(progress=lambda done, total, what: tell(done, total, f"{what} of mesh {mesh + 1} of {meshes}"))
+
+
+def extrapolate(results: Sequence[PressResult], source: str) -> dict[str, Convergence]:
+    """Order, extrapolation and error of the normal force at full depth, and of a bubble's pressure, by name.
+
+    Raises:
+        SceneError: two meshes came out of the same size; ``source`` is the scene file.
+    """
+    edge = [r.edge for r in results]
+    if -np.diff(edge).max() < 0.02 * max(edge):
+        raise SceneError(f"{source}: two of the {len(edge)} meshes came out of the same size "
+                         f"({', '.join(str(r.more['nodes']) for r in results)} nodes), so there is "
+                         "no convergence to see; give a finer resolution in [object], or a "
+                         "smaller contact_edge in [sensor].")
+    wanted = {"normal force": ("N", [float(r.normal_force[r.deepest]) for r in results])}
+    if "pressure_change" in results[0].more:
+        wanted["pressure change"] = ("Pa", [float(r.more["pressure_change"][r.deepest]) for r in results])
+    return {name: convergence(edge, values, tolerance=results[0].more["tolerance"], name=name,
+                              unit=unit) for name, (unit, values) in wanted.items()}
+
+
+def _refined(results: Sequence[PressResult], found: Mapping[str, Convergence]) -> list[str]:
+    """The meshes as a table, and what they say of each quantity, see `vsfsim.physics.convergence`."""
+    columns = [Column("mesh", range(1, len(results) + 1), "d"),
+               Column("nodes", [r.more["nodes"] for r in results], "d"),
+               Column("edge mm", [1e3 * r.edge for r in results], ".2f")]
+    for name, one in found.items():
+        columns += [Column(f"{name} {'Pa' if 'pressure' in name else 'N'}", one.force, ".5g"),
+                    Column("change %", ["", *(f"{100 * (b / a - 1.0):+.2f}" if a and np.isfinite(b / a) else "-"
+                                              for a, b in pairwise(one.force))])]
+    columns += [Column("converged", [f"{int(r.converged.sum())}/{len(r.converged)}" for r in results]),
+                Column("balance", [r.audit["force_balance"].max() for r in results], ".1e"),
+                Column("penetr. %", [100 * r.audit["penetration"].max() / r.more["edge"] for r in results], ".2g"),
+                Column("seconds", [r.more["build_seconds"] + r.more["seconds"].sum() for r in results], ".1f")]
+    marks = ["" if r.converged.all() else "NOT CONVERGED" for r in results]
+    rows = [f"At full depth on {len(results)} meshes:", as_text(columns, marks),
+            *(f"At full depth: {c.statement}" for c in found.values())]
+    if any(marks):
+        rows.append("Some frames did not converge: their forces are no equilibria, and the order "
+                    "means nothing until they do.")
+    return rows

@@ -16,8 +16,7 @@ from PIL import Image
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.interactive import new_figure
 from vsfsim.data.disk import write_atomic, write_figure
-from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
-from vsfsim.press.text import marks
+from vsfsim.generate.press_result import BodyPanel, Colours, MapPanel, Panel, PressResult
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import flat_coloured, with_rigid
 
@@ -37,15 +36,15 @@ def plot(result: PressResult, title: str, path: str | Path | None = None) -> Fig
     figure = new_figure(figsize=(6.4, 1.2 + 3.0 * count), dpi=130, facecolor="white", layout="tight")
     panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     depth, bad = 1e3 * result.depth, ~result.converged
-    for axes, panel in zip(panels, result.plot, strict=True):
-        for name, values in panel.values.items():
+    for axes, (label, curves) in zip(panels, result.plot.items(), strict=True):
+        for name, values in curves.items():
             axes.plot(depth, values, ".-", ms=5, label=name)
             # there is no value of an equilibrium to show: the cross lies on the axis
             axes.plot(depth[bad], np.nan_to_num(values[bad]), "x", ms=9, color="tab:red")
         if bad.any():
             axes.plot([], [], "x", ms=9, color="tab:red", label="not converged")
-        axes.set_ylabel(panel.label)
-        axes.legend(frameon=False, fontsize=8, ncols=-(-len(panel.values) // 4))
+        axes.set_ylabel(label)
+        axes.legend(frameon=False, fontsize=8, ncols=-(-len(curves) // 4))
         axes.grid(alpha=0.3)
     panels[-1].set_xlabel(result.abscissa)
     panels[0].set_title(f"{title}: {result.model}", fontsize=10)
@@ -81,8 +80,8 @@ def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu
     write_atomic(path, whole.getvalue(), error=VsfsimError)
 
 
-def picture(result: PressResult, title: str, path: str | Path | None = None, *, frame: int | None = None,
-            device: str = "cpu") -> Figure:
+def picture(result: PressResult, title: str, path: str | Path | None = None, *,
+            frame: int | None = None, device: str = "cpu") -> Figure:
     """Draw the panels of a frame, side by side; returns the figure.
 
     Args:
@@ -97,7 +96,7 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
     """
     t = result.deepest if frame is None else frame
     shown = result.panels(t)
-    tall = max(panel.camera.height for panel in shown if isinstance(panel, BodyPanel)) / DPI
+    tall = max(panel.size[1] for panel in shown if isinstance(panel, BodyPanel)) / DPI
     widths = [_width(panel, tall) for panel in shown]
     height = tall + _HEAD + _FOOT
     figure = new_figure(figsize=(sum(widths), height), dpi=DPI, facecolor="white")
@@ -109,15 +108,15 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
             _map(figure, panel, place)
         else:
             axes = figure.add_axes(place)
-            axes.imshow(panel.rgb if isinstance(panel, ImagePanel) else rendered(panel, device))
+            axes.imshow(rendered(panel, device) if isinstance(panel, BodyPanel) else panel)
             axes.set_axis_off()
         if isinstance(panel, BodyPanel) and panel.colours is not None and bar:
             axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
             figure.colorbar(_scale(panel.colours), cax=axes).set_label(panel.colours.label, fontsize=9)
         left += width
-    mark = f"   {marks(result.converged, result.resolved)[t]}".rstrip()
-    head = result.headline if frame is None else (f"depth {1e3 * result.depth[t]:.2f} mm, normal force "
-                                                  f"{result.normal_force[t]:.3g} N")
+    mark = f"   {result.marks()[t]}".rstrip()
+    head = result.headline if frame is None else (f"depth {1e3 * result.depth[t]:.2f} mm, normal "
+                                                  f"force {result.normal_force[t]:.3g} N")
     figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {head}{mark}", va="center", fontsize=12)
     caption = f"{result.model}; {result.caption}" if result.caption else result.model
     figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")
@@ -128,11 +127,11 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *, 
 
 def _width(panel: Panel, tall: float) -> float:
     """Of a panel ``tall`` inches high [inch]."""
-    if isinstance(panel, ImagePanel):
-        return panel.rgb.shape[1] / panel.rgb.shape[0] * tall
     if isinstance(panel, MapPanel):
         return 1.45 * tall
-    return panel.camera.width / panel.camera.height * tall + (_BAR if _has_bar(panel) else 0.0)
+    if isinstance(panel, BodyPanel):
+        return panel.size[0] / panel.size[1] * tall + (_BAR if _has_bar(panel) else 0.0)
+    return panel.shape[1] / panel.shape[0] * tall
 
 
 def _has_bar(panel: BodyPanel) -> bool:
@@ -149,14 +148,14 @@ def _scale(colours: Colours) -> Any:
 
 def rendered(panel: BodyPanel, device: str) -> np.ndarray:
     """The panel's body and rigid bodies as sRGB (H, W, 3) uint8."""
-    surface, camera, shading = panel.surface, panel.camera, 1.0
+    surface, shading = panel.surface, 1.0
     if panel.values is not None and panel.colours is not None:
         colour = _scale(panel.colours).to_rgba(panel.values)[:, :3]
         if panel.colours.grey_zero:
             colour[panel.values <= 0.0] = _GREY
         surface, shading = flat_coloured(surface.vertices, surface.triangles, colour), _SHADING
-    return render(with_rigid(surface, panel.rigid), camera.intrinsics, camera.pose, camera.width, camera.height,
-                  device=device, shading=shading, background=(255, 255, 255)).rgb
+    return render(with_rigid(surface, panel.rigid), *panel.camera, *panel.size, device=device,
+                  shading=shading, background=(255, 255, 255)).rgb
 
 
 def _map(figure: Figure, panel: MapPanel, place: tuple[float, float, float, float]) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import html
+import json
+from collections.abc import Callable, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +14,14 @@ from vsfsim.core.extras import require
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
-from vsfsim.view.page import page
 from vsfsim.view.rerun_file import write_rerun
 from vsfsim.view.scored import of_result
 from vsfsim.view.subject import of_drawing, of_view
 
 
-def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0, rerun: Path | None = None,
-         progress: Callable[[int, int, str], None] | None = None) -> tuple[list[str], dict[str, Any]]:
+def view(what: str, out: Path | None = None, *, objects: int = 12, seed: int = 0,
+         rerun: Path | None = None, progress: Callable[[int, int, str], None]
+         | None = None) -> tuple[list[str], dict[str, Any]]:
     """Write the page of a dataset folder, of a scene or of a result.
 
     Args:
@@ -73,3 +76,25 @@ def _new(path: Path, option: str = "--html") -> Path:
     if path.exists():
         raise DatasetError(f"{path} exists already. Choose another name with {option}, or remove it first.")
     return path
+
+
+def page(title: str, objects: Sequence[dict[str, Any]], **about: Any) -> bytes:
+    """One HTML file that shows objects, without anything from outside.
+
+    Args:
+        title: of the page.
+        objects: what `vsfsim.view.subject` makes of each.
+        about: of all objects, see `vsfsim.view.scored`: ``map``, what their colours are and its unit; ``reading``, name
+            and unit of the predicted readings; ``shots``, their labels.
+    """
+    part = {name: files(__package__).joinpath(name).read_text(encoding="utf-8")
+            for name in ("page.html", "page.css", "page.js", "charts.js", "draw.js")}
+    # No text of a dataset may end the element that holds it.
+    data = json.dumps({"title": title, "objects": list(objects), **about}, separators=(",", ":"),
+                      allow_nan=False).replace("<", "\\u003c")
+    out = part["page.html"]
+    for key, text in (("TITLE", html.escape(title)), ("STYLE", part["page.css"]), ("DATA", data),
+                      ("DRAW", part["draw.js"]), ("CHARTS", part["charts.js"]), ("SCRIPT", part["page.js"])):
+        before, after = out.split(f"@{key}@", 1)
+        out = before + text + after
+    return out.encode()

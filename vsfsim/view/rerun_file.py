@@ -13,7 +13,7 @@ import numpy as np
 
 from vsfsim.bench.board.charts import colour_of
 from vsfsim.core.errors import DatasetError
-from vsfsim.view.encode import values_of
+from vsfsim.view.subject import values_of
 
 ARROW = 0.01
 """Length of an arrow for one newton [m]."""
@@ -21,7 +21,7 @@ BARE = (150, 150, 155)
 
 
 def write_rerun(path: Path, title: str, objects: Sequence[dict[str, Any]], about: dict[str, Any]) -> None:
-    """Write objects as `vsfsim.view.page.page` takes them; the file appears whole or not at all.
+    """Write objects as `vsfsim.view.command.page` takes them; the file appears whole or not at all.
 
     Each object is an entity of its name: ``true`` (and ``estimated`` beside it) as balls, ``picture``, and along the
     timeline "frame", touch after touch, ``probe``, ``force`` and the scalars of its touches.
@@ -57,8 +57,8 @@ def _log(recording: Any, one: dict[str, Any], about: dict[str, Any], low: float,
     for key, what, shift in (("log_modulus", "true", 0.0), ("estimate", "estimated", 1.0)):
         if key == "log_modulus" or one.get(key):
             colours = _colours(values_of(one[key])[:, 0], low, high) if one.get(key) else BARE
-            recording.log(f"{name}/{what}", rr.Points3D(points + shift * beside, radii=radii, colors=colours),
-                          static=True)
+            recording.log(f"{name}/{what}", rr.Points3D(points + shift * beside, radii=radii,
+                                                        colors=colours), static=True)
     if one["picture"]:
         content = base64.b64decode(one["picture"]["rgb"].partition(",")[2])
         recording.log(f"{name}/picture", rr.EncodedImage(contents=content, media_type="image/png"), static=True)

@@ -16,14 +16,13 @@ from vsfsim.bench.task import load_task
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView
-from vsfsim.view.encode import quantised, rounded
-from vsfsim.view.subject import of_body, of_view
+from vsfsim.view.subject import of_body, of_view, quantised, rounded
 
 _FLOOR = 1e-2  # an estimate is shown down to this share of the smallest true stiffness of its object
 
 
-def of_result(path: Path, objects: int,
-              progress: Callable[[int, int, str], None] | None = None) -> tuple[str, str, list[dict[str, Any]], dict]:
+def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None]
+              | None = None) -> tuple[str, str, list[dict[str, Any]], dict]:
     """The objects of a result file, the first ``objects`` of them.
 
     Returns:
@@ -37,8 +36,9 @@ def of_result(path: Path, objects: int,
     maps = _maps(result)
     names = sorted({*(result.queries.get("object", ()) if dataset else ()), *maps})
     if not names:
-        raise TaskError(f"{path}: there is nothing to show. It holds no estimate of the stiffness, and the dataset of "
-                        f"{result.task} is not on this machine. Set $VSFSIM_DATASETS to the folder that has it.")
+        raise TaskError(f"{path}: there is nothing to show. It holds no estimate of the stiffness, "
+                        f"and the dataset of {result.task} is not on this machine. Set "
+                        "$VSFSIM_DATASETS to the folder that has it.")
     shown = []
     for number, name in enumerate(names[:objects]):
         shown.append(_object(name, dataset, curves, maps.get(name)))
@@ -51,8 +51,8 @@ def of_result(path: Path, objects: int,
     about: dict[str, Any] = {"map": ["stiffness under a small cone", "N/m"]} if maps else {}
     if curves is not None:
         about |= {"reading": f"{result.observation} [{result.unit}]", "shots": list(curves.shots)}
-    return (f"{result.method} on {result.task}", f"{len(shown)} of {len(names)} object views: {', '.join(parts)}",
-            shown, about)
+    return (f"{result.method} on {result.task}",
+            f"{len(shown)} of {len(names)} object views: {', '.join(parts)}", shown, about)
 
 
 def _dataset(result: Result) -> Dataset | None:

@@ -1,11 +1,12 @@
 """What the page shows of one object: a table of plain values that its script reads.
 
 Lengths are metres in the world frame, forces newtons, pressures pascals. Coordinates and moduli are 16-bit numbers
-(`vsfsim.view.encode.quantised`): of an object of 300 mm to 2.3 um, of a modulus over four decades to 0.01 %.
+(`quantised`): of an object of 300 mm to 2.3 um, of a modulus over four decades to 0.01 %.
 """
 
 from __future__ import annotations
 
+import base64
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from scipy.spatial import cKDTree
 from vsfsim.bench.board.charts import png_uri
 from vsfsim.core.shape import ProbeShape, Sphere
 from vsfsim.data.records import ObjectView, Touch, Truth, View
-from vsfsim.view.encode import base64_of, quantised, rounded
 
 if TYPE_CHECKING:
     from vsfsim.generate.effector import Drawing
@@ -28,6 +28,8 @@ MOST_BEADS = 40
 """Balls of one segment."""
 CLOUD = 20000
 """Points of the visible cloud, which stands for an object whose truth is withheld."""
+STEPS = 65535
+"""The largest number of 16 bits: a length is kept to the span of its column over this."""
 
 
 def of_view(shown: ObjectView) -> dict[str, Any]:
@@ -58,8 +60,8 @@ def of_truth(truth: Truth) -> dict[str, Any]:
     return of_body(*beads(truth.segment_ends, truth.young_modulus, truth.region, thick), names=truth.region_names)
 
 
-def of_body(points: np.ndarray, young_modulus: np.ndarray | None, region: np.ndarray, radius: np.ndarray | None = None,
-            *, names: tuple[str, ...] = ()) -> dict[str, Any]:
+def of_body(points: np.ndarray, young_modulus: np.ndarray | None, region: np.ndarray,
+            radius: np.ndarray | None = None, *, names: tuple[str, ...] = ()) -> dict[str, Any]:
     """A body as balls.
 
     Args:
@@ -111,5 +113,38 @@ def _picture(view: View) -> dict[str, Any]:
     near, far = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
     grey = 235 - np.clip(200 * (view.depth - near) / max(far - near, 1e-9), 0, 200)
     depth = np.stack([np.where(view.mask, grey, 0), np.where(view.mask, 255, 0)], axis=2).astype(np.uint8)
-    return {"rgb": png_uri(view.rgb), "depth": png_uri(depth), "near": round(near, 4), "far": round(far, 4),
-            "intrinsics": view.intrinsics.tolist(), "to_camera": np.linalg.inv(view.camera_pose).tolist()}
+    return {"rgb": png_uri(view.rgb), "depth": png_uri(depth), "near": round(near, 4),
+            "far": round(far, 4), "intrinsics": view.intrinsics.tolist(),
+            "to_camera": np.linalg.inv(view.camera_pose).tolist()}
+
+
+def base64_of(array: np.ndarray) -> str:
+    """The bytes of an array in row-major order, numbers of several bytes in little-endian order, as base64."""
+    return base64.b64encode(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()).decode()
+
+
+def quantised(values: np.ndarray) -> dict[str, Any]:
+    """Rows (n, k) as 16-bit numbers: value = low + data / `STEPS` * span, to half a step, column by column.
+
+    Returns:
+        ``low`` (k,), ``span`` (k,) and ``data``, the base64 of (n, k) uint16.
+    """
+    values = np.asarray(values, float)
+    low = values.min(axis=0) if len(values) else np.zeros(values.shape[1])
+    span = np.maximum(values.max(axis=0) - low, 1e-12) if len(values) else np.ones(values.shape[1])
+    return {"low": low.tolist(), "span": span.tolist(),
+            "data": base64_of(np.rint((values - low) / span * STEPS).astype(np.uint16))}
+
+
+def values_of(table: dict[str, Any]) -> np.ndarray:
+    """The rows (n, k) of what `quantised` made."""
+    raw = np.frombuffer(base64.b64decode(table["data"]), "<u2").reshape(-1, len(table["low"]))
+    return np.array(table["low"]) + raw / STEPS * np.array(table["span"])
+
+
+def rounded(values: np.ndarray, digits: int) -> Any:
+    """Numbers as lists, rounded to ``digits`` decimals; None where there is none (NaN, infinite)."""
+    values = np.asarray(values, float)
+    if values.ndim:
+        return [rounded(part, digits) for part in values]
+    return round(float(values), digits) + 0.0 if np.isfinite(values) else None

@@ -13,7 +13,6 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.effectors.probe import press
 from vsfsim.physics.mesh.resolved import LIMIT, corner_det_f, resolved
-from vsfsim.press.text import text
 
 BLOCK = """
 gravity = [0.0, 0.0, 0.0]
@@ -42,14 +41,14 @@ def pressed(radius, depth, *, more="", parts="", at=(0.0, 0.0), above=0.0, frame
 def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure(radius, depth, element):
     result = pressed(radius, depth, more=f"resolution = {element}")
     assert result.resolved is not None and not result.resolved.any()
-    said = text(result)
+    said = result.text()
     assert "NOT RESOLVED" in said and "does NOT resolve the contact in 3 of 3 frames" in said
     assert (result.more["mesh_error"][result.converged] > LIMIT).all()
 
 
 def test_a_ball_that_the_mesh_resolves_is_not_marked():
     result = pressed(0.02, 0.005)
-    assert result.resolved.all() and "NOT RESOLVED" not in text(result)
+    assert result.resolved.all() and "NOT RESOLVED" not in result.text()
     assert (result.more["mesh_error"] < 0.06).all()
 
 
@@ -215,7 +214,7 @@ BRIDGE = PLATE.replace("0.015", "0.022").format(0.005)
 def test_small_strain_is_told_where_elements_turn_further_than_it_follows(shape, body, x, top, depth, marked):
     """By 3.6, 21, 29, about 15 and 0.1 % the tier `linear` differs from `fem-coarse` here."""
     result = press_of(shape, body, "sphere = 0.006", top, depth, x=x, tier="linear")
-    turned = "too far for this tier" in text(result)
+    turned = "too far for this tier" in result.text()
     assert turned is marked and (result.more["rotation"][-1] > 0.13) is np.bool_(marked)
     assert not (marked and result.resolved.any())
 

@@ -16,15 +16,12 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.generate.effector import Drawing, kernels_of
 from vsfsim.generate.job import Job, jobs_of
-from vsfsim.generate.plants.admit import grow
 from vsfsim.generate.plants.aim import ArmAim
-from vsfsim.generate.plants.batches import make_together
-from vsfsim.generate.plants.prepare import Subject, prepare_job
+from vsfsim.generate.plants.subject import Subject, grow, prepare_job
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
-from vsfsim.generate.plants.touches import finish_touches, make_view, solve
+from vsfsim.generate.plants.touches import finish_touches, make_together, make_view, solve
 from vsfsim.generate.plants.truth import segments
-from vsfsim.generate.press_result import BodyPanel, Camera, Column, Curves, PressResult, frames_done
-from vsfsim.generate.press_words import audit_columns, reasons, recorded, statement
+from vsfsim.generate.press_result import BodyPanel, Column, PressResult, frames_done
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
@@ -47,8 +44,8 @@ class ArmEffector:
             SceneError: another tier was asked for.
         """
         if (tier or "rod") not in ("rod", "auto"):
-            raise SceneError(f"{scene.source}: --tier is '{tier}', but what an arm touches is made of beams, "
-                             f"tier 'rod'.")
+            raise SceneError(f"{scene.source}: --tier is '{tier}', but what an arm touches is made "
+                             "of beams, tier 'rod'.")
         return "rod"
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
@@ -70,8 +67,49 @@ class ArmEffector:
         return make(jobs, device=device, workers=workers)
 
     def press(self, loaded: SceneFile, request: Request) -> PressResult:
-        """The first touch that `vsfsim generate` would make of this seed."""
-        return press(loaded, request)
+        """The first touch that `vsfsim generate` would make of this seed.
+
+        Raises:
+            SceneError: the scene has no [touches], a tier that beams do not have, or nothing that the arm can reach.
+        """
+        began = time.perf_counter()
+        recipe = make_recipe(loaded, seed=request.seed, objects=1, views=1, touches=1,
+                             tier=request.tier, device=request.device)
+        job = jobs_of(recipe, loaded.path, Path("."), None)[0]
+        compile_kernels(kernels_of(loaded.sample(request.seed)), request.device, progress=request.progress)
+        subject = prepare_job(job, device=request.device)
+        built = time.perf_counter() - began
+        began = time.perf_counter()
+        (aim,) = subject.aims
+        tell = frames_done(request.progress, len(aim.plan))
+        frames = solve(subject, device=request.device, progress=tell, keep_nodes=True)
+        (touch,) = finish_touches(subject, frames)
+        seconds = time.perf_counter() - began
+        n = len(touch.time)
+        depth, size = (touch.mount_pose[:, :3, 3] - aim.target) @ aim.axis, np.linalg.norm(touch.force, axis=1)
+        assert touch.q is not None and touch.torque is not None
+        q, full, segments = touch.q, int(np.argmax(depth)), len(subject.plant.nodes) - 1
+        contacts = frames.contacts[:n, 0]
+        return PressResult(
+            touch, depth, full,
+            more={"torque": touch.torque, "q": q, "target": aim.target, "draws": aim.draws,
+                  "contacts": contacts, "segments": segments, "deepest": full,
+                  "build_seconds": built,
+                  "seconds": seconds, "tier": recipe.tier, "device": request.device},
+            first=(Column("tool mm past target", 1e3 * depth, ".2f"),
+                   Column("|force| N", size, ".4f")),
+            readings=(*(Column(f"joint {j + 1}{' N m' * (j == 6)}", touch.torque[:, j], ".4f")
+                        for j in range(7)), Column("contacts", contacts, "d")),
+            said=("Torques are those of the contact; the weight of the arm is taken off.",
+                  f"{segments} segments, tier {recipe.tier} on {request.device}; plant, picture "
+                  f"and path in {built:.1f} s, solved in {seconds:.1f} s."),
+            notes=tuple(_notes(subject, aim, touch, frames)),
+            plot={"size of the force [N]": {"force on the arm": size},
+                  "joint torque of the contact [N m]": {f"joint {j + 1}": touch.torque[:, j]
+                                                        for j in range(7)}},
+            abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
+            headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
+            panels=lambda t: (_panel(subject, q, frames, t),), arrays=_arrays(subject, q, frames))
 
     def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
         """Raises:
@@ -89,61 +127,16 @@ class ArmEffector:
             mine = np.flatnonzero(plant.region[1:] == index) + 1
             if len(mine):
                 e, r = plant.young_modulus[mine], plant.radius[mine]
-                lines.append(f"  {region:<14} {len(mine):4d} segments, E {e.min():9.3g} to {e.max():9.3g} Pa, "
-                             f"{'half thickness' if plant.half_width[mine].any() else 'radius'} {1e3 * r.min():.2g} to "
-                             f"{1e3 * r.max():.2g} mm")
+                lines.append(f"  {region:<14} {len(mine):4d} segments, E {e.min():9.3g} to "
+                             f"{e.max():9.3g} Pa, "
+                             f"{'half thickness' if plant.half_width[mine].any() else 'radius'} "
+                             f"{1e3 * r.min():.2g} to {1e3 * r.max():.2g} mm")
         lines.extend(f"note: {sentence}" for sentence in plant.notes)
         modulus = np.repeat(plant.young_modulus[1:], triangles_of(plant)[1:])
         return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines), segments(plant))
 
 
 EFFECTOR = ArmEffector()
-
-
-def press(loaded: SceneFile, request: Request) -> PressResult:
-    """Make the touch.
-
-    Raises:
-        SceneError: the scene has no [touches], a tier that beams do not have, or nothing that the arm can reach.
-    """
-    began = time.perf_counter()
-    recipe = make_recipe(loaded, seed=request.seed, objects=1, views=1, touches=1, tier=request.tier,
-                         device=request.device)
-    job = jobs_of(recipe, loaded.path, Path("."), None)[0]
-    compile_kernels(kernels_of(loaded.sample(request.seed)), request.device, progress=request.progress)
-    subject = prepare_job(job, device=request.device)
-    built = time.perf_counter() - began
-    began = time.perf_counter()
-    (aim,) = subject.aims
-    tell = frames_done(request.progress, len(aim.plan))
-    frames = solve(subject, device=request.device, progress=tell, keep_nodes=True)
-    (touch,) = finish_touches(subject, frames)
-    seconds = time.perf_counter() - began
-    n = len(touch.time)
-    depth, size = (touch.mount_pose[:, :3, 3] - aim.target) @ aim.axis, np.linalg.norm(touch.force, axis=1)
-    assert touch.q is not None and touch.torque is not None
-    q, full, segments = touch.q, int(np.argmax(depth)), len(subject.plant.nodes) - 1
-    contacts = frames.contacts[:n, 0]
-    return PressResult(
-        touch, depth, full,
-        more={"torque": touch.torque, "q": q, "target": aim.target, "draws": aim.draws, "contacts": contacts,
-              "reason": reasons(touch), "segments": segments, "deepest": full, "build_seconds": built,
-              "seconds": seconds, "tier": recipe.tier, "device": request.device, "precision": "float64"},
-        columns=(Column("tool mm past target", 1e3 * depth, ".2f"), Column("|force| N", size, ".4f"),
-                 *(Column(f"joint {j + 1}{' N m' * (j == 6)}", touch.torque[:, j], ".4f") for j in range(7)),
-                 Column("contacts", contacts, "d"), *audit_columns(touch, None)),
-        words=(statement(touch, edge=None, tolerance=None),
-               "Torques are those of the contact; the weight of the arm is taken off.",
-               f"{segments} segments, tier {recipe.tier} on {request.device}; plant, picture and "
-               f"path in {built:.1f} s, solved in {seconds:.1f} s."),
-        notes=tuple(_notes(subject, aim, touch, frames)),
-        plot=(Curves("size of the force [N]", {"force on the arm": size}),
-              Curves("joint torque of the contact [N m]",
-                     {f"joint {j + 1}": touch.torque[:, j] for j in range(7)})),
-        abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
-        headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
-        panels=lambda t: (_panel(subject, q, frames, t),),
-        arrays={**_arrays(subject, q, frames), **recorded(touch), "depth": (depth, "(T,) [m]")})
 
 
 def _notes(subject: Subject, aim: ArmAim, touch: Touch, frames: RodFrames) -> list[str]:
@@ -158,13 +151,13 @@ def _notes(subject: Subject, aim: ArmAim, touch: Touch, frames: RodFrames) -> li
         out.append(f"the arm comes to its protective stop at frame {n} of {planned}: on the way back the contact force "
                    f"would be more than a quarter past force_limit = {limit.force_limit:g} N")
     elif n < planned:
-        out.append(f"the touch ends at frame {n} of {planned}: in the next the contact force would pass force_limit = "
-                   f"{limit.force_limit:g} N")
+        out.append(f"the touch ends at frame {n} of {planned}: in the next the contact force would "
+                   f"pass force_limit = {limit.force_limit:g} N")
     elif not np.array_equal(frames.where[:n, 0], aim.plan):
         share = (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max()
-        out.append(f"the arm turns back {1e3 * share * np.linalg.norm(aim.stop - aim.start):.1f} mm before the end of "
-                   f"its way: further in the contact force would pass force_limit = {limit.force_limit:g} N, or no "
-                   f"equilibrium is found")
+        out.append(f"the arm turns back {1e3 * share * np.linalg.norm(aim.stop - aim.start):.1f} "
+                   "mm before the end of its way: further in the contact force would pass "
+                   f"force_limit = {limit.force_limit:g} N, or no equilibrium is found")
     elif not touch.touched:
         out.append("the arm touched nothing on its way; take another --seed")
     return out
@@ -191,8 +184,7 @@ def _panel(subject: Subject, q: np.ndarray, frames: RodFrames, t: int) -> BodyPa
     body = plant_surface(plant, pot=True, nodes=frames.nodes[t, 0],
                          turns=Rotation.from_quat(frames.turns[t, 0]).as_matrix())
     rigid = tuple((v @ pose[:3, :3].T + pose[:3, 3], f)
-                  for (v, f), pose in zip((tessellate(shape, 1.0) for shape in arm.shapes), arm.body_poses(q)[t],
-                                          strict=True))
+                  for (v, f), pose in zip((tessellate(shape, 1.0) for shape in arm.shapes),
+                                          arm.body_poses(q)[t], strict=True))
     middle = 0.5 * (plant.nodes.min(axis=0) + plant.nodes.max(axis=0))
-    return BodyPanel(body, Camera(*look_at(camera, np.array([0.0, 0.0, middle[2]])), camera.width, camera.height),
-                     rigid)
+    return BodyPanel(body, look_at(camera, np.array([0.0, 0.0, middle[2]])), (camera.width, camera.height), rigid)

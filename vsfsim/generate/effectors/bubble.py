@@ -25,25 +25,16 @@ from vsfsim.generate.bubble_touch import LEADING, Solved, in_mount
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.on_solids import Manner, OnSolids
 from vsfsim.generate.press_result import (
+    PICTURE,
     BodyPanel,
-    Camera,
     Colours,
     Column,
-    Curves,
-    ImagePanel,
     MapPanel,
+    Panel,
     PressResult,
+    direction,
     frames_done,
     limited,
-)
-from vsfsim.generate.press_words import (
-    FORCES,
-    audit_columns,
-    direction,
-    force_columns,
-    reasons,
-    recorded,
-    statement,
 )
 from vsfsim.generate.solid import Subject
 from vsfsim.physics import tiers
@@ -66,7 +57,6 @@ from vsfsim.sensing.tessellate import tessellate
 OPTIONS = SolverOptions(tolerance=5e-4)
 """Against rigid bodies. As tier fem: with friction, a smaller residual is not always reached where a point is at the
 limit of contact."""
-PICTURE = (640, 512)  # width and height of a view [px]
 _INTO_HOUSING = 1e-4  # how far an obstacle may reach into it [m]
 _ELEVATION = 0.35  # of the camera outside [rad]: it looks at the dome's side, not at the back of what presses it
 _NEAR = 1.6  # what is farther from the dome than this many times its size is not drawn
@@ -87,19 +77,21 @@ class BubbleEffector(OnSolids):
         sensor, depth = scene.required_sensor, scene.required_touches.depth
         chosen = bubble_touch.tier_for(scene, tier)
         if sensor.nodes > SENSOR_NODES:
-            raise SceneError(f"{scene.source} [sensor]: nodes is {sensor.nodes}; against an object up to "
-                             f"{SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
+            raise SceneError(f"{scene.source} [sensor]: nodes is {sensor.nodes}; against an object "
+                             f"up to {SENSOR_NODES} are allowed, since the skin's compliance is "
+                             "kept whole. Give fewer.")
         height = float(build_bubble(sensor, where=f"{scene.source} [sensor]").mesh.points[:, 2].max())
         if depth > height:
-            raise SceneError(f"{scene.source} [touches]: depth is {depth:g} m, but the free dome of the "
-                             f"[sensor] is {height:.4f} m high; its rim would go into the object. Give less.")
+            raise SceneError(f"{scene.source} [touches]: depth is {depth:g} m, but the free dome "
+                             f"of the [sensor] is {height:.4f} m high; its rim would go into the "
+                             "object. Give less.")
         return chosen
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
         """Pressure, moment and the read-out mesh; the solved mesh and the camera's pictures if the scene asks."""
         sensor = scene.required_sensor
-        out = ("min_det_f", "pressure", "rest_pressure", "moment", "node_position", "node_force", "node_rest",
-               "node_reference", "node_triangles")
+        out = ("min_det_f", "pressure", "rest_pressure", "moment", "node_position", "node_force",
+               "node_rest", "node_reference", "node_triangles")
         fine = ("fine_position", "fine_force", "fine_rest", "fine_triangles") if sensor.fine else ()
         return (*out, *fine, *(("inside_depth", "inside_rgb") if sensor.camera else ()))
 
@@ -138,8 +130,26 @@ class BubbleEffector(OnSolids):
         return result_of(solve(loaded.sample(request.seed), request), request)
 
     def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
-        """Edges at the contact that are halved from mesh to mesh."""
-        return finer(loaded, request, meshes)
+        """The scene with edges at the contact that are halved from mesh to mesh; the mesh before the last is the
+        scene's own.
+
+        Raises:
+            SceneError: an object is pressed, or bodies without a radius and no contact_edge is given.
+        """
+        scene = loaded.sample(request.seed)
+        edge = scene.required_sensor.contact_edge
+        if scene.object is not None:
+            raise SceneError(f"{scene.source}: --refine refines a [sensor] where rigid bodies "
+                             "touch it; with an [object] set nodes in [sensor] and resolution in "
+                             "[object], and compare.")
+        if edge is None:
+            radii = [body.radius for body in scene.bodies if isinstance(body, (Sphere, Capsule))]
+            if not radii:
+                raise SceneError(f"{scene.source}: --refine halves the edges where bodies touch, "
+                                 "which follow the radius of balls and capsules; for other bodies "
+                                 "give contact_edge in [sensor].")
+            edge = SHARE * min(radii)
+        return [loaded.varied("sensor", contact_edge=edge * 2.0 ** (meshes - 2 - k)) for k in range(meshes)]
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The object, or the free dome where there is none."""
@@ -173,27 +183,6 @@ class Made:
     """Spent on inflation and factorisation [s]."""
 
 
-def finer(loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
-    """The scene with edges at the contact that are halved from mesh to mesh; the mesh before the last is the
-    scene's own.
-
-    Raises:
-        SceneError: an object is pressed, or bodies without a radius and no contact_edge is given.
-    """
-    scene = loaded.sample(request.seed)
-    edge = scene.required_sensor.contact_edge
-    if scene.object is not None:
-        raise SceneError(f"{scene.source}: --refine refines a [sensor] where rigid bodies touch it; with an [object] "
-                         f"set nodes in [sensor] and resolution in [object], and compare.")
-    if edge is None:
-        radii = [body.radius for body in scene.bodies if isinstance(body, (Sphere, Capsule))]
-        if not radii:
-            raise SceneError(f"{scene.source}: --refine halves the edges where bodies touch, which follow the radius "
-                             f"of balls and capsules; for other bodies give contact_edge in [sensor].")
-        edge = SHARE * min(radii)
-    return [loaded.varied("sensor", contact_edge=edge * 2.0 ** (meshes - 2 - k)) for k in range(meshes)]
-
-
 def solve(scene: Scene, request: Request) -> Made:
     """Solve the ``[press]`` of a scene with a ``[sensor]`` and an object, or obstacles.
 
@@ -207,11 +196,11 @@ def solve(scene: Scene, request: Request) -> Made:
     """
     spec, sensor, where = scene.press, scene.required_sensor, f"{scene.source} [sensor]"
     if spec is None:
-        raise SceneError(f"{scene.source}: a scene with a [sensor] needs a [press]: the path of the middle of its rim, "
-                         f"e.g. from = [0, 0, 0.05], to = [0, 0, 0.02].")
+        raise SceneError(f"{scene.source}: a scene with a [sensor] needs a [press]: the path of "
+                         "the middle of its rim, e.g. from = [0, 0, 0.05], to = [0, 0, 0.02].")
     if scene.object is not None and scene.obstacles:
-        raise SceneError(f"{scene.source}: a [sensor] presses an [object] or [[obstacles]]; this scene has both. Take "
-                         f"one of them out.")
+        raise SceneError(f"{scene.source}: a [sensor] presses an [object] or [[obstacles]]; this "
+                         "scene has both. Take one of them out.")
     if scene.object is None and request.tier is not None:
         raise SceneError(f"--tier {request.tier}: this scene has a [sensor] and no [object], and tiers are of objects; "
                          f"the sensor's mesh is set by nodes in [sensor]. Leave --tier out.")
@@ -224,8 +213,8 @@ def solve(scene: Scene, request: Request) -> Made:
         finer = wishes(model.mesh.points, model.element_size, bodies, poses, sensor.contact_edge)
         if finer:
             model = build_bubble(sensor, finer=finer, where=where, cache=request.cache)
-            notes = [f"{sensor.nodes} nodes became {len(model.mesh.points)}: triangles are smaller where bodies touch; "
-                     f"contact_edge in [sensor] says how small."]
+            notes = [f"{sensor.nodes} nodes became {len(model.mesh.points)}: triangles are smaller "
+                     "where bodies touch; contact_edge in [sensor] says how small."]
         _before_housing(scene, model, poses)
         kernels, options = solver_kernels(elements_of(model.blocks)), OPTIONS
         gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis)
@@ -275,11 +264,12 @@ def _before_housing(scene: Scene, model: BubbleModel, poses: np.ndarray) -> None
         for k, pose in enumerate(frame):
             depth = -float(bodies.distance(k, (plate - pose[:3, 3]) @ pose[:3, :3]).min())
             if depth > _INTO_HOUSING:
-                raise SceneError(f"{scene.source}: in frame {t} of [press] obstacle {k + 1} is {1e3 * depth:.2g} mm "
-                                 f"behind the plane of the sensor's rim or the floor of its chamber, "
-                                 f"{1e3 * chamber:g} mm behind it. The free dome is "
-                                 f"{1e3 * float(model.mesh.points[:, 2].max()):.1f} mm high; let the path end before, "
-                                 f"or give the depth of the chamber, chamber in [sensor].")
+                raise SceneError(f"{scene.source}: in frame {t} of [press] obstacle {k + 1} is "
+                                 f"{1e3 * depth:.2g} mm behind the plane of the sensor's rim or "
+                                 f"the floor of its chamber, {1e3 * chamber:g} mm behind it. The "
+                                 f"free dome is {1e3 * float(model.mesh.points[:, 2].max()):.1f} "
+                                 "mm high; let the path end before, or give the depth of the "
+                                 "chamber, chamber in [sensor].")
 
 
 def result_of(made: Made, request: Request) -> PressResult:
@@ -291,41 +281,40 @@ def result_of(made: Made, request: Request) -> PressResult:
     way = (s.mount[:, 0, :3, 3] - np.array(spec.start)) @ axis
     depth, normal = np.maximum(way - made.gap, 0.0), touch.normal_force()
     pressure, volume = s.pressure[:, 0], s.volume[:, 0] + model.dead_volume
-    change, said = pressure - model.pressure, statement(touch, edge=edge, tolerance=made.tolerance)
+    change = pressure - model.pressure
     apex, dome = float(model.mesh.points[:, 2].max()), float(model.mesh.volume[0])
     triangles, nodes = len(model.mesh.faces), len(model.mesh.points)
     more: dict[str, Any] = {
         "slipping": frames.slipping[:, 0], "seconds": frames.seconds,
         "body_force": frames.body_force[:, 0] if s.object is None else -frames.force,
-        "bodies": _names(s), "wrench": wrench, "reason": reasons(touch), "pressure": pressure,
-        "pressure_change": change, "volume": volume, "cg_iterations": frames.cg_iterations[:, 0], "apex": apex,
+        "bodies": _names(s), "wrench": wrench, "pressure": pressure, "pressure_change": change,
+        "volume": volume, "cg_iterations": frames.cg_iterations[:, 0], "apex": apex,
         "friction": s.scene.frictions if s.object is None else (s.scene.required_sensor.friction,),
-        "dome_volume": dome, "edge": edge, "build_seconds": made.build_seconds, "triangles": triangles,
-        "nodes": nodes, "device": request.device, "precision": "float64", "tolerance": made.tolerance,
-        "inward": spec.inward, "statement": said}
+        "dome_volume": dome, "edge": edge, "build_seconds": made.build_seconds,
+        "triangles": triangles, "nodes": nodes, "device": request.device,
+        "tolerance": made.tolerance, "inward": spec.inward}
     at_full = wrench[full] + 0.0
-    words = (FORCES, f"At full depth, wrench of the contact at the mount, in its frame: "
-             f"({', '.join(f'{v:.4f}' for v in at_full[:3])}) N, ({', '.join(f'{v:.5f}' for v in at_full[3:])}) N m; "
-             f"{100 * more['slipping'][full]:.0f} % of the points in contact slip.", said,
-             f"Free dome: apex {1e3 * apex:.2f} mm, {1e6 * dome:.2f} mL, {model.pressure:.1f} Pa gauge. {triangles} "
-             f"triangles, {nodes} nodes, mean edge where it is touched {1e3 * edge:.2f} mm, on {request.device}; "
-             f"built in {made.build_seconds:.1f} s, solved in {frames.seconds.sum():.1f} s.")
+    said = ("At full depth, wrench of the contact at the mount, in its frame: "
+            f"({', '.join(f'{v:.4f}' for v in at_full[:3])}) N, "
+            f"({', '.join(f'{v:.5f}' for v in at_full[3:])}) N m; "
+            f"{100 * more['slipping'][full]:.0f} % of the points in contact slip.",
+            f"Free dome: apex {1e3 * apex:.2f} mm, {1e6 * dome:.2f} mL, {model.pressure:.1f} Pa "
+            f"gauge. {triangles} triangles, {nodes} nodes, mean edge where it is touched "
+            f"{1e3 * edge:.2f} mm, on {request.device}; built in {made.build_seconds:.1f} s, "
+            f"solved in {frames.seconds.sum():.1f} s.")
     mesh = cast(TriangleMesh, model.mesh)
     return PressResult(
         touch, depth, full, edge=edge, more=more,
-        columns=(*force_columns(depth, touch), Column("pressure Pa", pressure, ".2f"),
-                 Column("change Pa", change, ".2f"), Column("volume mL", 1e6 * volume, ".4f"),
-                 *audit_columns(touch, edge, frames.seconds)),
-        words=words, notes=made.notes,
-        plot=(Curves("normal force [N]", {"force on the sensor": normal}),
-              Curves("pressure change [Pa]", {"gas": change})),
-        abscissa="depth past first contact [mm]", model=f"bubble of {nodes} nodes",
-        headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N, pressure change "
-                 f"{change[full]:.4g} Pa",
-        caption="left: from outside; middle: how far the skin went in along the free dome's normal, dots: nodes in "
-                "contact, larger with their force; right: from the camera inside",
+        readings=(Column("pressure Pa", pressure, ".2f"), Column("change Pa", change, ".2f"),
+                  Column("volume mL", 1e6 * volume, ".4f")), said=said, notes=made.notes,
+        plot={"normal force [N]": {"force on the sensor": normal},
+              "pressure change [Pa]": {"gas": change}}, model=f"bubble of {nodes} nodes",
+        headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N, pressure "
+        f"change {change[full]:.4g} Pa",
+        caption="left: from outside; middle: how far the skin went in along the free dome's "
+        "normal, dots: nodes in contact, larger with their force; right: from the camera inside",
         panels=lambda t: _panels(s, t, full, request.device),
-        arrays={**recorded(touch), "depth": (depth, "(T,) [m]"), "volume": (volume, "of the gas (T,) [m^3]"),
+        arrays={"volume": (volume, "of the gas (T,) [m^3]"),
                 "fine_position": (s.position[..., 0], "fine mesh, world (T, n, 3) [m]"),
                 "fine_force": (s.force[..., 0], "contact force on its nodes, world (T, n, 3) [N]"),
                 "fine_rest": (mesh.points, "fine mesh of the free dome, mount frame (n, 3) [m]"),
@@ -340,7 +329,7 @@ def inward_distance(model: BubbleModel, position: np.ndarray) -> np.ndarray:
     return -((position - mesh.points) * nodal_normals(mesh.points, mesh.faces)).sum(axis=1)
 
 
-def _panels(s: Solved, t: int, full: int, device: str) -> tuple[BodyPanel, MapPanel, ImagePanel]:
+def _panels(s: Solved, t: int, full: int, device: str) -> tuple[Panel, ...]:
     """The dent of frame ``t`` from outside, over the rim plane, and seen by the camera inside; in the colours of the
     frame of full depth."""
     mesh, (position, push) = s.sensor.mesh, s.in_mount()
@@ -348,9 +337,10 @@ def _panels(s: Solved, t: int, full: int, device: str) -> tuple[BodyPanel, MapPa
     colours = Colours("RdBu_r", min(float(most.min()), -1e-6), max(float(most.max()), 1e-6))
     inside = look_inside(position[t:t + 1], mesh.faces, s.sensor.flat, BubbleCamera(), device=device).rgb[0]
     return (outside(s, t, inward[mesh.faces].mean(axis=1), colours),
-            MapPanel(1e3 * mesh.points[:, :2], mesh.faces, inward, np.nan_to_num(np.linalg.norm(push[t], axis=1)),
-                     dataclasses.replace(colours, label="inwards [mm]"), ("x of the mount, free dome [mm]", "y [mm]")),
-            ImagePanel(inside))
+            MapPanel(1e3 * mesh.points[:, :2], mesh.faces, inward,
+                     np.nan_to_num(np.linalg.norm(push[t], axis=1)),
+                     dataclasses.replace(colours, label="inwards [mm]"),
+                     ("x of the mount, free dome [mm]", "y [mm]")), inside)
 
 
 def outside(s: Solved, t: int, values: np.ndarray, colours: Colours) -> BodyPanel:
@@ -368,13 +358,13 @@ def outside(s: Solved, t: int, values: np.ndarray, colours: Colours) -> BodyPane
                                           in_mount(s.scene, s.mount[t])[0], strict=True)]
         plates = [isinstance(shape, Plane) for shape in s.scene.bodies]
     close = [(v, _within(v, f, skin.mean(axis=0), _NEAR * size)) for v, f in solids]
-    intrinsics, pose = fitting_camera(skin, np.concatenate([skin, *(v[np.unique(f)] for v, f in close)]), *PICTURE,
-                                      elevation=_ELEVATION)
+    camera = fitting_camera(skin, np.concatenate([skin, *(v[np.unique(f)] for v, f in close)]),
+                            *PICTURE, elevation=_ELEVATION)
     # A plate between the camera and the dome would hide it.
     rigid = tuple((v, f) for (v, f), plate in zip(close, plates, strict=True)
-                  if not (plate and pose[2, 3] > v[:, 2].max()))
+                  if not (plate and camera[1][2, 3] > v[:, 2].max()))
     surface = Surface(skin, s.sensor.mesh.faces, np.zeros(len(s.sensor.mesh.faces), int), None, skin)
-    return BodyPanel(surface, Camera(intrinsics, pose, *PICTURE), rigid, values, colours)
+    return BodyPanel(surface, camera, PICTURE, rigid, values, colours)
 
 
 def _within(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray, reach: float) -> np.ndarray:

@@ -22,16 +22,16 @@ from vsfsim.generate.aim import Aim, aim_probe, clearance, in_kinds
 from vsfsim.generate.assume import with_press, with_probe
 from vsfsim.generate.boundary import deformed_surface, face_pressure
 from vsfsim.generate.on_solids import Manner, OnSolids
-from vsfsim.generate.press_result import BodyPanel, Camera, Colours, Column, Curves, PressResult, frames_done, limited
-from vsfsim.generate.press_words import (
-    FORCES,
-    audit_columns,
+from vsfsim.generate.press_result import (
+    PICTURE,
+    BodyPanel,
+    Colours,
+    Column,
+    PressResult,
     direction,
     edge_notes,
-    force_columns,
-    reasons,
-    recorded,
-    statement,
+    frames_done,
+    limited,
 )
 from vsfsim.generate.solid import Subject
 from vsfsim.physics import tiers
@@ -55,7 +55,6 @@ from vsfsim.vsf.stick_slip import stick_slip
 RATIO = 1.3  # of the edges of two meshes: three meshes span 1.69, the finest has 4.8 times the tetrahedra of the first
 SMALLER = 0.5  # a round part under this share of the probe's reach gets elements of its own
 SPACING = 0.1  # of the points of a body's edges, over its half-width
-PICTURE = (640, 512)  # width and height of a view [px]
 
 
 class Probe(OnSolids):
@@ -107,8 +106,10 @@ class Probe(OnSolids):
         return press(loaded.sample(request.seed), request)
 
     def finer(self, loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
-        """Smaller and smaller elements."""
-        return finer(loaded, request, meshes)
+        """The scene with smaller and smaller elements, by `RATIO` from mesh to mesh."""
+        scene, _ = with_probe(loaded.sample(request.seed))
+        size = tiers.element_size(scene.required_object, tiers.choose(scene, request.tier), scene.probe)
+        return [loaded, *(loaded.varied("object", resolution=size / RATIO**k) for k in range(1, meshes))]
 
 
 EFFECTOR = Probe()
@@ -145,18 +146,11 @@ def press(scene: Scene, request: Request) -> PressResult:
     result = solve(prepared, request)
     if not tiers.turned_too_far(scene, request.tier, prepared.tier, result.more["rotation"]):
         return result
-    prepared = prepare(dataclasses.replace(scene, object=dataclasses.replace(scene.required_object,
-                                                                             tier=tiers.FOLLOWS)), request)
+    followed = dataclasses.replace(scene.required_object, tier=tiers.FOLLOWS)  # type: ignore[arg-type]
+    prepared = prepare(dataclasses.replace(scene, object=followed), request)
     return solve(dataclasses.replace(prepared, notes=(*prepared.notes, (
-        f"Elements turn by up to {float(result.more['rotation'].max()):.2g} rad, which small strain does not follow: "
-        f"tier '{tiers.FOLLOWS}' was taken."))), request)
-
-
-def finer(loaded: SceneFile, request: Request, meshes: int) -> list[SceneFile]:
-    """The scene with smaller and smaller elements, by `RATIO` from mesh to mesh."""
-    scene, _ = with_probe(loaded.sample(request.seed))
-    size = tiers.element_size(scene.required_object, tiers.choose(scene, request.tier), scene.probe)
-    return [loaded, *(loaded.varied("object", resolution=size / RATIO**k) for k in range(1, meshes))]
+        f"Elements turn by up to {float(result.more['rotation'].max()):.2g} rad, which small "
+        f"strain does not follow: tier '{tiers.FOLLOWS}' was taken."))), request)
 
 
 def prepare(scene: Scene, request: Request) -> Prepared:
@@ -237,42 +231,40 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
     way = (aim.path[:, :3, 3] - np.array(spec.start)) @ axis
     depth, normal = np.maximum(way - gap, 0.0), touch.normal_force()
     edge, full, at_contact = model.element_size, spec.inward - 1, edge_at(model, aim.target)
-    said = statement(touch, edge=edge, tolerance=options.tolerance, linear=linear)
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
-    deep = [f"The probe starts {1e3 * begun:.1f} mm inside the body, so depth counts from there and not from first "
-            f"contact; move from in [press] back to where the probe is free."]
+    deep = [f"The probe starts {1e3 * begun:.1f} mm inside the body, so depth counts from there "
+            "and not from first contact; move from in [press] back to where the probe is free."]
     deep = deep if begun > 0.05 * way.max() else []  # less is the faceting of a round body
     more: dict[str, Any] = {
-        "slipping": frames.slipping[:, 0], "seconds": frames.seconds, "body_force": body_force, "bodies": names,
-        "friction": scene.frictions, "reason": reasons(touch),
-        "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
-        "precision": "float64", "element_size": prepared.element_size, "edge": edge, "edge_at_contact": at_contact,
-        "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
-        "statement": said, "mesh_error": frames.mesh_error[:, 0], "corner_det_f": frames.corner_det_f[:, 0],
-        "rotation": frames.rotation[:, 0]}
-    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0], linear * frames.rotation[:, 0],
-                    touch.converged)
-    words = [FORCES, said, *filter(None, [told]),
-             f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
-             f"{1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
-             f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
+        "slipping": frames.slipping[:, 0], "seconds": frames.seconds, "body_force": body_force,
+        "bodies": names, "friction": scene.frictions, "build_seconds": prepared.seconds,
+        "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
+        "element_size": prepared.element_size, "edge": edge, "edge_at_contact": at_contact,
+        "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance,
+        "inward": spec.inward, "mesh_error": frames.mesh_error[:, 0],
+        "corner_det_f": frames.corner_det_f[:, 0], "rotation": frames.rotation[:, 0]}
+    told = in_words(frames.mesh_error[:, 0], frames.corner_det_f[:, 0],
+                    linear * frames.rotation[:, 0], touch.converged)
+    said = [*filter(None, [told]),
+            f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, "
+            f"element size {1e3 * prepared.element_size:.1f} mm, on {request.device}; built in "
+            f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
     if len(names) > 1 or max(scene.frictions) > 0.0:
-        words.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(frames.slipping[full, 0])))
+        said.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(frames.slipping[full, 0])))
     # the triangles of a scan are of all sizes
     scan = isinstance(scene.required_object.shape, MeshFile)
     return PressResult(
-        touch, depth, full, edge=(more["volume"] / tets) ** (1.0 / 3.0) if scan else at_contact, more=more,
-        columns=(*force_columns(depth, touch), Column("turn rad", frames.rotation[:, 0], ".3f"),
-                 *audit_columns(touch, edge, frames.seconds)), words=tuple(words),
-        notes=(*prepared.notes, *model.solid.notes, *deep,
-               *edge_notes(names, scene.bodies, body_force)),
-        plot=(Curves("normal force [N]", {"reaction of the supports": -(touch.reaction @ axis),
-                                          "force on the probe": normal}),),
-        abscissa="depth past first contact [mm]", model=f"tier {tier}, {tets} tetrahedra",
+        touch, depth, full, edge=(more["volume"] / tets) ** (1.0 / 3.0) if scan else at_contact,
+        more=more, readings=(Column("turn rad", frames.rotation[:, 0], ".3f"),), said=tuple(said),
+        linear=linear, notes=(*prepared.notes, *model.solid.notes, *deep,
+                              *edge_notes(names, scene.bodies, body_force)),
+        plot={"normal force [N]": {"reaction of the supports": -(touch.reaction @ axis),
+                                   "force on the probe": normal}},
+        model=f"tier {tier}, {tets} tetrahedra",
         headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
         caption="left: with the rigid bodies; right: the body alone",
         panels=_panels(model, scene.bodies, placed, moved, np.nan_to_num(push), full),
-        arrays={**_arrays(model, placed, moved, push), **recorded(touch), "depth": (depth, "(T,) [m]")})
+        arrays=_arrays(model, placed, moved, push))
 
 
 def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force: np.ndarray, slipping: float) -> str:
@@ -302,8 +294,8 @@ def _panels(model: Model, shapes: tuple[ProbeShape, ...], poses: np.ndarray, mov
     def placed(t: int) -> list[tuple[np.ndarray, np.ndarray]]:
         return [(v @ pose[:3, :3].T + pose[:3, 3], f) for (v, f), pose in zip(solid, poses[t], strict=True)]
 
-    intrinsics, eye = fitting_camera(at_full, np.concatenate([v for v, _ in placed(full)]), *PICTURE)
-    camera, most = Camera(intrinsics, eye, *PICTURE), face_pressure(model.mesh, push[full]).max()
+    camera = fitting_camera(at_full, np.concatenate([v for v, _ in placed(full)]), *PICTURE)
+    eye, most = camera[1], face_pressure(model.mesh, push[full]).max()
     lengths = Colours("viridis", 0.0, 1e3 * float(furthest.max()), "displacement [mm]")
     pressures = Colours("inferno_r", 0.0, float(most) / 1e3, "contact pressure [kPa]", True)
 
@@ -314,8 +306,8 @@ def _panels(model: Model, shapes: tuple[ProbeShape, ...], poses: np.ndarray, mov
         shown = [part for part, shape, p in zip(placed(t), shapes, poses[t], strict=True)
                  if not (isinstance(shape, Plane) and float((eye[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0)]
         surface = Surface(vertices, triangles, np.zeros(len(triangles), int), None, vertices)
-        return (BodyPanel(surface, camera, tuple(shown), 1e3 * length, lengths),
-                BodyPanel(surface, camera, (), pressure / 1e3, pressures))
+        return (BodyPanel(surface, camera, PICTURE, tuple(shown), 1e3 * length, lengths),
+                BodyPanel(surface, camera, PICTURE, (), pressure / 1e3, pressures))
 
     return panels
 
@@ -353,9 +345,10 @@ def overlap(model: Model, bodies: RigidBodies, pose: np.ndarray, where: str) -> 
     depth = [-float(bodies.distance(k, (surface - at[:3, 3]) @ at[:3, :3]).min()) for k, at in enumerate(pose)]
     if inside(bodies, model, pose[None]).any():
         much = f"{1e3 * max(depth):.2g} mm of a rigid body" if max(depth) > 0.0 else "the whole probe"
-        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in pose[0, :3, 3].tolist()]} puts {much} inside "
-                         f"the body, and from which side it came is not known; start outside (world coordinates of the "
-                         f"probe's centre, in metres).")
+        raise SceneError(f"{where} [press]: from = "
+                         f"{[round(v, 6) for v in pose[0, :3, 3].tolist()]} puts {much} inside the "
+                         "body, and from which side it came is not known; start outside (world "
+                         "coordinates of the probe's centre, in metres).")
     return max(0.0, depth[0])
 
 

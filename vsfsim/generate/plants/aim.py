@@ -115,8 +115,8 @@ def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np
     return [_draw(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
 
 
-def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator,
-          where: str) -> ArmAim:
+def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
+          rng: np.random.Generator, where: str) -> ArmAim:
     shoulder = arm.postures(np.zeros((1, 7))).anchors[0, 1]
     refused: Counter = Counter()
     free, inward, hold, out = touches.frames
@@ -131,8 +131,8 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         way = snapped(way)
         start, stop = target - touches.approach * way, target + depth * way
         try:
-            line = straight_touch(arm, start, stop, _frame(axis, roll), frames=inward + 1, restarts=1, seed=seed,
-                                  table=0.0)
+            line = straight_touch(arm, start, stop, _frame(axis, roll), frames=inward + 1,
+                                  restarts=1, seed=seed, table=0.0)
         except Unreachable as error:
             refused[error.reason.value] += 1
             continue
@@ -149,8 +149,8 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         return ArmAim(target, way, start, stop, line, plan, free + inward + hold, draw, refused)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
     why = f"none of {DRAWS} targets can be reached: {reasons}"
-    raise NothingReached(f"{where} [touches]: {why}. Move [arm] base or the object, or use a smaller approach or "
-                         f"depth.", why)
+    raise NothingReached(f"{where} [touches]: {why}. Move [arm] base or the object, or use a "
+                         "smaller approach or depth.", why)
 
 
 def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarray) -> float:

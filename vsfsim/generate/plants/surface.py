@@ -30,17 +30,18 @@ def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None,
     nodes = plant.nodes if nodes is None else nodes
     turns = np.tile(np.eye(3), (len(nodes), 1, 1)) if turns is None else turns
     look = plant.region if plant.look is None else plant.look
-    points, rest, faces, region = [], [], [], []
-    count = 0
+    points: list[np.ndarray] = []
+    rest, faces, region = [], [], []
 
     def add(now: np.ndarray, before: np.ndarray, triangles: np.ndarray, kind: int) -> None:
-        nonlocal count
+        faces.append(triangles + sum(len(p) for p in points))
         points.append(now)
         rest.append(before)
-        faces.append(triangles + count)
         region.append(np.full(len(triangles), kind))
-        count += len(now)
 
+    circle, tube = _circle(_SIDES), _tube(_SIDES)
+    top = np.arange(_SIDES, 2 * _SIDES)
+    tube = np.concatenate([tube, np.stack([np.full(_SIDES - 2, _SIDES), top[1:-1], top[2:]], 1)])
     for i in range(1, len(nodes)):
         p = plant.parent[i]
         x = plant.nodes[i] - plant.nodes[p]
@@ -53,40 +54,44 @@ def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None,
         else:
             a = np.cross(x, np.eye(3)[np.abs(x).argmin()])
             a /= np.linalg.norm(a)
-            angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-            ring0 = ring1 = plant.radius[i] * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * np.cross(x, a))
-            k = np.arange(_SIDES)
-            j = (k + 1) % _SIDES
-            triangles = np.concatenate([np.stack([k, j, j + _SIDES], 1), np.stack([k, j + _SIDES, k + _SIDES], 1),
-                                        np.stack([np.full(_SIDES - 2, _SIDES), _SIDES + k[1:-1], _SIDES + k[2:]], 1)])
+            ring0 = ring1 = plant.radius[i] * (circle[:, :1] * a + circle[:, 1:2] * np.cross(x, a))
+            triangles = tube
         now = np.concatenate([nodes[p] + product(ring0, turns[p].T), nodes[i] + product(ring1, turns[i].T)])
         add(now, np.concatenate([plant.nodes[p] + ring0, plant.nodes[i] + ring1]), triangles, int(look[i]))
-    appearance = plant.appearance
+    appearance, kinds = plant.appearance, int(look.max()) + 1
     if pot and plant.pot is not None:
-        grey = Appearance(np.full((int(look.max()) + 1, 3), 0.4), ("plain",) * (int(look.max()) + 1),
-                          np.ones(int(look.max()) + 1), np.zeros(int(look.max()) + 1))
-        appearance = appearance or grey
-        kinds = len(appearance.texture)
-        k = np.arange(_POT_SIDES)
-        j = (k + 1) % _POT_SIDES
-        circle = np.stack([np.cos(2 * np.pi * k / _POT_SIDES), np.sin(2 * np.pi * k / _POT_SIDES),
-                           np.zeros(_POT_SIDES)], 1)
+        appearance = appearance or Appearance(np.full((kinds, 3), 0.4), ("plain",) * kinds,
+                                              np.ones(kinds), np.zeros(kinds))
+        kinds, circle = len(appearance.texture), _circle(_POT_SIDES)
         up = np.array([0.0, 0.0, plant.pot.height])
-        wall = np.concatenate([plant.pot.radius_bottom * circle, plant.pot.radius_top * circle + up])
-        add(wall, wall, np.concatenate([np.stack([k, j, j + _POT_SIDES], 1),
-                                        np.stack([k, j + _POT_SIDES, k + _POT_SIDES], 1)]), kinds)
-        soil = np.concatenate([plant.pot.radius_top * circle + up, up[None]])
-        add(soil, soil, np.stack([k, j, np.full(_POT_SIDES, _POT_SIDES)], 1), kinds + 1)
+        rim = plant.pot.radius_top * circle + up
+        wall, soil = np.concatenate([plant.pot.radius_bottom * circle, rim]), np.concatenate([rim, up[None]])
+        add(wall, wall, _tube(_POT_SIDES), kinds)
+        k = np.arange(_POT_SIDES)
+        add(soil, soil, np.stack([k, (k + 1) % _POT_SIDES, np.full(_POT_SIDES, _POT_SIDES)], 1), kinds + 1)
         appearance = Appearance(np.concatenate([appearance.albedo, [_POT_COLOUR, _SOIL_COLOUR]]),
                                 (*appearance.texture, "plain", "noise"),
                                 np.append(appearance.texture_scale, [0.02, 0.01]),
                                 np.append(appearance.texture_contrast, [0.0, 0.3]))
-    return Surface(np.concatenate(points), np.concatenate(faces), np.concatenate(region), appearance,
-                   np.concatenate(rest))
+    return Surface(np.concatenate(points), np.concatenate(faces), np.concatenate(region),
+                   appearance, np.concatenate(rest))
 
 
-def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int, *, device: str,
-               renderer: str) -> View:
+def _circle(sides: int) -> np.ndarray:
+    """Points of a circle of radius 1 in the plane z = 0 (sides, 3)."""
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    return np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], 1)
+
+
+def _tube(sides: int) -> np.ndarray:
+    """Triangles (2 sides, 3) between two rings of so many points, the second numbered after the first."""
+    k = np.arange(sides)
+    j = (k + 1) % sides
+    return np.concatenate([np.stack([k, j, j + sides], 1), np.stack([k, j + sides, k + sides], 1)])
+
+
+def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int, *,
+               device: str, renderer: str) -> View:
     """A picture of plant and pot; mask and depth are the plant's alone, so that no touch aims at the pot."""
     whole = render(plant_surface(plant, pot=True), intrinsics, pose, width, height, device=device, renderer=renderer)
     bare = render(plant_surface(plant, pot=False), intrinsics, pose, width, height, device=device, renderer=renderer)

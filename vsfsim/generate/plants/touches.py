@@ -1,9 +1,16 @@
-"""Touches of plants by an arm: equilibria, joint torques and records."""
+"""Touches of plants by an arm: equilibria, joint torques and records; of one view, or of many views together.
+
+One warp of a GPU solves one touch, so the touches of one view alone would leave most of the GPU idle. There CPU
+processes prepare and finish views, and one device solves the touches of all that are ready together. Views enter the
+batch when they are prepared and leave it when they are done. The bits of a touch do not depend on which others it is
+solved with.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
 from typing import Any
 
 import numpy as np
@@ -11,14 +18,17 @@ import numpy as np
 from vsfsim.core.scene import Scene
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch
 from vsfsim.generate.job import Job
-from vsfsim.generate.plants.aim import ArmAim
-from vsfsim.generate.plants.prepare import Subject, prepare_job
+from vsfsim.generate.plants.aim import ArmAim, load
+from vsfsim.generate.plants.subject import Subject, outline, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
-from vsfsim.generate.record import audit, verdict
-from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.generate.record import recorded
+from vsfsim.generate.workers import enough_memory, process_pool, submit, write
+from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodOptions, RodSolver
 from vsfsim.robot.arm import Arm, Postures, body_torque, chain_of
 from vsfsim.robot.path import times
 
+PLACES = 2048  # touches on a device at once, which take 3.5 GB
+SHORT_SPAN = 3.0  # duration of a launch on a GPU while more touches are being prepared [s]
 # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
 # strides any more, and in all. With 200 for the second the work is a third more and the longest touch half as long
 # again, and 3.7 % of the readings are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as
@@ -51,7 +61,7 @@ def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
 
 def solve(subject: Subject, *, device: str, progress: Callable[[int], None] | None = None,
           keep_nodes: bool = False) -> RodFrames:
-    """The equilibria of a view's touches; `plants.batches` solves views that come and go.
+    """The equilibria of a view's touches; `make_together` solves views that come and go.
 
     Args:
         subject: the view.
@@ -60,8 +70,8 @@ def solve(subject: Subject, *, device: str, progress: Callable[[int], None] | No
         keep_nodes: as of `RodSolver.run`.
     """
     solver = RodSolver([subject.model], subject.loaded_arm().shapes, device=device, options=rod_options(subject.scene))
-    batch = RodBatch(solver, len(subject.aims), frames=len(subject.aims[0].plan), poses=len(subject.poses),
-                     keep_nodes=keep_nodes)
+    batch = RodBatch(solver, len(subject.aims), frames=len(subject.aims[0].plan),
+                     poses=len(subject.poses), keep_nodes=keep_nodes)
     places = begin(batch, subject, 0)
     while batch.live:
         new = batch.advance()
@@ -70,13 +80,59 @@ def solve(subject: Subject, *, device: str, progress: Callable[[int], None] | No
     return batch.take(places)
 
 
+def make_together(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
+    """Make and write views whose touches are solved together; yields the name of each as they come.
+
+    Args:
+        jobs: what to make.
+        device: Warp device, of the processes too.
+        workers: processes, or None for one a core.
+    """
+    with process_pool(len(jobs), workers, device=device) as pool:
+        going = {submit(pool, _prepared, job, device): k for k, job in enumerate(jobs)}
+        outlines = [outline(job) for job in jobs]  # the processes start meanwhile
+        scene = outlines[0].scene
+        count, (free, inward, hold, out) = scene.required_touches.count, scene.required_touches.frames
+        solver = RodSolver([o.model for o in outlines], load(scene.required_arm).shapes,
+                           device=device, options=rod_options(scene))
+        with enough_memory(jobs[0].recipe.scene, device):
+            batch = RodBatch(solver, max(count, min(PLACES, count * len(jobs))),
+                             frames=free + inward + hold + out, poses=inward + 1)
+        ready: list[tuple[int, Subject]] = []
+        inside: dict[int, tuple[Subject, slice]] = {}
+        writing = []
+        while going or ready or inside:
+            for future in wait(list(going), 0.0 if batch.live else 2.0, FIRST_COMPLETED)[0]:
+                ready.append((going.pop(future), future.result()))
+            while ready and batch.room(len(ready[0][1].aims)):
+                k, subject = ready.pop(0)
+                # without the poses, which are not needed when it is sent to another process
+                inside[k] = dataclasses.replace(subject, poses=np.zeros(0)), begin(batch, subject, k)
+            if batch.live:
+                batch.advance(seconds=SHORT_SPAN if going or ready else GPU_SPAN)
+            for k in [k for k, (_, places) in inside.items() if batch.done(places)]:
+                subject, places = inside.pop(k)
+                writing.append(submit(pool, _write, jobs[k], subject, batch.take(places), device))
+                yield jobs[k].name
+        for future in writing:
+            future.result()
+
+
+def _prepared(job: Job, device: str) -> Subject:
+    """In a process of its own: a view that is ready to be touched, without the arm, whose simulator does not travel."""
+    return dataclasses.replace(prepare_job(job, device=device), arm=None)
+
+
+def _write(job: Job, subject: Subject, frames: RodFrames, device: str) -> None:
+    write(job, finish(subject, frames, device=device), device)
+
+
 def finish(subject: Subject, frames: RodFrames, *, device: str) -> ObjectView:
     """The object view of a touched subject: records, torques and truth."""
-    subject = dataclasses.replace(subject, arm=subject.loaded_arm())
-    assert subject.arm is not None and subject.view is not None
-    touches, chain, job = finish_touches(subject, frames), chain_of(subject.arm), subject.job
-    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.required_object.friction,
-                        device=device, notes=subject.notes)
+    assert subject.view is not None
+    touches, chain, job = finish_touches(subject, frames), chain_of(subject.loaded_arm()), subject.job
+    truth = plant_truth(subject.model, subject.view, touches, chain,
+                        friction=subject.scene.required_object.friction, device=device)
     return ObjectView(job.name, job.object_index, job.view_index, job.split, chain, subject.view, tuple(touches), truth)
 
 
@@ -99,16 +155,12 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
     force, moment = frames.force[:n, b], frames.moment[:n, b]
     torque = body_torque(arm, postures, force, moment=moment)
     link_force, link_moment = _by_link(arm, postures, force, moment)
-    columns = tuple(name for name in AUDIT_COLUMNS if name != "min_det_f")  # beams have no det F
-    return Touch(time=times(n), mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis,
-                 force=force.sum(axis=1), reaction=frames.reaction[:n, b], residual=frames.residual[:n, b],
-                 iterations=frames.iterations[:n, b].astype(np.int64),
-                 touched=bool((frames.contacts[:n, b] > 0).any()),
-                 audit=audit(frames, b, frames_kept=n, columns=columns), q=q, torque=torque, link_force=link_force,
-                 link_moment=link_moment, draws=a.draws,
-                 ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
-                 **(_plan(arm, a, frames.where[:n, b]) if scene.required_touches.plan else {}),
-                 **verdict(frames.converged[:n, b], frames.force_balance[:n, b], frames.reason[:n, b].astype(np.int64)))
+    return recorded(frames, b, postures.tool, force.sum(axis=1), axis=a.axis, target=a.target, normal=-a.axis,
+                    touched=bool((frames.contacts[:n, b] > 0).any()), q=q, torque=torque, link_force=link_force,
+                    link_moment=link_moment, draws=a.draws,
+                    columns=tuple(name for name in AUDIT_COLUMNS if name != "min_det_f"),  # beams have no det F
+                    ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
+                    **(_plan(arm, a, frames.where[:n, b]) if scene.required_touches.plan else {}))
 
 
 def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, Any]:
@@ -118,8 +170,8 @@ def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, Any]:
     """
     q, frame = a.angles(a.plan), np.arange(len(where))
     kept = np.isclose(where, a.plan[:len(where)], rtol=0.0, atol=1e-9)  # rows of the line; also False where NaN
-    return {"planned_time": times(len(a.plan)), "planned_pose": arm.postures(q).tool, "planned_q": q,
-            "planned_frame": np.where(np.logical_and.accumulate(kept), frame, -1)}
+    return {"planned_time": times(len(a.plan)), "planned_pose": arm.postures(q).tool,
+            "planned_q": q, "planned_frame": np.where(np.logical_and.accumulate(kept), frame, -1)}
 
 
 def _by_link(arm: Arm, at: Postures, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

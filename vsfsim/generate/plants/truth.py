@@ -6,25 +6,22 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 
 from vsfsim.core.chain import Chain
 from vsfsim.core.plant import Plant
 from vsfsim.data.records import Touch, Truth, View
-from vsfsim.generate.aim import cloud_normals, voxel_sample
+from vsfsim.generate.truth import oracle, probed_points
 from vsfsim.physics.rods.model import RodModel
-from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.observations import arm_torque_rows_each
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
-PROBE_VOXEL = 0.01  # SBML appendix C.4 [m]
 # twice the spacing of SBML appendix B.2, 10 mm, because the oracle is fitted for every view of every dataset [m]
 VSF_SPACING = 0.02
 FITTED_FRAMES = 40  # frames of a touch that the oracle is fitted to, evenly spread
 
 
-def nearest_material_points(model: RodModel,
-                            points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.ndarray, np.ndarray,
+                                                                          np.ndarray, np.ndarray]:
     """The points of the plant's surface nearest to ``points`` (k, 3) [m].
 
     Returns:
@@ -50,12 +47,11 @@ def nearest_material_points(model: RodModel,
 
 
 def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain, *, friction: float,
-                device: str, notes: tuple[str, ...] = ()) -> Truth:
+                device: str) -> Truth:
     """The truth of a plant's view, which no method may see.
 
     ``probe_stiffness`` is the force along minus the visible normal over the displacement of the material point there,
-    at rest. The oracle VSF is fitted to the noise-free torques of this view's converged frames (zero mean, std 1e4 N/m,
-    noise 1 mN m).
+    at rest. The oracle VSF is fitted to the torques of this view's converged frames, see `oracle`.
 
     Args:
         model: the plant as beams.
@@ -64,36 +60,31 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
         chain: the arm as a method sees it.
         friction: Coulomb coefficient between arm and plant [-].
         device: Warp device.
-        notes: what the plant is, and why others were drawn before it.
     """
-    points = voxel_sample(view.points(), PROBE_VOXEL)
-    normals = cloud_normals(view.points(), points, view.camera_pose[:3, 3])
+    points, normals = probed_points(view)
     segment, along, offset, away = nearest_material_points(model, points)
     stiffness = model.point_stiffness(segment, along, offset, normals)
     keep = np.isfinite(stiffness) & (away < 0.01)
     bounds = bounds_from_view(view, margin=0.01)
-    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device,
-                                    tolerance=0.5 * VSF_SPACING)
-    rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
+    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None,
+                                    seed=0, device=device, tolerance=0.5 * VSF_SPACING)
     some = [np.unique(np.rint(np.linspace(0, len(touch.time) - 1, FITTED_FRAMES)).astype(int)) for touch in touches]
     joints = [touch.q[k] for touch, k in zip(touches, some, strict=True) if touch.q is not None]
     found = arm_torque_rows_each(particles, chain, joints, friction=friction, device=device, max_step=4e-3)
+    rows, values = [], []
     for touch, k, w in zip(touches, some, found, strict=True):
         assert touch.torque is not None
         good = touch.converged[k]
         rows.append(w[np.flatnonzero(np.repeat(good, chain.dof))])
         values.append(touch.torque[k][good].ravel())
-    w = sparse.csr_matrix(sparse.vstack(rows))
-    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0,
-                          prior_var=1e8) if len(particles) else np.zeros(0)
     return replace(segments(model.plant), probe_points=points[keep], probe_normals=normals[keep],
-                   probe_stiffness=stiffness[keep], vsf_points=particles, vsf_stiffness=fitted,
-                   vsf_touched=np.diff(w.tocsc().indptr) > 0, notes=notes or None)
+                   probe_stiffness=stiffness[keep], **oracle(particles, rows, values),
+                   notes=model.plant.notes if model.plant.name else None)
 
 
 def segments(plant: Plant) -> Truth:
     """Modulus and section of every segment, without probed points and particles."""
     ends = np.stack([plant.nodes[plant.parent[1:]], plant.nodes[1:]], axis=1)
     return Truth(points=ends.mean(axis=1), young_modulus=plant.young_modulus[1:],
-                 region=plant.region[1:].astype(np.int64), region_names=plant.region_names, radius=plant.radius[1:],
-                 half_width=plant.half_width[1:], segment_ends=ends)
+                 region=plant.region[1:].astype(np.int64), region_names=plant.region_names,
+                 radius=plant.radius[1:], half_width=plant.half_width[1:], segment_ends=ends)

@@ -45,8 +45,8 @@ def read_pcd(path: Path) -> tuple[np.ndarray, np.ndarray]:
         rows = _rows(content[at:], head["DATA"][0], row, count)
         points = np.stack([rows[axis][:, 0] for axis in "xyz"], axis=1).astype(float)
     except (KeyError, ValueError, IndexError, TypeError) as error:
-        raise DatasetError(f"{path} cannot be understood as a PCD file: {error!r}. Write it again with x, y and z, "
-                           f"DATA ascii or binary.") from error
+        raise DatasetError(f"{path} cannot be understood as a PCD file: {error!r}. Write it again "
+                           "with x, y and z, DATA ascii or binary.") from error
     packed = next((rows[name][:, 0] for name in ("rgb", "rgba") if name in fields), None)
     if packed is None:
         colours = np.full((count, 3), 128, np.uint8)
@@ -90,8 +90,8 @@ def view_of_cloud(points: np.ndarray, colours: np.ndarray, inside: np.ndarray, e
     """
     mine = points[inside]
     if len(mine) < 10:
-        raise DatasetError(f"{len(mine)} of {len(points)} points of the cloud lie in the box of the object; at least "
-                           f"10 are needed. Correct the box (bbox).")
+        raise DatasetError(f"{len(mine)} of {len(points)} points of the cloud lie in the box of "
+                           "the object; at least 10 are needed. Correct the box (bbox).")
     forward = mine.mean(axis=0) - eye
     z = forward / np.linalg.norm(forward)
     x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.99 else [0.0, 1.0, 0.0])
@@ -120,5 +120,5 @@ def view_of_cloud(points: np.ndarray, colours: np.ndarray, inside: np.ndarray, e
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, eye
     intrinsics = np.array([[1.0 / edge, 0.0, -low[0] / edge], [0.0, 1.0 / edge, -low[1] / edge], [0.0, 0.0, 1.0]])
-    return View(rgb.reshape(height, width, 3), depth.reshape(height, width), mask.reshape(height, width), intrinsics,
-                pose)
+    return View(rgb.reshape(height, width, 3), depth.reshape(height, width),
+                mask.reshape(height, width), intrinsics, pose)

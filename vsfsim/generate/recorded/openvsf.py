@@ -86,8 +86,8 @@ def import_openvsf(folder: Path, out: Path, options: Options = Options()) -> Dat
     objects = _objects(folder)
     kinds = {_kind(sequences[0]) for sequences in objects.values()}
     if len(kinds) > 1:
-        raise DatasetError(f"{folder} holds objects touched by the arm (torques) and by the bubble (pressure); give "
-                           f"two folders, one of each.")
+        raise DatasetError(f"{folder} holds objects touched by the arm (torques) and by the bubble "
+                           "(pressure); give two folders, one of each.")
     (kind,) = kinds
     views = [_view(number, place, sequences, kind, options)
              for number, (place, sequences) in enumerate(objects.items())]
@@ -105,33 +105,36 @@ def import_openvsf(folder: Path, out: Path, options: Options = Options()) -> Dat
 def _objects(folder: Path) -> dict[Path, list[Path]]:
     """The folder of each object and its sequences."""
     if not folder.is_dir():
-        raise DatasetError(f"{folder} is no folder. Give the one that holds the sequences (seq*), or a folder of them "
-                           f"for each object.")
+        raise DatasetError(f"{folder} is no folder. Give the one that holds the sequences (seq*), "
+                           "or a folder of them for each object.")
     places = [folder, *sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("seq"))]
     out = {place: sorted(p for p in place.glob("seq*") if p.is_dir()) for place in places}
     out = {place: found for place, found in out.items() if found}
     if not out:
-        raise DatasetError(f"{folder} holds no sequence: neither it nor a folder in it has folders named seq*, each "
-                           f"with {_NAMES['q'][0]}.npy and {_NAMES['torque'][0]}.npy or {_NAMES['pressure'][0]}.npy.")
+        raise DatasetError(f"{folder} holds no sequence: neither it nor a folder in it has folders "
+                           f"named seq*, each with {_NAMES['q'][0]}.npy and "
+                           f"{_NAMES['torque'][0]}.npy or {_NAMES['pressure'][0]}.npy.")
     return out
+
+
+def _file(sequence: Path, key: str) -> Path | None:
+    """The array of a sequence that is called ``key`` here."""
+    return next((path for name in _NAMES[key] if (path := sequence / f"{name}.npy").is_file()), None)
 
 
 def _kind(sequence: Path) -> str:
     for kind in ("pressure", "torque"):
-        if any((sequence / f"{name}.npy").is_file() for name in _NAMES[kind]):
+        if _file(sequence, kind):
             return kind
-    raise DatasetError(f"{sequence} has neither {' or '.join(_NAMES['torque'])}.npy (an arm that touches plants) nor "
-                       f"{' or '.join(_NAMES['pressure'])}.npy (a bubble).")
+    raise DatasetError(f"{sequence} has neither {' or '.join(_NAMES['torque'])}.npy (an arm that "
+                       f"touches plants) nor {' or '.join(_NAMES['pressure'])}.npy (a bubble).")
 
 
-def _read(sequence: Path, key: str, shape: tuple[int | None, ...], *, needed: bool = True) -> np.ndarray | None:
+def _read(sequence: Path, key: str, shape: tuple[int | None, ...]) -> np.ndarray:
     """One array of a sequence; None in a shape is any length."""
-    names = [f"{name}.npy" for name in _NAMES[key]]
-    path = next((sequence / name for name in names if (sequence / name).is_file()), None)
+    path = _file(sequence, key)
     if path is None:
-        if needed:
-            raise DatasetError(f"{sequence} has no {' or '.join(names)}.")
-        return None
+        raise DatasetError(f"{sequence} has no {' or '.join(f'{name}.npy' for name in _NAMES[key])}.")
     try:
         found = np.load(path, allow_pickle=False)
         found = np.asarray(found, np.float64)
@@ -157,10 +160,9 @@ def _view(number: int, place: Path, sequences: list[Path], kind: str, options: O
     touches = []
     for sequence in sequences:
         q = _read(sequence, "q", (None, gen3.JOINTS))
-        assert q is not None
         if len(q) <= tare:
-            raise DatasetError(f"{sequence} has {len(q)} frames, and the first {tare} are its tare, free of contact. "
-                               f"Give the number of such frames by --tare.")
+            raise DatasetError(f"{sequence} has {len(q)} frames, and the first {tare} are its "
+                               "tare, free of contact. Give the number of such frames by --tare.")
         keep = np.r_[tare - 1:len(q):options.every] if tare else np.r_[0:len(q):options.every]
         make = _torques if bubble is None else bubble.fields
         fields, met = make(sequence, arm, q, tare, options)
@@ -183,11 +185,14 @@ def _touch(fields: dict[str, Any], met: np.ndarray, frame: np.ndarray, cloud: np
     target = cloud[np.argmin(np.linalg.norm(cloud - poses[deepest, :3, 3], axis=1))]
     unread = np.full(frames, np.nan)
     # the way of an arm that was recorded stands for its plan, which nobody recorded
-    plan = {} if "torque" not in fields else {"planned_time": frame.astype(float), "planned_pose": poses,
-                                              "planned_q": fields["q"], "planned_frame": np.arange(frames)}
-    return Touch(time=frame.astype(float), axis=way / length if length > 1e-6 else poses[deepest, :3, 2], target=target,
-                 normal=cloud_normals(cloud, target[None], eye)[0], reaction=np.full((frames, 3), np.nan),
-                 converged=np.ones(frames, bool), residual=unread, iterations=np.zeros(frames, np.int64),
+    plan = {} if "torque" not in fields else {"planned_time": frame.astype(float),
+                                              "planned_pose": poses, "planned_q": fields["q"],
+                                              "planned_frame": np.arange(frames)}
+    return Touch(time=frame.astype(float),
+                 axis=way / length if length > 1e-6 else poses[deepest, :3, 2],
+                 target=target, normal=cloud_normals(cloud, target[None], eye)[0],
+                 reaction=np.full((frames, 3), np.nan), converged=np.ones(frames, bool),
+                 residual=unread, iterations=np.zeros(frames, np.int64),
                  touched=bool(met[deepest] > _MET), reason=np.zeros(frames, np.int64),
                  audit={name: unread for name in AUDIT_COLUMNS if name != "min_det_f"},
                  **{"force": np.full((frames, 3), np.nan), **plan, **fields})
@@ -204,7 +209,6 @@ def _off_tare(values: np.ndarray, tare: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _torques(sequence: Path, arm: Arm, q: np.ndarray, tare: int, options: Options) -> tuple[dict[str, Any], np.ndarray]:
     read = _read(sequence, "torque", (len(q), gen3.JOINTS))
-    assert read is not None
     weight = np.zeros_like(q) if _without_weight(sequence.parent) else arm.gravity_torque(q)
     torque, met = _off_tare(read + weight, tare)
     return {"mount_pose": arm.postures(q).tool, "q": q, "torque": torque}, met
@@ -244,20 +248,19 @@ class _Bubble:
             raise DatasetError(f"the mesh of the bubble cannot be read: {error}. Give it by --bubble.") from error
         turn = np.array(said.get("parent_relative_transform", _mount()), float)
         if turn.shape != (4, 4):
-            raise DatasetError(f"{place / WORLD}: parent_relative_transform of punyo has the shape {turn.shape}; "
-                               f"(4, 4) is needed.")
+            raise DatasetError(f"{place / WORLD}: parent_relative_transform of punyo has the shape "
+                               f"{turn.shape}; (4, 4) is needed.")
         inward = np.linalg.inv(_rim())
         points = found.vertices @ inward[:3, :3].T + inward[:3, 3]
         kept = found.faces[~(np.abs(points[found.faces][:, :, 2]) < 1e-3).all(axis=1)]  # a closed mesh has a base
         if not len(kept) or not 0.01 < points[:, 2].max() < 0.1:
-            raise DatasetError(f"{mesh} reaches {1e3 * points[:, 2].max():.1f} mm over the rim of a Punyo; it must be "
-                               f"its dome in the body's frame, in metres.")
+            raise DatasetError(f"{mesh} reaches {1e3 * points[:, 2].max():.1f} mm over the rim of "
+                               "a Punyo; it must be its dome in the body's frame, in metres.")
         return cls(Dome.of(points, kept), inward, turn)
 
     def fields(self, sequence: Path, arm: Arm, q: np.ndarray, tare: int,
                options: Options) -> tuple[dict[str, Any], np.ndarray]:
         read = _read(sequence, "pressure", (len(q), 1))
-        assert read is not None
         pressure = read * UNITS[options.pressure_unit]
         if np.abs(pressure).max() > 3e5:
             raise DatasetError(f"{sequence}: a pressure is {read.max():.6g} {options.pressure_unit}, which is three "
@@ -266,15 +269,14 @@ class _Bubble:
         body = arm.postures(q).tool @ self.flange_to_body
         out: dict[str, Any] = {"mount_pose": body @ np.linalg.inv(self.body_to_mount), "q": q,
                                "pressure": GAUGE + change[:, 0], "rest_pressure": GAUGE}
-        count = len(self.dome.points)
-        state = _read(sequence, "state", (len(q), count, 3), needed=False)
-        force = _read(sequence, "force", (len(q), count, 3), needed=False)
+        state, force = (_read(sequence, key, (len(q), len(self.dome.points), 3))
+                        if _file(sequence, key) else None for key in ("state", "force"))
+        turn = body[:, :3, :3]
         if state is not None:
-            out["node_position"] = (np.einsum("tij,tnj->tni", body[:, :3, :3], state)
-                                    + body[:, None, :3, 3]).astype(np.float32)
+            out["node_position"] = (np.einsum("tij,tnj->tni", turn, state) + body[:, None, :3, 3]).astype(np.float32)
             out["node_rest"], out["node_triangles"] = self.dome.points, self.dome.faces
         if force is not None:
-            turned = np.einsum("tij,tnj->tni", body[:, :3, :3], force).astype(np.float32)
+            turned = np.einsum("tij,tnj->tni", turn, force).astype(np.float32)
             out["force"] = turned.astype(float).sum(axis=1)
             if state is not None:
                 out["node_force"] = turned
@@ -301,9 +303,9 @@ def _rim() -> np.ndarray:
 def _picture(place: Path, options: Options) -> View:
     assets = place if options.assets is None else options.assets / place.resolve().name
     if not (assets / CLOUD).is_file() or not (assets / BOX).is_file():
-        raise DatasetError(f"{assets} has no {CLOUD} and {BOX}: the coloured cloud of the object, and its box and the "
-                           f"camera's place. Where they lie in another folder, one folder an object, give it by "
-                           f"--assets.")
+        raise DatasetError(f"{assets} has no {CLOUD} and {BOX}: the coloured cloud of the object, "
+                           "and its box and the camera's place. Where they lie in another folder, "
+                           "one folder an object, give it by --assets.")
     table = _yaml(assets / BOX)
     try:
         low, high = np.array(table["bbox"], float)
@@ -311,8 +313,8 @@ def _picture(place: Path, options: Options) -> View:
         if low.shape != (3,) or eye.shape != (3,) or not (low < high).all():
             raise ValueError("bbox must be [low, high] and view.origin one place, in metres")
     except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{assets / BOX} has no bbox [[x, y, z], [x, y, z]] and view: {{origin: [x, y, z]}} in "
-                           f"metres: {error!r}.") from error
+        raise DatasetError(f"{assets / BOX} has no bbox [[x, y, z], [x, y, z]] and view: {{origin: "
+                           f"[x, y, z]}} in metres: {error!r}.") from error
     points, colours = read_pcd(assets / CLOUD)
     inside = ((points >= low) & (points <= high)).all(axis=1)
     try:
@@ -342,5 +344,5 @@ def _yaml(path: Path) -> dict[str, Any]:
 
 def _nothing_known(sequences: int, name: str) -> Truth:
     note = f"{name} is a real object, recorded in {sequences} sequences; nothing of its stiffness is known."
-    return Truth(points=np.zeros((0, 3)), young_modulus=np.zeros(0), region=np.zeros(0, np.int64), region_names=(),
-                 notes=(note,))
+    return Truth(points=np.zeros((0, 3)), young_modulus=np.zeros(0), region=np.zeros(0, np.int64),
+                 region_names=(), notes=(note,))

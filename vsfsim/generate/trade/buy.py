@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ MARKED = 0.25
 TOUCHES, OBJECTS = 3, 2
 """Of the pilot: touches of each of the first objects."""
 _COARSE, _MIDDLE, _FINE, _FINEST = ((power, LIMIT_TIER, level) for power, level in REFINED)
-SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None), _COARSE, _MIDDLE,
-         (-1, "linear", None), (-1, "fem-coarse", None), _FINE, _FINEST)
+SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None),
+         _COARSE, _MIDDLE,(-1, "linear", None), (-1, "fem-coarse", None), _FINE, _FINEST)
 """Elements of the candidates, cheap ones first, as the scene's own times `RATIO` to such a power; tier; level of the
 elements where a touch meets the object. The order is that of no clock, so that every machine chooses the same."""
 
@@ -42,8 +42,8 @@ def check_accuracy(accuracy: float, tier: str | None) -> None:
         raise VsfsimError(f"--accuracy is {100 * accuracy:g} %; the error of the force may be {100 * LEAST:g} % to "
                           f"{100 * MOST:g} % of its largest value, e.g. --accuracy 5%.")
     if tier is not None:
-        raise VsfsimError(f"--tier is '{tier}' and --accuracy is {100 * accuracy:g} %, which chooses the tier itself. "
-                          f"Leave one of them out.")
+        raise VsfsimError(f"--tier is '{tier}' and --accuracy is {100 * accuracy:g} %, which "
+                          "chooses the tier itself. Leave one of them out.")
 
 
 def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int, objects: int, device: str,
@@ -61,55 +61,41 @@ def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int,
                                if name in there["options"]}
     said, asked = note or (lambda sentence: None), f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but"
     said(f"--accuracy {100 * accuracy:g} %: a pilot chooses tier and element size")
-    subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=seed, device=device,
-                             cache=cache)
+    subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=seed,
+                             device=device, cache=cache)
     ladder = subject.ground.ladder()
     bounds, shares = zip(*(limits([subject.near(k, setting) for setting in ladder])
                            for k in range(subject.count)), strict=True)
     known = sum(own["force"].known for own in bounds)
     if not known:
-        raise SceneError(f"{asked} of no touch of the pilot is the limit known: {bounds[0]['force'].why}. Give a finer "
-                         f"resolution in [object].")
-    chosen, best = choose(((setting, front.point(setting, subject.run(setting), bounds, shares, shows=True))
-                           for setting in candidates(loaded, subject.ground.resolution)), accuracy)
+        raise SceneError(f"{asked} of no touch of the pilot is the limit known: "
+                         f"{bounds[0]['force'].why}. Give a finer resolution in [object].")
+    best: Point | None = None
+    chosen: tuple[Setting, Point] | None = None
+    for setting in candidates(loaded, subject.ground.resolution):
+        p = front.point(setting, subject.run(setting), bounds, shares, shows=True)
+        best = p if best is None or math.isnan(best.off) or p.off < best.off else best
+        if p.off <= MARGIN * accuracy and (chosen is None or p.marked <= MARKED):
+            chosen = setting, p
+            if p.marked <= MARKED:
+                break
     if chosen is None:
         assert best is not None
         raise SceneError(f"{asked} {too_much(best)}, or give a finer resolution in [object].")
     setting, p = chosen
-    said(f"chosen: {p.key}, {p.frame:.2g} s a frame; error {100 * p.error:.2g} % on the worst of {known} touches, "
-         f"limit known to {100 * p.bar:.2g} %, {100 * p.marked:.0f} % of the frames in contact marked")
-    promise = {"asked": accuracy, "expected": float(f"{p.error:.3g}"), "limit": float(f"{p.bar:.3g}"),
-               "touches": known}
+    said(f"chosen: {p.key}, {p.frame:.2g} s a frame; error {100 * p.error:.2g} % on the worst of "
+         f"{known} touches, limit known to {100 * p.bar:.2g} %, {100 * p.marked:.0f} % of the "
+         "frames in contact marked")
+    promise = {"asked": accuracy, "expected": float(f"{p.error:.3g}"),
+               "limit": float(f"{p.bar:.3g}"), "touches": known}
     return setting.tier, {"accuracy": promise, **setting.options()}
-
-
-def choose(points: Iterable[tuple[Setting, Point]],
-           accuracy: float) -> tuple[tuple[Setting, Point] | None, Point | None]:
-    """The setting that a pilot takes, None if no one keeps the accuracy; and the most exact point that was looked at,
-    None if there was none.
-
-    Args:
-        points: settings with what they miss, cheap ones first; no more are taken than it needs.
-        accuracy: asked for [-].
-    """
-    best: Point | None = None
-    chosen: tuple[Setting, Point] | None = None
-    for setting, p in points:
-        if best is None or math.isnan(best.off) or p.off < best.off:
-            best = p
-        if p.off <= MARGIN * accuracy:
-            chosen = chosen or (setting, p)
-            if p.marked <= MARKED:
-                chosen = setting, p
-                break
-    return chosen, best
 
 
 def too_much(best: Point) -> str:
     """Why an accuracy is not to be had, and what can be done."""
     if math.isnan(best.off):
-        return (f"the most exact setting of the pilot, {best.key}, has no equilibrium at full depth in a touch. "
-                "Press less deep")
+        return (f"the most exact setting of the pilot, {best.key}, has no equilibrium at full "
+                "depth in a touch. Press less deep")
     return (f"the most exact setting of the pilot, {best.key}, is off by {100 * best.off:.2g} % on its worst touch, "
             f"the error of its limit included. Ask for {100 * best.off / MARGIN:.2g} % or more")
 

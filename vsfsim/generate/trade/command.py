@@ -21,6 +21,7 @@ from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.page import page
+from vsfsim.generate.trade.setting import Setting
 from vsfsim.generate.trade.touches import DatasetTouches, Run, limits
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
@@ -56,8 +57,9 @@ class Tradeoff:
     def text(self) -> str:
         """For the terminal."""
         return "\n".join([f"{self.scene}: {self.what}", *self.limit, "", front.text(self.points),
-                          "* on the front   ~ error below that of the limit, not ranked   x tier does not show the "
-                          "scene's needs", "", *self.sentences(), *(f"note: {sentence}" for sentence in self.notes())])
+                          "* on the front   ~ error below that of the limit, not ranked   x tier "
+                          "does not show the scene's needs", "", *self.sentences(),
+                          *(f"note: {sentence}" for sentence in self.notes())])
 
     def table(self) -> dict[str, Any]:
         """For JSON."""
@@ -73,21 +75,19 @@ class _Lines:
 
     def __init__(self, file: Path, circumstances: Mapping[str, Any]):
         self.file, self.rows = file, dict[str, dict[str, Any]]()
-        file.parent.mkdir(parents=True, exist_ok=True)
         if file.exists():
-            lines = file.read_text().split("\n")[:-1]
             try:
-                head, *rows = map(from_json, lines)
-                if head.keys() != circumstances.keys():
-                    raise ValueError("it has another format")
+                head, *rows = map(from_json, file.read_text().split("\n")[:-1])
                 self.rows = {row["key"]: row for row in rows}
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
-                raise VsfsimError(f"{file} is not a file of `vsfsim tradeoff` ({error}). Give another --out, or delete "
-                                  f"it.") from None
-            for name, here in circumstances.items():
-                if head[name] != here:
-                    raise VsfsimError(f"{file} was made with {name} {head[name]!r}, and this run has {here!r}; their "
-                                      f"points cannot be put together. Give another --out, or delete the file.")
+                other = {name: head[name] for name, here in circumstances.items() if head[name] != here}
+            except (ValueError, KeyError, TypeError) as error:
+                raise VsfsimError(f"{file} is not a file of `vsfsim tradeoff` ({error}). Give "
+                                  "another --out, or delete it.") from None
+            for name, there in other.items():
+                raise VsfsimError(f"{file} was made with {name} {there!r}, and this run has "
+                                  f"{circumstances[name]!r}; their points cannot be put together. "
+                                  "Give another --out, or delete the file.")
+        file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, "".join(json.dumps(row) + "\n" for row in (circumstances, *self.rows.values())).encode())
 
     def made(self, key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -99,9 +99,10 @@ class _Lines:
         return self.rows[key]
 
 
-def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0, device: str = "cpu",
-             tiers_only: tuple[str, ...] = (), cache: Path | None = None,
-             progress: Callable[[int, int, str], None] = lambda done, total, what: None) -> Tradeoff:
+def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0,
+             device: str = "cpu", tiers_only: tuple[str, ...] = (), cache: Path | None = None,
+             progress: Callable[[int, int,
+                                 str], None] = lambda done, total, what: None) -> Tradeoff:
     """Measure what settings cost and miss on a scene, and write lines, page and table into a folder.
 
     Args:
@@ -119,14 +120,15 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         VsfsimError: no [touches] on a solid, a tier that they do not have, a folder of another run, or no touch whose
             limit is known.
     """
-    lines = _Lines(out / LINES, {
-        "format": "vsfsim-tradeoff", "scene": loaded.name, "scene_sha256": text_sha256(loaded.text), "seed": seed,
-        "touches": touches, "objects": objects, "device": device, "version": vsfsim.__version__, "commit": commit()})
+    lines = _Lines(out / LINES, {"format": "vsfsim-tradeoff", "scene": loaded.name,
+                                 "scene_sha256": text_sha256(loaded.text), "seed": seed,
+                                 "touches": touches, "objects": objects, "device": device,
+                                 "version": vsfsim.__version__, "commit": commit()})
     subject = DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device, cache=cache)
     sweep = [s for s in subject.ground.sweep() if not tiers_only or s.tier in tiers_only]
     if not sweep:
-        raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be touched here; there are "
-                          f"{', '.join(subject.ground.pressable)}.")
+        raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be "
+                          f"touched here; there are {', '.join(subject.ground.pressable)}.")
     total, bounds, shares = subject.count + len(sweep), [], []
     for k in range(subject.count):
         row = lines.made(f"limit of touch {k}", lambda k=k: {  # type: ignore[misc]
@@ -135,9 +137,11 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         bounds.append(bound)
         shares.append(share)
         progress(k + 1, total, row["key"])
+    said = tuple(_said(k, own["force"]) for k, own in enumerate(bounds))
     if not any(own["force"].known for own in bounds):
-        raise VsfsimError(f"{loaded.path}: the limit of no touch is known: {'; '.join(_said(bounds))}. Give more "
-                          f"--touches, or a finer resolution in [object], from which the meshes of the limit start.")
+        raise VsfsimError(f"{loaded.path}: the limit of no touch is known: {'; '.join(said)}. Give "
+                          "more --touches, or a finer resolution in [object], from which the "
+                          "meshes of the limit start.")
     points, refused = [], {}
     for number, setting in enumerate(sweep):
         row = lines.made(setting.key, lambda s=setting: _made(subject, s))  # type: ignore[misc]
@@ -150,14 +154,14 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
     if not points:
         raise VsfsimError(f"{loaded.path}: no setting of the sweep can be made. "
                           + " ".join(f"{key}: {why}" for key, why in refused.items()))
-    found = Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), tuple(_said(bounds)), refused,
-                     machine_kind())
-    write_atomic(out / "tradeoff.html", page(f"Speed against accuracy: {found.scene}", [found.what, *found.limit],
-                                             found.points, found.sentences(), found.notes()).encode())
+    found = Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), said, refused, machine_kind())
+    write_atomic(out / "tradeoff.html", page(
+        found.points, title=f"Speed against accuracy: {found.scene}", about=[found.what, *found.limit],
+        sentences=found.sentences(), notes=found.notes()).encode())
     return found
 
 
-def _made(subject: DatasetTouches, setting: Any) -> dict[str, Any]:
+def _made(subject: DatasetTouches, setting: Setting) -> dict[str, Any]:
     try:
         return {"run": subject.run(setting).table()}
     except VsfsimError as error:
@@ -173,15 +177,11 @@ def _shows(loaded: SceneFile, tier: str) -> bool:
     return True
 
 
-def _said(bounds: list[dict[str, Limit]]) -> list[str]:
-    out = []
-    for k, own in enumerate(bounds):
-        force = own["force"]
-        if not force.known:
-            out.append(f"touch {k}: not used, {force.why}"
-                       + (f", known to {100 * force.size:.2g} % only" if np.isfinite(force.size) else ""))
-            continue
-        order = "" if force.order is None else f", order {force.order:.1f}"
-        out.append(f"touch {k}: {force.why}{order}; largest force {float(np.abs(force.value).max()):.4g} N, known to "
-                   f"{100 * force.size:.2g} %")
-    return out
+def _said(touch: int, force: Limit) -> str:
+    """What is known of the limit of a touch."""
+    if not force.known:
+        size = f", known to {100 * force.size:.2g} % only" if np.isfinite(force.size) else ""
+        return f"touch {touch}: not used, {force.why}{size}"
+    order = "" if force.order is None else f", order {force.order:.1f}"
+    return (f"touch {touch}: {force.why}{order}; largest force "
+            f"{float(np.abs(force.value).max()):.4g} N, known to {100 * force.size:.2g} %")

@@ -11,7 +11,7 @@ RATIO = 1.3
 """Of the edges of two meshes of a ladder."""
 LOCAL = 0.5
 """Longest edge of the elements where a touch meets the object, over the radius of the contact, on level 0; on each
-further level smaller by `RATIO`, see `vsfsim.generate.trade.near` [-]."""
+further level smaller by `RATIO`, see `vsfsim.generate.on_solids` [-]."""
 REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
 """Settings with small elements where each touch meets the object: those elsewhere as the scene's own times `RATIO` to
 such a power, and the level there."""
@@ -77,8 +77,8 @@ class Ground:
     def ladder(self) -> list[Setting]:
         """The meshes of the limit, coarsest first, all finer than the scene's own where they are touched; a bubble's
         grow with the object's."""
-        return [Setting(LIMIT_TIER, self.resolution / RATIO**k, level=k + 1,
-                        nodes=self.nodes and round(self.nodes * RATIO ** (2 * k))) for k in range(MESHES)]
+        return [Setting(LIMIT_TIER, self.resolution / RATIO**k, level=k + 1, nodes=self.nodes
+                        and round(self.nodes * RATIO ** (2 * k))) for k in range(MESHES)]
 
     def sweep(self) -> list[Setting]:
         """Each tier by element size, small elements at the contact; then the tolerance, the frames and a bubble's

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,14 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import SceneFile
-from vsfsim.core.system.processes import peak_memory, reset_peak_memory
+from vsfsim.data.records import Touch
+from vsfsim.data.verify import unresolved_frames
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import effector_of, kernels_of
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import Subject, prepare
-from vsfsim.generate.trade.curve import Curve, of_touch
-from vsfsim.generate.trade.near import contact_edge, near, touch_near
 from vsfsim.generate.trade.setting import LIMIT_TIER, Ground, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
@@ -38,6 +37,37 @@ DIGITS = 7
 
 
 @dataclass(frozen=True)
+class Curve:
+    """Readings of one touch on its way in."""
+
+    share: np.ndarray
+    """Of the depth in each frame (T,), rising to 1 [-]."""
+    readings: Mapping[str, np.ndarray]
+    """By name, each (T, ...), zero without contact: force = its normal component [N], direction = the force as a vector
+    (T, 3) [N], torque = moment about the mount (T, 3) [N m], pressure = its change [Pa], dense = force on every node of
+    a bubble (T, N, 3) [N]; stiffness = of a small tip where the touch aims (1,) [N/m]."""
+    converged: np.ndarray
+    """(T,) bool."""
+    marked: np.ndarray
+    """Frames in contact that did not converge, or are not resolved by the mesh (T,) bool."""
+
+
+def of_touch(touch: Touch, aim: Aim, stiffness: np.ndarray | None) -> Curve:
+    """The way in of a touch that was aimed so; the first of several frames at full depth is its last. ``stiffness`` is
+    that of a small tip (1,) [N/m], None without tetrahedra."""
+    share = (touch.mount_pose[:, :3, 3] - aim.contact) @ aim.axis / aim.depth
+    stop = int(np.argmax(share > 1.0 - 1e-6)) + 1
+    on = np.arange(stop)[share[:stop] > 1e-6]
+    readings = {"force": touch.normal_force()[on], "direction": touch.force[on]}
+    if touch.moment is not None and touch.pressure is not None and touch.node_force is not None:
+        readings |= {"torque": touch.moment[on], "pressure": touch.pressure[on]
+                     - touch.rest_pressure, "dense": touch.node_force[on].astype(float)}
+    if stiffness is not None:
+        readings["stiffness"] = stiffness
+    return Curve(share[on], readings, touch.converged[on], (~touch.converged | unresolved_frames(touch))[on])
+
+
+@dataclass(frozen=True)
 class Run:
     """The touches under one setting."""
 
@@ -47,10 +77,6 @@ class Run:
     """CPU time of what is made once an object: meshes and factors [s]."""
     cpu: float
     """CPU time of all touches, without that [s]."""
-    wall: float
-    """The same on the clock [s]."""
-    memory: float
-    """Largest memory that the process held meanwhile [MiB]."""
     frames: int
     """Frames that were solved, the way back too."""
     edge: tuple[float, ...] = ()
@@ -97,15 +123,15 @@ class DatasetTouches:
         SceneError: the scene cannot be touched so.
     """
 
-    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu",
-                 cache: Path | None = None):
+    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0,
+                 device: str = "cpu", cache: Path | None = None):
         recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
         scene = loaded.sample(0)
         effector = effector_of(scene)
         if not isinstance(effector, OnSolids):
-            raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another "
-                             f"mesh. Speed against accuracy is measured for a [probe] and a [sensor] on a solid "
-                             f"object.")
+            raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched "
+                             "again on another mesh. Speed against accuracy is measured for a "
+                             "[probe] and a [sensor] on a solid object.")
         manner, start = effector.manner(scene), max(recipe.tier, "fem-coarse", key=list(tiers.TIERS).index)
         self.ground = Ground(start, tiers.element_size(scene.required_object, start, scene.probe),
                              scene.required_touches.frames[1], manner.nodes,
@@ -137,8 +163,7 @@ class DatasetTouches:
             self._run(subject, aims[:1], dataclasses.replace(setting, frames=1, tolerance=0.05))
         parts = [self._run(subject, aims, setting) for subject, aims in self._drawn]
         return Run(tuple(c for p in parts for c in p.curves), sum(p.once for p in parts), sum(p.cpu for p in parts),
-                   sum(p.wall for p in parts), max(p.memory for p in parts), sum(p.frames for p in parts),
-                   tuple(h for p in parts for h in p.edge))
+                   sum(p.frames for p in parts), tuple(h for p in parts for h in p.edge))
 
     def near(self, number: int, setting: Setting) -> Run:
         """Touch ``number`` alone, on a mesh of its own that is finer where it is touched."""
@@ -146,23 +171,19 @@ class DatasetTouches:
         return self._run(subject, [a], setting, alone=True)
 
     def _run(self, subject: Subject, aims: list[Aim], setting: Setting, alone: bool = False) -> Run:
-        reach = self._effector.manner(subject.scene).reach
-        reset_peak_memory()
-        began = time.process_time()
-        own = (near(subject, aims[0], reach, setting.options()) if alone
+        effector, began = self._effector, time.process_time()
+        own = (effector.near(subject, aims[0], setting.options()) if alone
                else subject.again(setting.tier, setting.options()))
-        built, clock = time.process_time(), time.perf_counter()
-        touches = (self._effector.touch(own, aims, device=self._device) if alone
-                   else touch_near(self._effector.touch, reach, own, aims, device=self._device))
-        cpu, wall, memory = time.process_time() - built, time.perf_counter() - clock, peak_memory()
-        curves = [of_touch(touch, a) for touch, a in zip(touches, aims, strict=True)]
-        if setting.tier != "vsf":  # with tetrahedra
-            soft = probe_stiffness(own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
-            curves = [dataclasses.replace(c, readings={**c.readings, "stiffness": soft[k:k + 1]})
-                      for k, c in enumerate(curves)]
-        return Run(tuple(curves), built - began, cpu, wall, memory, sum(len(t.time) for t in touches),
-                   tuple(own.model.element_size if setting.level is None else contact_edge(a, reach, setting.level)[1]
-                         for a in aims))
+        built = time.process_time()
+        touches = (effector.touch if alone else effector.touch_near)(own, aims, device=self._device)
+        cpu = time.process_time() - built
+        soft = None if setting.tier == "vsf" else probe_stiffness(
+            own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
+        curves = tuple(of_touch(touch, a, None if soft is None else soft[k:k + 1])
+                       for k, (touch, a) in enumerate(zip(touches, aims, strict=True)))
+        edge = (own.model.element_size if setting.level is None
+                else effector.contact_edge(subject.scene, a, setting.level)[1] for a in aims)
+        return Run(curves, built - began, cpu, sum(len(t.time) for t in touches), tuple(edge))
 
 
 def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:
