@@ -208,7 +208,10 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
             f"A part inside is so stiff that it only moves and turns. It acts with a modulus {lowered:.2g} times "
             f"smaller, which lowers the force by 0.2 % at most.")))
-    blocks = elements(placed, acting, poisson_ratio)
+    try:
+        blocks = elements(placed, acting, poisson_ratio)
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from error
     stiffness = assemble(len(placed.points), blocks)
     factor = functools.partial(RestFactor.of, free=free, points=placed.points)
     softer = tuple(block.softened() for block in blocks)

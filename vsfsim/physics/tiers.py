@@ -6,26 +6,22 @@ import dataclasses
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
-from vsfsim.physics.elements.block import Block
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.catalogue import law_of
-from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.mesh.account import scan_foot
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
-from vsfsim.physics.mesh.inclusions import held_stiffness, part_notes, snap_to_inclusions
+from vsfsim.physics.mesh.inclusions import held_stiffness, mixed_modulus, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.resolved import TURNED
 from vsfsim.physics.model import Elements, Model, build_model, regional_tetrahedra, tetrahedra
@@ -183,13 +179,6 @@ def options(tier: str) -> SolverOptions:
                          indentation_by_place=own.indentation_by_place)
 
 
-def _lawful(law: SolidLaw, rows: Settings, where: str, *given: Any) -> tuple[Block, ...]:
-    try:
-        return tetrahedra(*given, law=law, settings=rows)
-    except SceneError as error:
-        raise SceneError(f"{where}: {error}") from error
-
-
 def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and translation (3,) [m] of the object's frame in the world."""
     c, s = np.cos(spec.yaw), np.sin(spec.yaw)
@@ -228,7 +217,7 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
         region = np.repeat(np.asarray(solid.region)[:, None], 4, axis=1)
         return solid, field.evaluate(gauss_points(solid), region, modulus)
     solid = snap_to_inclusions(solid, field)
-    values = _mixed(solid, field, modulus)
+    values = mixed_modulus(solid, field, modulus)
     share = held_stiffness(solid, field, modulus, values)
     off = np.abs(share - 1.0)
     solid = dataclasses.replace(solid, notes=(*solid.notes, *part_notes(field, share)), parts=float(off.max()))
@@ -246,23 +235,6 @@ def _with_edges(solid: Solid, edges: EdgePath, scene: Scene, tier: str) -> Solid
     return dataclasses.replace(divided, notes=(*divided.notes, (
         f"Elements are smaller at the probe's edges and small parts, down to "
         f"{1e3 * part * float(edges.half.min()):.2g} mm.")))
-
-
-def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np.ndarray:
-    """One modulus for each tetrahedron (m,) [Pa]: the harmonic mean over its volume.
-
-    Snapping leaves few tetrahedra with two materials. In those the soft part carries the strain (Reuss): an arithmetic
-    mean, or the modulus at the Gauss points, would enlarge a stiff inclusion by up to an element, which stiffens case
-    S2 by 15-30 %.
-    """
-    n = 6
-    steps = np.array([(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i)
-                      for k in range(n + 1 - i - j)])
-    # moved towards the centroid a little, so that a point on a face belongs to its own tetrahedron
-    bary = 0.9 * steps / n + 0.1 / 4.0
-    points = np.einsum("sk,mkc->msc", bary, solid.vertices[solid.tets])
-    region = np.repeat(np.asarray(solid.region)[:, None], len(bary), axis=1)
-    return 1.0 / (1.0 / field.evaluate(points, region, modulus)).mean(axis=1)
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
@@ -292,7 +264,7 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
             elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
     law = law_of(scene)
     if law is not None and elements is tetrahedra and TIERS[tier].nonlinear:
-        elements = functools.partial(_lawful, *law, where)
+        elements = functools.partial(tetrahedra, law=law[0], settings=law[1])
     elif law is not None:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
             f"Tier '{tier}' takes the {'law' if spec.foam is None else 'foam'} at small strain, with the modulus at "

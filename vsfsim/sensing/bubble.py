@@ -90,13 +90,11 @@ class BubbleReadout:
 
     def __init__(self, solver: FlatMesh, readout: FlatMesh):
         self.solver, self.readout = solver, readout
-        same = solver is readout or (solver.points.shape == readout.points.shape
-                                     and np.array_equal(solver.points, readout.points)
-                                     and np.array_equal(solver.triangles, readout.triangles))
         self._corners, share = locate(solver.points, readout)
         self._up = weights(self._corners, share, len(readout.points))
         self._down = weights(*locate(readout.points, solver), len(solver.points))
-        self._same = same
+        self._same = (np.array_equal(solver.points, readout.points)
+                      and np.array_equal(solver.triangles, readout.triangles))
 
     def positions(self, points: np.ndarray) -> np.ndarray:
         """Read-out nodes (T, N, 3) [m] of solver nodes (T, n, 3) [m]."""

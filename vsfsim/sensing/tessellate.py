@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import trimesh
-from trimesh import creation
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
@@ -22,10 +20,10 @@ def tessellate(shape: ProbeShape, size: float) -> tuple[np.ndarray, np.ndarray]:
             grid = sdf.grid(shape)
             return grid.vertices, grid.faces
         case Box(edges):
-            return _arrays(creation.box(edges))
+            return _box(0.5 * np.array(edges), -0.5 * np.array(edges))
         case Plane():
             half = 0.5 * size
-            return _arrays(creation.box(bounds=[(-half, -half, -0.02 * size), (half, half, 0.0)]))
+            return _box(np.array([half, half, 0.0]), np.array([-half, -half, -0.02 * size]))
         case Sphere(radius):
             angle = np.linspace(0.0, math.pi, SIDES // 2 + 1)
             return _revolved(radius * np.sin(angle), -radius * np.cos(angle))
@@ -38,11 +36,17 @@ def tessellate(shape: ProbeShape, size: float) -> tuple[np.ndarray, np.ndarray]:
     raise AssertionError(shape)
 
 
-def _arrays(mesh: trimesh.Trimesh, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    return scale * np.asarray(mesh.vertices), np.asarray(mesh.faces)
+def _box(high: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    from trimesh.creation import box  # inside: a dataset draws nothing
+
+    mesh = box(bounds=[low, high])
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def _revolved(radius: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The surface of revolution about z of a profile from bottom to top."""
+    from trimesh.creation import revolve
+
     scale = float(radius.max())  # trimesh leaves out triangles of 1e-8 square units
-    return _arrays(creation.revolve(np.column_stack([radius, height]) / scale, sections=SIDES), scale)
+    mesh = revolve(np.column_stack([radius, height]) / scale, sections=SIDES)
+    return scale * np.asarray(mesh.vertices), np.asarray(mesh.faces)

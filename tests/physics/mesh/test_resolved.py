@@ -37,7 +37,7 @@ def pressed(radius, depth, *, more="", parts="", at=(0.0, 0.0), above=0.0, frame
     return press(parse_scene(scene, "s.toml").sample(0), Request(tier=tier))
 
 
-@pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015), (0.005, 0.004, 0.014)])
+@pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015)])
 def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure(radius, depth, element):
     result = pressed(radius, depth, more=f"resolution = {element}")
     assert result.resolved is not None and not result.resolved.any()
@@ -151,8 +151,7 @@ def crossed(radius, across, depth, nu=0.3):
 
 
 @pytest.mark.parametrize(("length", "radius", "ball", "resolution"), [
-    (0.04, 0.02, 0.02, None), (0.03, 0.006, 0.01, None), (0.02, 0.006, 0.02, 0.0015)],
-    ids=["thick rod", "rod", "rod of small elements"])
+    (0.03, 0.006, 0.01, None), (0.02, 0.006, 0.02, 0.0015)], ids=["rod", "rod of small elements"])
 def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, resolution):
     """Hertz's bodies are half-spaces. This one is held 1.6 radii below the contact, as a bonded layer is, which is
     stiffer, and its sides are free: its force lies between the two."""
@@ -174,7 +173,7 @@ def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, 
 FOAM = "fixed = \"bottom\"\nmaterial = \"pe-foam\""
 
 
-@pytest.mark.parametrize(("depth", "exact"), [(0.001, 1.374), (0.0025, 5.465), (0.005, 15.50)])
+@pytest.mark.parametrize(("depth", "exact"), [(0.001, 1.374), (0.005, 15.50)])
 def test_the_error_under_a_foam_is_not_told_as_that_of_rubber(depth, exact):
     """`references/foam_block.json`: at 1 mm the force was off by 14 % and told 6; the local indentation that makes up
     for small contacts is known for the neo-Hookean law alone."""
@@ -184,7 +183,7 @@ def test_the_error_under_a_foam_is_not_told_as_that_of_rubber(depth, exact):
     assert not result.resolved[-1] or off < 0.1
 
 
-@pytest.mark.parametrize("beta", [0.0, 0.5, 3.0])
+@pytest.mark.parametrize("beta", [0.0, 3.0])
 def test_a_foam_of_another_poissons_ratio_is_that_of_hertz_or_marked(beta):
     """nu = beta / (1 + 2 beta), 0 to 0.43, on a bonded block (`references/closed_forms.py`)."""
     nu = beta / (1.0 + 2.0 * beta)
@@ -207,10 +206,9 @@ BRIDGE = PLATE.replace("0.015", "0.022").format(0.005)
 @pytest.mark.parametrize(("shape", "body", "x", "top", "depth", "marked"), [
     ("box = [0.05, 0.02, 0.003]", PLATE.format(0.004), 0.018, 0.009, 0.002, False),
     ("box = [0.05, 0.02, 0.003]", PLATE.format(0.004), 0.018, 0.009, 0.008, True),
-    ("box = [0.06, 0.02, 0.010]", PLATE.format(0.006), 0.024, 0.016, 0.010, True),
     ("box = [0.06, 0.02, 0.004]", BRIDGE, 0.0, 0.010, 0.004, True),
     ("box = [0.06, 0.06, 0.03]", "poisson_ratio = 0.45\nyoung_modulus = 1e5\nfixed = \"bottom\"", 0.0, 0.036, 0.001,
-     False)], ids=["plate", "bent plate", "thick plate", "bridge", "block"])
+     False)], ids=["plate", "bent plate", "bridge", "block"])
 def test_small_strain_is_told_where_elements_turn_further_than_it_follows(shape, body, x, top, depth, marked):
     """By 3.6, 21, 29, about 15 and 0.1 % the tier `linear` differs from `fem-coarse` here."""
     result = press_of(shape, body, "sphere = 0.006", top, depth, x=x, tier="linear")

@@ -73,10 +73,8 @@ def held_stiffness(solid: Solid, field: MaterialField, modulus: np.ndarray | Non
         others = dataclasses.replace(field, inclusions=field.inclusions[:k] + field.inclusions[k + 1:])
         near = np.flatnonzero(part.distance(centre) < reach)
         steps = int(np.clip(np.ceil(6.0 * reach[near].max(initial=0.0) / part.thickness), 6, _FINEST))
-        bary = _spread(steps)
-        points = np.einsum("sk,mkc->msc", bary, corners[near])
-        region = np.broadcast_to(np.asarray(solid.region)[near, None], points.shape[:2])
-        whole, without = (f.evaluate(points, region, modulus) for f in (field, others))
+        points = _samples(solid, near, steps)
+        whole, without = (f.evaluate(*points, modulus) for f in (field, others))
         own[k] = volume[near] @ (whole != without).mean(axis=1)
         bound = ESHELBY if part.kind == "sphere" else 0.0
         added = volume[near] @ _added(whole, without, bound).mean(axis=1)
@@ -95,10 +93,23 @@ def _added(modulus: np.ndarray, around: np.ndarray, bound: float) -> np.ndarray:
     return more / (1.0 + bound * more)
 
 
-def _spread(n: int) -> np.ndarray:
-    """Barycentric coordinates (s, 4) of points inside a tetrahedron, n cells along its edge."""
-    steps = [(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)]
-    return (np.array(steps) + 0.25) / (n + 1.0)
+def mixed_modulus(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np.ndarray:
+    """One modulus for each tetrahedron (m,) [Pa]: the harmonic mean over its volume; arguments as `held_stiffness`.
+
+    Snapping leaves few tetrahedra with two materials. In those the soft part carries the strain (Reuss): an arithmetic
+    mean, or the modulus at the Gauss points, would enlarge a stiff inclusion by up to an element, which stiffens case
+    S2 by 15-30 %.
+    """
+    return 1.0 / (1.0 / field.evaluate(*_samples(solid, np.arange(len(solid.tets)), 6), modulus)).mean(axis=1)
+
+
+def _samples(solid: Solid, which: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, s, 3) [m] inside the tetrahedra ``which`` (k,), n cells along an edge, and their regions (k, s)."""
+    steps = np.array([(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i)
+                      for k in range(n + 1 - i - j)])
+    # moved towards the centroid a little, so that a point on a face belongs to its own tetrahedron
+    points = np.einsum("sk,mkc->msc", 0.9 * steps / n + 0.1 / 4.0, solid.vertices[solid.tets[which]])
+    return points, np.repeat(np.asarray(solid.region)[which, None], len(steps), axis=1)
 
 
 def _hidden(part: Inclusion, field: MaterialField, k: int) -> bool:

@@ -131,7 +131,8 @@ def read_surface(shape: MeshFile) -> Surface:
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     vertices, centre = scale * (vertices - centre), scale * centre
     size = np.ptp(vertices, axis=0)
-    if size.min() < 1e-4 * size.max() or _is_planar(vertices):
+    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    if spread[2] < 1e-4 * spread[0]:
         raise MeshError(f"mesh file '{path}' is a flat sheet ({' x '.join(f'{e:.4g}' for e in size)} m) and "
                         "encloses no volume; give it thickness, e.g. with a solidify modifier.")
     colour = _mean_colour(file, vertices, notes)
@@ -160,11 +161,6 @@ def _metres_per_unit(shape: MeshFile, longest: float) -> float:
     if shape.scale is not None:
         return shape.scale
     return 1e-3 if longest > LARGEST else 1.0
-
-
-def _is_planar(vertices: np.ndarray) -> bool:
-    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
-    return bool(spread[2] < 1e-4 * spread[0])
 
 
 def _mean_colour(file: Facets, vertices: np.ndarray, notes: list[str]) -> np.ndarray | None:
@@ -237,13 +233,10 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
         return faces
     trimesh.repair.fix_winding(mesh)
     made = np.asarray(mesh.faces)
-    changed = (made != faces).any(axis=1)
-    if changed.sum() > 0.5 * len(faces):  # it began at one of the few
-        made, changed = made[:, ::-1], ~changed
-    turned = int(changed.sum())
-    if turned:
-        notes.append(f"Faces were wound inconsistently; turned {turned} of {len(faces)} to agree with their "
-                     "neighbours.")
+    turned = int((made != faces).any(axis=1).sum())
+    if turned:  # which of the two sides agree is decided later
+        notes.append(f"Faces were wound inconsistently; turned {min(turned, len(faces) - turned)} of {len(faces)} to "
+                     f"agree with their neighbours.")
     return made
 
 
