@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -159,8 +159,6 @@ class Task:
     """With its version."""
     description: str
     """One sentence."""
-    superseded_by: str
-    """Name of the task that corrects this one, or ""."""
     dataset: DatasetWanted
     """``[dataset]``."""
     development: DatasetWanted | None
@@ -180,6 +178,8 @@ class Task:
     sha256: str
     """Of the task file's text without the line of ``superseded_by``, so that results stay valid when a task is
     superseded."""
+    superseded_by: str = ""
+    """Name of the task that corrects this one, or ""."""
 
     @property
     def metric(self) -> Metric:
@@ -230,70 +230,43 @@ def load_task(given: str | Path) -> Task:
 
 def parse_task(text: str, path: str | Path) -> Task:
     """Like `load_task`, from text; ``path`` names it in messages."""
-    file = typed(parse_toml(text, Path(path), "task", TaskError), _File, str(path))
-    if not re.fullmatch(r"[a-z0-9-]+-v\d+", file.name):
-        raise TaskError(f"{path}: name is {file.name!r}; a task's name ends in its version, e.g. "
-                        f"fewshot-shoes-v3-mini-v1.")
-    where = f"{path} [dataset]"
-    wanted = typed(file.dataset, DatasetWanted, where, also=("development",))
+    tree = parse_toml(text, Path(path), "task", TaskError)
+    at = {key: f"{path} [{key}]" for key in ("dataset", "protocol", "observation", "noise", "metrics", "paper")}
+    wanted = typed(tree.get("dataset"), DatasetWanted, at["dataset"], also=("development",))
     development = None
-    if "development" in file.dataset:
-        own = typed(file.dataset["development"], _Development, f"{where} development")
-        development = replace(wanted, folder=own.folder, seed=own.seed, objects=own.objects, sha256="")
+    if "development" in tree["dataset"]:
+        where = f"{at['dataset']} development"
+        development = typed(tree["dataset"]["development"], DatasetWanted, where, scene=wanted.scene,
+                            views=wanted.views, touches=wanted.touches, scene_sha256=wanted.scene_sha256,
+                            tier=wanted.tier, sha256="")
         if development.seed == wanted.seed or development.folder == wanted.folder:
-            raise TaskError(f"{where} development: seed {development.seed} and folder '{development.folder}' must both "
-                            f"differ from those of [dataset], so that no object is in both.")
-    protocol = typed(file.protocol, Protocol, f"{path} [protocol]")
-    where = f"{path} [noise]"
-    kind = file.noise.get("kind", "")
-    preset = NOISE_KINDS[one_of(kind, NOISE_KINDS, f"{where}: kind")] if kind else {}
-    noise = typed({"offset_std": 0.0, "drift_std": 0.0, **preset, **file.noise}, Noise, where, also=("kind",))
-    where = f"{path} [metrics]"
-    metrics = typed(file.metrics, _Metrics, where)
-    one_of(metrics.primary, [name for name, metric in METRICS.items() if metric.ranks], f"{where}: primary")
-    ranking = str(metrics.ranking_shot)
+            raise TaskError(f"{where}: seed {development.seed} and folder '{development.folder}' must both differ from "
+                            f"those of [dataset], so that no object is in both.")
+    protocol = typed(tree.get("protocol"), Protocol, at["protocol"])
+    noisy = table.check_keys(tree.get("noise"), at["noise"], ("kind", *(f.name for f in fields(Noise))), TaskError)
+    kind = str(noisy.get("kind", ""))
+    preset = NOISE_KINDS[one_of(kind, NOISE_KINDS, f"{at['noise']}: kind")] if kind else {}
+    noise = typed({"offset_std": 0.0, "drift_std": 0.0, **preset, **noisy}, Noise, at["noise"], also=("kind",))
+    metrics = table.check_keys(tree.get("metrics"), at["metrics"], ("primary", "ranking_shot"), TaskError)
+    primary = one_of(metrics.get("primary", ""), [name for name, metric in METRICS.items() if metric.ranks],
+                     f"{at['metrics']}: primary")
+    ranking = str(metrics.get("ranking_shot"))
     if ranking not in protocol.labels:
-        raise TaskError(f"{where}: ranking_shot is {ranking}; it must be one of the shots: "
+        raise TaskError(f"{at['metrics']}: ranking_shot is {ranking}; it must be one of the shots: "
                         f"{', '.join(protocol.labels)}.")
-    paper = tuple(typed(row, PaperRow, f"{path} [[paper]] {k + 1}") for k, row in enumerate(file.paper))
+    rows = table.value(tree.get("paper", []), table.Rows, f"{path}: paper", TaskError)
+    paper = tuple(typed(row, PaperRow, f"{path} [[paper]] {k + 1}") for k, row in enumerate(rows))
     for k, label in ((k, label) for k, row in enumerate(paper) for label in row.values):
         one_of(label, protocol.labels, f"{path} [[paper]] {k + 1}: a shot of values")
-    where = f"{path} [observation]"
-    read = observation(typed(file.observation, _Observation, where).kind, where)
-    return Task(file.name, file.description, file.superseded_by, wanted, development, protocol, read, noise,
-                metrics.primary, ranking, paper, text_sha256(_NOT_COUNTED.sub("", text) + (
-                    "" if protocol.unresolved == "scored" else "unresolved left out")))
-
-
-@dataclass(frozen=True)
-class _File:
-    name: str
-    description: str
-    dataset: dict[str, Any]
-    protocol: dict[str, Any]
-    observation: dict[str, Any]
-    noise: dict[str, Any]
-    metrics: dict[str, Any]
-    superseded_by: str = ""
-    paper: tuple[dict[str, Any], ...] = ()
-
-
-@dataclass(frozen=True)
-class _Development:
-    folder: str
-    seed: Count
-    objects: Positive
-
-
-@dataclass(frozen=True)
-class _Observation:
-    kind: str
-
-
-@dataclass(frozen=True)
-class _Metrics:
-    primary: str
-    ranking_shot: int | str
+    reads = table.check_keys(tree.get("observation"), at["observation"], ("kind",), TaskError)
+    found = typed(tree, Task, str(path), also=tuple(at), dataset=wanted, development=development, protocol=protocol,
+                  observation=observation(str(reads.get("kind", "")), at["observation"]), noise=noise, primary=primary,
+                  ranking_shot=ranking, paper=paper, sha256=text_sha256(_NOT_COUNTED.sub("", text) + (
+                      "" if protocol.unresolved == "scored" else "unresolved left out")))
+    if not re.fullmatch(r"[a-z0-9-]+-v\d+", found.name):
+        raise TaskError(f"{path}: name is {found.name!r}; a task's name ends in its version, e.g. "
+                        f"fewshot-shoes-v3-mini-v1.")
+    return found
 
 
 def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
