@@ -37,19 +37,19 @@ def author(tmp_path, monkeypatch, task, toy_dataset):
     (tmp_path / "helper.py").write_text("VALUE = 5.0\n")
     (tmp_path / "table.csv").write_text("5.0")
 
-    def run(value="5.6", crash="None", learns="pass", progress=lambda *_: None, **parameters):
+    def run(value="5.6", crash="None", learns="pass", progress=lambda *_: None, seeds=1, **parameters):
         (tmp_path / "mine.py").write_text(METHOD.format(value=value, crash=crash, learns=learns))
-        return evaluate("mine:Mine", task, toy_dataset, out=tmp_path / "r.json", check=False, parameters=parameters,
-                        sandbox="process", progress=progress)
+        return evaluate("mine:Mine", task, toy_dataset, out=tmp_path / "r.json", check=False, seeds=seeds,
+                        parameters=parameters, sandbox="process", progress=progress)
 
     return run
 
 
 def test_a_mended_method_begins_again(author, tmp_path):
     with pytest.raises(MethodError, match="a bug"):
-        author(crash="2")
-    assert len(list(tmp_path.glob(KEPT))) == 2
-    mended = author(value="8.0")
+        author(crash="1", seeds=2)
+    assert len(list(tmp_path.glob(KEPT))) == 1
+    mended = author(value="8.0", seeds=2)
     assert len({round(v, 9) for v in mended.scores["rmse"]["0"].per_seed}) == 1, "all seeds are of the mended method"
 
 

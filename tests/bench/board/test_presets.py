@@ -60,15 +60,15 @@ def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_datase
     asked = [Choice("toy_methods:Constant", "paper", {"value": 2.0}), Choice("toy_methods:Crashes", "tuned", {}),
              Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
     rows = {tmp_path / f"{k}.json": row for k, row in enumerate(asked)}
-    found = list(evaluate_all(task, rows, dataset=toy_dataset.path, seeds=1))
+    found = list(evaluate_all(task, rows, dataset=toy_dataset.path, seeds=1, check=False))
     assert [one.state for one in found[::2]] == ["made", "made"] and "KeyError: 'toe'" in found[1].state
     assert found[1].result is None and found[1].path.stem == "1"
     del rows[found[1].path]
     assert Result.load(found[2].path).parameters == {"value": 3.0} and Result.load(found[2].path).preset == "tuned"
-    again = list(evaluate_all(task, rows, dataset=toy_dataset.path, seeds=1))
+    again = list(evaluate_all(task, rows, dataset=toy_dataset.path, seeds=1, check=False))
     assert [one.state for one in again] == ["kept", "kept"]
     other = {found[0].path: Choice("toy_methods:Constant", "paper", {"value": 2.5})}
-    assert [one.state for one in evaluate_all(task, other, dataset=toy_dataset.path, seeds=1)] == [
+    assert [one.state for one in evaluate_all(task, other, dataset=toy_dataset.path, seeds=1, check=False)] == [
         "made"], "other parameters are another row"
     shown = text(collect(task, [tmp_path]))
     assert "toy_methods:Constant (paper)" in shown and "toy_methods:Constant (tuned)" in shown

@@ -98,8 +98,8 @@ def test_a_container_shows_packages_that_no_folder_of_the_path_holds(box, name, 
 def leaks(task, toy_dataset, tmp_path):
     """Evaluates `Leaks` in two trainings; returns its scores, the ways by which a note was found, and what it
     printed."""
-    def run(box, ways):
-        found = evaluate("hostile_leaks:Leaks", task, toy_dataset, seeds=2, check=False, out=tmp_path / "r.json",
+    def run(box, ways, seeds=2):
+        found = evaluate("hostile_leaks:Leaks", task, toy_dataset, seeds=seeds, check=False, out=tmp_path / "r.json",
                          parameters={"ways": ",".join(ways)}, sandbox=box)
         text = (tmp_path / "r.json.log").read_text()
         notes = {line.removeprefix("found ") for line in text.splitlines() if line.startswith("found")}
@@ -137,7 +137,7 @@ def test_no_note_passes_in_a_container(task, toy_dataset, leaks, monkeypatch, tm
 def test_the_same_notes_pass_where_there_is_no_container(leaks):
     """The ways are ways: a plain process shares memory and files with others. Files that change are seen even there."""
     try:
-        _, found, _ = leaks("process", ["working folder", "System V memory", "class attribute"])
+        _, found, _ = leaks("process", ["working folder", "System V memory", "class attribute"], 1)
         assert found == {"System V memory"}, "folder and memory are a process's own there, too"
         with pytest.raises(MethodError, match=f"was changed while it was evaluated: /tmp/{hostile_leaks.NOTE} has"):
             leaks("process", ["/tmp"])
