@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.inclusions import Columns, Inclusions, Mask, mesh_of
+from vsfsim.bench.inclusions import Columns, Inclusions, mesh_of
 from vsfsim.bench.leaderboard import collect, score_table, text
 from vsfsim.bench.method import Estimate
 from vsfsim.bench.metrics import Answer, record_scores
@@ -80,12 +80,13 @@ def test_the_mask_is_that_of_the_scene_drawn_again(dataset):
     angle = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0, 1))).uniform(-3.0, 3.0)
     np.testing.assert_allclose(found.rotation[0], [np.cos(angle), -np.sin(angle), 0.0])
     assert found.inside(np.array([[0.01, 0.0, 0.022], [0.01, 0.0, 0.010]])).tolist() == [True, False]
-    mask = Mask.of(found, view)
-    assert 0.02 < mask.stiff.mean() < 0.9 and (mask.points[:, 2] <= BLOCK[2]).all()
-    right, flat = (record_scores(Answer.MASK, [{"value": mask.pixel_values(given), "stiff": mask.stiff}])
-                   for given in (mask.stiff[mask.pixel].astype(float), np.ones(len(mask.points))))
+    columns = Columns.of(view.truth.probe_points, view)
+    stiff = columns.covers(found)
+    share = stiff.mean()
+    assert 0.02 < share < 0.9 and (columns.points[:, 2] <= BLOCK[2]).all()
+    right, flat = (record_scores(Answer.MASK, [{"value": columns.largest(given), "stiff": stiff}])
+                   for given in (stiff[columns.pixel].astype(float), np.ones(len(columns.points))))
     assert right == {"mask_f1": 1.0, "mask_precision": 1.0, "mask_recall": 1.0}
-    share = mask.stiff.mean()
     assert (flat["mask_recall"] == 1.0 and flat["mask_precision"] == pytest.approx(share)
             and flat["mask_f1"] == pytest.approx(2 * share / (1 + share)))
 
@@ -174,7 +175,7 @@ def test_what_was_touched_is_where_the_probe_was_and_not_its_mount():
     mounts = [dataclasses.replace(t, mount_stiffness=None) for t in soft.touches]
     assert reached_in(dataclasses.replace(soft, touches=mounts), places).sum() > reached_in(view, places).sum()
     assert np.array_equal(reached_in(soft, places), reached_in(view, places))
-    assert np.array_equal(Columns.of(places, soft).swept, Columns.of(places, view).swept)
+    assert np.array_equal(Columns.of(places, soft).every, Columns.of(places, view).every)
     unknown = dataclasses.replace(soft, touches=tuple(
         dataclasses.replace(t, force=np.full_like(t.force, np.nan)) for t in soft.touches))
     assert not reached_in(unknown, places).any() and reached_in(view, places).any()

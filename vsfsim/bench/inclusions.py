@@ -84,16 +84,14 @@ class Inclusions:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns under the pixels of an object seen from above, as far as its touches swept them."""
+    """The columns under the p pixels of an object seen from above which its touches swept."""
 
     points: np.ndarray
     """Query points that the probe swept, world (q, 3) [m]."""
     pixel: np.ndarray
-    """Number of the swept pixel of each query point (q,) int."""
+    """Pixel of each query point (q,) int."""
     every: np.ndarray
-    """All points of all columns, swept or not, column by column (c m, 3) [m]."""
-    swept: np.ndarray
-    """The probe swept some point of the column (c,) bool; these are the p pixels."""
+    """All points of the columns, swept or not, (p, m, 3) [m]."""
 
     @classmethod
     def of(cls, surface: np.ndarray, view: ObjectView) -> Columns:
@@ -108,43 +106,20 @@ class Columns:
         nearest = np.argmin(np.linalg.norm(plane[:, None] - surface[None, :, :2], axis=2), axis=1)
         top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
         columns = top[:, None] - np.arange(0.5 * STEP, DEPTH, STEP)[:, None] * np.array([0.0, 0.0, 1.0])
-        every = columns.reshape(-1, 3)
-        reach = reached_in(view, every, reach=0.0)
-        pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[reach], return_inverse=True)
-        if not len(pixel):
+        reach = reached_in(view, columns.reshape(-1, 3), reach=0.0).reshape(columns.shape[:2])
+        swept = reach.any(axis=1)
+        if not swept.any():
             raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "
                             f"generate touches that go deeper.")
-        swept = np.zeros(len(top), bool)
-        swept[pixel] = True
-        return cls(every[reach], index, every, swept)
+        return cls(columns[reach], np.nonzero(reach[swept])[0], columns[swept])
 
+    def covers(self, inclusions: Inclusions) -> np.ndarray:
+        """The mask: whether an inclusion lies under each pixel (p,) bool."""
+        return np.any(inclusions.inside(self.every.reshape(-1, 3)).reshape(len(self.every), -1), axis=1)
 
-@dataclass(frozen=True)
-class Mask:
-    """Which pixels of an object, seen from above, cover an inclusion."""
-
-    points: np.ndarray
-    """Query points that the probe swept, world (q, 3) [m]."""
-    pixel: np.ndarray
-    """Pixel of each query point (q,) int."""
-    stiff: np.ndarray
-    """An inclusion lies under the pixel (p,) bool."""
-
-    @classmethod
-    def of(cls, inclusions: Inclusions, view: ObjectView) -> Mask:
-        """The mask of one object view, over the pixels that its touches swept.
-
-        Raises:
-            TaskError: no touch swept anything.
-        """
-        assert view.truth is not None
-        columns = Columns.of(view.truth.probe_points, view)
-        inside = inclusions.inside(columns.every).reshape(len(columns.swept), -1)
-        return cls(columns.points, columns.pixel, np.any(inside, axis=1)[columns.swept])
-
-    def pixel_values(self, stiffness: np.ndarray) -> np.ndarray:
+    def largest(self, stiffness: np.ndarray) -> np.ndarray:
         """The largest of a method's stiffnesses at the query points (q,) under each pixel (p,)."""
-        value = np.full(len(self.stiff), -np.inf)
+        value = np.full(len(self.every), -np.inf)
         np.maximum.at(value, self.pixel, stiffness)
         return value
 

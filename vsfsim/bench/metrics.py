@@ -35,7 +35,7 @@ class Answer(StrEnum):
 
     MASK = "mask"
     """`stiffness` under the pixels of a mask. A record is an object: ``value`` (p,) of the pixels, ``stiff`` (p,) bool,
-    see `inclusions.Mask`."""
+    see `inclusions.Columns`."""
 
     POSE = "pose"
     """`locate`. A record is an object: ``estimate`` and ``truth``, object-to-world transforms (4, 4)."""

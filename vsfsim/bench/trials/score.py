@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.inclusions import Inclusions, Mask
+from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.metric_functions import can_be_scored, touch_errors, touch_uncertainty
 from vsfsim.bench.metrics import Answer, record_scores, scores_of
 from vsfsim.bench.protocol import Answers, Recording, divide, record
@@ -81,7 +81,7 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
     known = view.truth.probe_stiffness[reached_in(view, view.truth.probe_points)]
     usable = known > 0.0  # ratios are scored; a cone that met nothing has none
     inclusions = Inclusions.of(dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None
-    mask = Mask.of(inclusions, view) if inclusions is not None and ranked is Answer.MASK else None
+    columns = Columns.of(view.truth.probe_points, view) if ranked is Answer.MASK else None
     rows: Rows = {answer: [] for answer in Answer}
 
     def keep(answer: Answer, given: Answers, values: Mapping[str, Any]) -> None:
@@ -98,8 +98,8 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
             stiffness = {"mean": given.mean[usable], "truth": known[usable],
                          "std": None if given.std is None else given.std[usable]}
             keep(Answer.STIFFNESS, given, record_scores(Answer.STIFFNESS, [stiffness]))
-        if given.column_mean is not None and mask is not None:
-            values = {"value": mask.pixel_values(given.column_mean), "stiff": mask.stiff}
+        if given.column_mean is not None and columns is not None and inclusions is not None:
+            values = {"value": columns.largest(given.column_mean), "stiff": columns.covers(inclusions)}
             keep(Answer.MASK, given, record_scores(Answer.MASK, [values]))
         if given.pose is not None and inclusions is not None and ranked is Answer.POSE:
             poses = {"estimate": given.pose, "truth": inclusions.known_object()[2]}
