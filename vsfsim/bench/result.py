@@ -154,9 +154,8 @@ class Result:
         """
         path = Path(path)
         table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(),
-                 "queries": pack(self.queries), "readings": pack(self.readings) if self.readings else {},
-                 "answers": {name: pack(columns) for name, columns in self.answers.items()},
-                 "maps": pack(self.maps) if self.maps else {}, "data": self.data}
+                 **{key: pack(getattr(self, key)) for key in ("queries", "readings", "maps")},
+                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data}
         lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
                  for key, value in table.items()]
         write_atomic(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode(), error=TaskError)

@@ -89,11 +89,13 @@ _COLUMNS: dict[str, Any] = {
 
 
 def pack(columns: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
-    """Columns of equal length as a JSON value; `unpack` takes it back.
+    """Columns of equal length as a JSON value, {} of none; `unpack` takes it back.
 
     Args:
         columns: by name, each of texts, of whole numbers >= 0, or of floats and None.
     """
+    if not columns:
+        return {}
     kinds, contents, rows = {}, [], 0
     for name, values in columns.items():
         rows = len(values)
@@ -195,15 +197,13 @@ def checked(given: Mapping[str, Any], kind: type) -> Any:
     Raises:
         ValueError, KeyError, TypeError, AttributeError, RecursionError: one is malformed; the message says which.
     """
-    raw = {"readings": READING_COLUMNS, "maps": MAP_COLUMNS}
-    told = {key: value for key, value in given.items() if key not in (*raw, "queries", "answers", "data")}
-    tables = {key: columns(given[key], names) if given.get(key) else {} for key, names in raw.items()}
-    answers = {}
-    for name, value in (given.get("answers") or {}).items():
-        there = unpack(value)  # a result of a version that has other metrics keeps those that both have
-        answers[name] = columns(there, tuple(c for c in columns_of(Answer(name)) if c in there))
+    tables: dict[str, Any] = {key: columns(given.get(key) or {}, names) for key, names in (
+        ("readings", READING_COLUMNS), ("maps", MAP_COLUMNS))}
+    tables["queries"] = columns(given["queries"], columns_of(Answer.READINGS))
+    tables["answers"] = {name: columns(value, columns_of(Answer(name)), some=True)
+                         for name, value in (given.get("answers") or {}).items()}
+    told = {key: value for key, value in given.items() if key not in (*tables, "data")}
     out: Any = msgspec.convert({**_cleaned(told), "queries": {}}, kind)
-    queries = columns(given["queries"], columns_of(Answer.READINGS))
     for metric, by_shot in out.scores.items():
         for shot, score in by_shot.items():
             if shot not in out.shots or len(score.per_seed) != len(out.seeds) or not math.isclose(
@@ -211,17 +211,19 @@ def checked(given: Mapping[str, Any], kind: type) -> Any:
                 raise ValueError(f"{metric} at shot {shot} does not fit its {len(out.seeds)} seeds")
     if not out.seeds or len(set(out.seeds)) != len(out.seeds):
         raise ValueError("seeds must be different whole numbers, at least one")
-    return dataclasses.replace(out, **tables, queries=queries, answers=answers, data=dict(given.get("data") or {}))
+    return dataclasses.replace(out, **tables, data=dict(given.get("data") or {}))
 
 
-def columns(value: Any, names: tuple[str, ...]) -> dict[str, list]:
-    """Some columns of a table, packed or of lists.
+def columns(value: Any, names: tuple[str, ...], *, some: bool = False) -> dict[str, list]:
+    """Some columns of a table, packed or of lists; {} of an empty one. With ``some`` those that are there: a result of a
+    version that has other metrics keeps those that both have.
 
     Raises:
         ValueError, KeyError, TypeError: one is missing, of another length than the others, or of another kind.
     """
     table = unpack(value)
-    out = {name: msgspec.convert(table[name], _COLUMNS.get(name, list[Number | None])) for name in names}
+    out = {name: msgspec.convert(table[name], _COLUMNS.get(name, list[Number | None]))
+           for name in names if table and (name in table or not some)}
     if len({len(column) for column in out.values()}) > 1:
         raise ValueError(f"the columns {', '.join(names)} have different lengths")
     return out
