@@ -215,8 +215,8 @@ def checked(given: Mapping[str, Any], kind: type) -> Any:
 
 
 def columns(value: Any, names: tuple[str, ...], *, some: bool = False) -> dict[str, list]:
-    """Some columns of a table, packed or of lists; {} of an empty one. With ``some`` those that are there: a result of a
-    version that has other metrics keeps those that both have.
+    """Some columns of a table, packed or of lists; {} of an empty one. With ``some`` those that are there: a result of
+    a version that has other metrics keeps those that both have.
 
     Raises:
         ValueError, KeyError, TypeError: one is missing, of another length than the others, or of another kind.

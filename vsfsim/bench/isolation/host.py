@@ -86,7 +86,7 @@ def _watch(given: dict[str, Any], line: int, end: int, log: int) -> None:
 
     Args:
         given: ``box``, of `box.enter`, or null; ``folder``, for the working folder of a process without a container;
-        ``limits``, of `limits.apply`; ``cache``, the folder of kernels that are compiled already;
+        ``memory``, of `limits.apply`; ``cache``, the folder of kernels that are compiled already;
         ``environment``, variables. line: of the method's process. end: closed to end it. log:
         file for what is printed.
     """
@@ -130,7 +130,7 @@ def _begin(given: dict[str, Any]) -> None:
             box.enter({**given["box"], "root": given["folder"]})
         os.environ.update(given["environment"])
         child.private_caches(Path.cwd(), given["cache"])
-        limits.apply(**given["limits"])
+        limits.apply(given["memory"], given["box"] is not None)
         importlib.invalidate_caches()
         child.main(Connection(3))
     except BaseException as error:

@@ -82,14 +82,7 @@ def works(sandbox: str) -> bool:
     return False
 
 
-def of(isolation: Isolation) -> dict[str, int]:
-    """The operands of `apply`."""
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return {"memory": memory if isolation.memory is None else int(isolation.memory * GIB),
-            "processes": 512 + 32 * (os.cpu_count() or 1)}
-
-
-def apply(memory: int, processes: int) -> None:
+def apply(memory: float | None, contained: bool) -> None:
     """Lower this process's limits for good; processes that it starts inherit them.
 
     Memory is RLIMIT_DATA on Linux, which counts what was allocated and not address space that a GPU driver only
@@ -97,13 +90,14 @@ def apply(memory: int, processes: int) -> None:
     own.
 
     Args:
-        memory: most memory [bytes]. processes: most processes and threads; 0 for no limit.
+        memory: most memory [GiB], None for what the machine has. contained: it runs in a container.
     """
     import resource
 
+    size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if memory is None else int(memory * GIB)
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: LARGEST_FOLDER,
-              resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS: memory,
-              **({resource.RLIMIT_NPROC: processes} if processes else {})}
+              resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS: size,
+              **({resource.RLIMIT_NPROC: 512 + 32 * (os.cpu_count() or 1)} if contained else {})}
     for kind, value in limits.items():
         hard = resource.getrlimit(kind)[1]
         value = value if hard == resource.RLIM_INFINITY else min(value, hard)

@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.identity import named_by
-from vsfsim.bench.isolation import limits
 from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
 from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply, send_request
 from vsfsim.bench.method import Specimen
@@ -217,7 +216,7 @@ class MethodHost:
         boxed = self.isolation.sandbox != "process"
         (line, theirs), (end, watcher) = socket.socketpair(), socket.socketpair()
         given = {"box": self._places if boxed else None, "folder": str(self._folder), "most": LARGEST_LOG,
-                 "limits": {**limits.of(self.isolation), **({} if boxed else {"processes": 0})}, "cache": kernels(),
+                 "memory": self.isolation.memory, "cache": kernels(),
                  "environment": dict(environment)}
         try:
             with self._lock, open(self.log, "ab") as log:
