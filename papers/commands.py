@@ -89,7 +89,7 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
     """
     from papers import claims as judged
     from papers.study import SIZES
-    from vsfsim.bench.commands.presets import PRESETS
+    from vsfsim.bench.commands.catalogue import PRESETS
 
     check_choice("--preset", preset, PRESETS)
     check_choice("--size", size or "mini", SIZES)

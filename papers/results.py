@@ -13,7 +13,7 @@ from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed
 from vsfsim.bench.board.shipped import Shipped, read_rows, row_sha256, write_rows
-from vsfsim.bench.commands.presets import on_device
+from vsfsim.bench.commands.catalogue import on_device
 from vsfsim.bench.evaluate import make
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Protocol, Task, load_task

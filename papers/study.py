@@ -17,8 +17,8 @@ from typing import Any
 
 from papers import worlds
 from papers.figures import figure
-from vsfsim.bench.commands.presets import Choice
-from vsfsim.bench.commands.presets import preset as chosen
+from vsfsim.bench.commands.catalogue import Choice
+from vsfsim.bench.commands.catalogue import preset as chosen
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.task import DatasetWanted, Task, load_task, one_of, open_dataset, typed
 from vsfsim.bench.trials.training import RULES, Extra, Training

@@ -156,7 +156,7 @@ def test_refusals(tmp_path):
 def test_the_papers_damping_makes_the_gradient_first_order():
     """Damping 100 over a strength of 2 leaves the first-order gradient; `exact` has one that differs, of an inner
     problem that is solved."""
-    from vsfsim.bench.commands.presets import preset
+    from vsfsim.bench.commands.catalogue import preset
 
     task = parse_task(MOCK_TASK, "mock")
     train = [specimen(mock_view(i, split="train"), task) for i in range(5)]

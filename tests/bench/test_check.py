@@ -32,6 +32,6 @@ def test_optional_functions_are_optional():
     ("AnswersNan", "adapts to touches and predicts (5-shot)"),
 ])
 def test_a_broken_clause_is_named(name, clause):
-    assert clause in failed(f"toy_methods:{name}")
-    if name in ("SwallowsNan", "Negative", "NegativeStd", "Mutates"):
-        assert failed(f"toy_methods:{name}") == [clause]
+    found = failed(f"toy_methods:{name}")
+    assert clause in found
+    assert found == [clause] or name not in ("SwallowsNan", "Negative", "NegativeStd", "Mutates")

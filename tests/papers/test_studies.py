@@ -10,7 +10,7 @@ from papers import results as stored_results
 from papers.decide import FAILS, HOLDS, UNTOLD, answers
 from papers.results import Found
 from papers.study import load_study, parse_study, studies
-from vsfsim.bench.commands.presets import preset
+from vsfsim.bench.commands.catalogue import preset
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 from vsfsim.core.errors import TaskError

@@ -24,9 +24,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.commands.catalogue import Choice
+from vsfsim.bench.commands.catalogue import preset as chosen
 from vsfsim.bench.commands.ceiling import evaluate_ceiling
-from vsfsim.bench.commands.presets import Choice
-from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.curves import beside
 from vsfsim.bench.identity import SCORER, contents_of
 from vsfsim.bench.isolation.limits import Isolation

@@ -88,7 +88,7 @@ class Result:
     """sha256 of everything that decided the answers, by name (`vsfsim.bench.identity.contents_of`); {} in results that
     are older than this field, and where the scorer did not run the method."""
     preset: str = ""
-    """Name of the settings that were asked for (`vsfsim.bench.commands.presets`), "" for none."""
+    """Name of the settings that were asked for (`vsfsim.bench.commands.catalogue`), "" for none."""
     maps: Mapping[str, list] = dataclasses.field(default_factory=dict)
     """Of a task with cross-validation, the stiffness that the method gave in its first run at the shot that ranks,
     columns with one row a probed point: object, place x, y, z [0.1 mm from -3 m], truth [N/m], mean and std in the

@@ -95,7 +95,7 @@ def evaluate(task: TaskName,
     Prints a table; every number goes into a JSON file. Finished parts are kept, and the same command goes on after an
     interruption.
     """
-    from vsfsim.bench.commands import presets
+    from vsfsim.bench.commands import catalogue
     from vsfsim.bench.commands.ceiling import ceiling_rows
     from vsfsim.bench.evaluate import evaluate_all
     from vsfsim.bench.task import load_task, open_dataset
@@ -106,8 +106,8 @@ def evaluate(task: TaskName,
     if (every and given.keys() - {"device"}) or (len(names) > 1 and (given or out is not None)):
         raise MethodError("--out and --set belong to one method, but several are asked for. Give one --method, or "
                           "leave them away (--out FOLDER and --set device=cuda:0 go with --all).")
-    if every and preset and preset not in presets.PRESETS:
-        raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(presets.PRESETS)}.")
+    if every and preset and preset not in catalogue.PRESETS:
+        raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(catalogue.PRESETS)}.")
     if on and (on == "development" or on.startswith("seed-")):
         raise VsfsimError(f"--on is '{on}'; it names an engine of {', '.join(ENGINES)}. For other objects give --task "
                           f"{task}-{on}.")
@@ -117,16 +117,16 @@ def evaluate(task: TaskName,
         return
     reads, answer = wanted.observation.name, wanted.metric.answer.value
     if every:
-        chosen = presets.choices(reads, str(given.get("device", "")), answer,
+        chosen = catalogue.choices(reads, str(given.get("device", "")), answer,
                                  chosen=wanted.protocol.support == "chosen")
         rows = [row for row in chosen if preset in ("", row.preset)]
         rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
         folder = out or Path("results") / wanted.name
         paths = {result_path(folder / f"{row.stem}.json", wanted.name, row.stem): row for row in rows}
     else:
-        rows = [presets.preset(name, preset, reads, answer) if preset else presets.Choice(name, "", {})
+        rows = [catalogue.preset(name, preset, reads, answer) if preset else catalogue.Choice(name, "", {})
                 for name in names]
-        paths = {result_path(out, wanted.name, row.stem): presets.Choice(
+        paths = {result_path(out, wanted.name, row.stem): catalogue.Choice(
             row.method, row.preset, {**row.parameters, **given}) for row in rows}
     made, show, tables = [], str(json) != "-", not every and fan == HERE
     with Progress("evaluate" if len(paths) > 1 else f"evaluate {rows[0].method}") as progress:

@@ -4,7 +4,7 @@ import inspect
 
 import pytest
 
-from vsfsim.bench.commands.presets import Choice, choices, preset
+from vsfsim.bench.commands.catalogue import Choice, choices, preset
 from vsfsim.bench.evaluate import evaluate, evaluate_all
 from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.method import find_method

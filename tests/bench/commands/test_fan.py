@@ -3,7 +3,7 @@
 
 import pytest
 
-from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.evaluate import evaluate, evaluate_all
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task

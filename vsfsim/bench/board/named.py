@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from vsfsim.bench.board.compare import ByObject, paired
-from vsfsim.bench.commands.presets import PRESETS, preset
+from vsfsim.bench.commands.catalogue import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
 from vsfsim.bench.metrics import Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart

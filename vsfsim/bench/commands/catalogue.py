@@ -1,14 +1,17 @@
-"""The tasks and methods that can be evaluated, as the commands `vsfsim tasks` and `vsfsim methods` list them."""
+"""The tasks and methods that can be evaluated, as the commands `vsfsim tasks` and `vsfsim methods` list them, and
+presets: named settings of the methods that ship, read from baselines/presets.toml without importing a method."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from vsfsim.bench.task import Task, load_task
 from vsfsim.core import shelf
-from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 from vsfsim.core.system.interactive import html_table
+from vsfsim.core.table import parse_toml, read_text
 from vsfsim.core.text_table import text_table
 
 T = TypeVar("T")
@@ -63,3 +66,83 @@ def methods() -> Catalogue[str]:
     """
     found = {name: entry.value for name, entry in sorted(shelf.methods().items())}
     return Catalogue("method", found, ("method", "class"), tuple(found.items()))
+
+
+PRESETS = ("paper", "exact", "tuned")
+"""Names: the literal text of a paper, its algorithm solved to the end, and ours."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method with a preset: one row of a leaderboard."""
+
+    method: str
+    """Name of the method."""
+    preset: str
+    """"paper" or "tuned"; "" for none."""
+    parameters: Mapping[str, Any]
+    """Of its constructor, over its defaults."""
+
+    @property
+    def stem(self) -> str:
+        """Of its result file."""
+        return f"{self.method}.{self.preset}" if self.preset else self.method
+
+
+def _table() -> dict[str, Any]:
+    path = shelf.folder("baselines") / "presets.toml"
+    return parse_toml(read_text(path, "presets", MethodError), path, "presets", MethodError)
+
+
+def preset(method: str, name: str, observation: str, answer: str = "readings") -> Choice:
+    """The settings of a method for tasks with an observation.
+
+    Args:
+        method: its name.
+        name: of the preset.
+        observation: name of what is read.
+        answer: what is asked of it, a value of `vsfsim.bench.metrics.Answer`.
+
+    Raises:
+        MethodError: the method has no presets, or not this one.
+    """
+    table = _table()
+    if method not in table:
+        raise MethodError(f"--preset: the method '{method}' has no presets. {did_you_mean(method, table)} Give its "
+                          f"parameters by --set.")
+    known = [key for key in PRESETS if key in table[method]]
+    if name not in known:
+        raise MethodError(f"--preset is '{name}', but {method} has {' and '.join(known)}. {did_you_mean(name, known)}")
+    given = table[method][name]
+    of_observation = given.get(observation, {})
+    return Choice(method, name, {**_values(given), **_values(of_observation), **of_observation.get(answer, {})})
+
+
+def _values(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if not isinstance(value, dict)}
+
+
+def on_device(choice: Choice, device: str, observation: str) -> Choice:
+    """A choice on this device if it makes the method faster where this is read; "" for its own."""
+    if not device or observation not in _table().get(choice.method, {}).get("gpu", []):
+        return choice
+    return replace(choice, parameters={**choice.parameters, "device": device})
+
+
+def choices(observation: str, device: str = "", answer: str = "readings", *, chosen: bool = False) -> list[Choice]:
+    """All methods with all their presets that a task can rank, the one with the papers' settings first, but those that
+    are too slow to be asked other than by name.
+
+    Args:
+        observation: name of what is read. device: that the methods use which a GPU makes faster; "" for their own.
+        answer: what the task's metric scores, a value of `vsfsim.bench.metrics.Answer`. chosen: its support
+        is chosen by the method, so that methods which differ by their choice alone take part.
+    """
+    out = []
+    for method, table in _table().items():
+        if table.get("by_name", False) or (table.get("chooses", False) and not chosen):
+            continue
+        if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
+            out += [on_device(preset(method, name, observation, answer), device, observation)
+                    for name in PRESETS if name in table]
+    return out

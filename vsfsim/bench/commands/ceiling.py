@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.method import Action, Reading
