@@ -108,7 +108,7 @@ def test_predictions_from_a_file_score_like_the_method_itself(results, task, toy
     assert scored.scores["rmse"] == results[2].scores["rmse"]
     for change, message in ((lambda a: a.pop(next(iter(a))), "have no '"),
                             (lambda a: a.update(x=np.zeros(1)), "does not ask"),
-                            (lambda a: a.update({next(iter(a)): np.full((12, 1), np.nan)}), "not finite")):
+                            (lambda a: a.update({next(iter(a)): np.full((12, 1), np.nan)}), "is nan in frame 0")):
         wrong = dict(answers)
         change(wrong)
         np.savez(tmp_path / "w.npz", **wrong)

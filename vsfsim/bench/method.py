@@ -147,12 +147,12 @@ def find_method(name: str, *, search: str | None = None) -> type:
         raise MethodError(f"method '{name}': a method is given as module:attribute, without .py: "
                           f"{Path(file).stem}:{attribute or 'CLASS'}, in the folder of {Path(file).name}.")
     check_name(name)
-    shelf, (module, _, attribute) = methods(), name.partition(":")
+    module, _, attribute = name.partition(":")
     advice = "Give module:attribute of something importable from here." if attribute else (
         "Install what it needs, or its package again.")
     try:
         if not attribute:
-            return shelf[name].load()
+            return methods()[name].load()
         folder = os.getcwd() if search is None else search
         if folder not in sys.path:
             sys.path.insert(0, folder)  # where a method under development is; a console script does not look there
@@ -174,9 +174,8 @@ def check_name(name: str) -> None:
     Raises:
         MethodError: with the nearest installed name.
     """
-    shelf = methods()
-    if ":" not in name and name not in shelf:
-        raise MethodError(f"unknown method '{plain(name)}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; "
+    if ":" not in name and name not in methods():
+        raise MethodError(f"unknown method '{plain(name)}'. {did_you_mean(name, methods())} `vsfsim methods` lists them; "
                           f"module:attribute works too.")
 
 
