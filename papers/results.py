@@ -181,8 +181,8 @@ def make_missing(studies: Sequence[Study], size: str, processes: int,
                 yield name, str(error)
                 continue
             jobs.setdefault(one.path, (name, one))
-    for one, made in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
-        yield jobs[one.path][0], str(made) if isinstance(made, VsfsimError) else ""
+    for made in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
+        yield jobs[made.path][0], str(made.failure or "")
 
 
 def differences(found: Mapping[str, Found], boards: dict[str, leaderboard.Board]) -> dict[str, bool]:

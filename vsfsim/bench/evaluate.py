@@ -113,8 +113,6 @@ def name_of(method: type) -> str:
 class Made:
     """What became of one row."""
 
-    choice: Choice
-    """The method and its preset."""
     path: Path
     """Its result file."""
     result: Result | None = None
@@ -161,24 +159,22 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     for path, choice in rows.items():
         known = None if again else _kept(path, task, data.sha256, choice, seeds)
         if known is not None and (not keep or beside(path).is_file()):
-            yield Made(choice, path, known, kept=True)
+            yield Made(path, known, kept=True)
         elif choice.method not in ceilings():
             wanted.append(Evaluation(choice.method, task, data, path, choice.parameters, seeds, isolation, training,
                                      choice.preset, keep))
         elif fan.shard is None:  # a ceiling has no trainings; the call that scores makes it
             try:
-                yield Made(choice, path, evaluate_ceiling(
+                yield Made(path, evaluate_ceiling(
                     choice.method, task, data, path, parameters=choice.parameters, keep=keep, processes=processes,
                     progress=progress))
             except Interrupted:
                 raise
             except VsfsimError as error:
-                yield Made(choice, path, failure=error)
+                yield Made(path, failure=error)
     # one after the other, unless trainings of several run at the same time
     for some in ([wanted] if processes > 1 or fan != HERE else [[one] for one in wanted]):
-        for one, made in make(some, processes, check=check, fan=fan, progress=progress):
-            result, failure = (None, made) if isinstance(made, VsfsimError) else (made, None)
-            yield Made(rows[one.path], one.path, result, failure)
+        yield from make(some, processes, check=check, fan=fan, progress=progress)
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
@@ -225,7 +221,7 @@ def own(result: Path) -> Iterator[None]:
 
 
 def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan: Fan = HERE,
-         progress: Progress = lambda *_: None) -> Iterator[tuple[Evaluation, Result | VsfsimError]]:
+         progress: Progress = lambda *_: None) -> Iterator[Made]:
     """Make results side by side.
 
     Args:
@@ -236,7 +232,7 @@ def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan:
         progress: called with (trials done, of how many, what is going on).
 
     Yields:
-        Each row when it is finished, with its result or its failure; of a shard only failures.
+        What became of each row when it is finished; of a shard only failures.
 
     Raises:
         Interrupted: the user has stopped it; finished trainings are kept.
@@ -258,7 +254,7 @@ def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan:
                     if not fan.ray:
                         row.read(jobs, reader)
                 except VsfsimError as error:
-                    yield row, error
+                    yield Made(row.path, failure=error)
                     continue
                 queue += [(row, job) for job in jobs]
                 sizes = {job.name: row.trials(job) for job in mine}
@@ -266,16 +262,16 @@ def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan:
                 trials.done += sum(sizes.values()) - sum(sizes[job.name] for job in jobs)
                 left[row.path] = len(jobs)
                 if not jobs and fan.shard is None:
-                    yield row, _finished(row)
+                    yield _finished(row)
             made = _by_ray(queue, fan, trials) if fan.ray else _by_threads(queue, processes, reader, trials)
             for number, failure in made:
                 row, _ = queue[number]
                 left[row.path] -= 1
                 if failure is not None and left[row.path] >= 0:
                     left[row.path] = -1  # the first failure is told, and nothing after it
-                    yield row, failure
+                    yield Made(row.path, failure=failure)
                 elif left[row.path] == 0 and fan.shard is None:
-                    yield row, _finished(row)
+                    yield _finished(row)
     except KeyboardInterrupt as stop:
         known = [row for row in rows if row.said is not UNKNOWN]
         done, of = sum(len(one.jobs) - len(one.left) for one in known), sum(len(one.jobs) for one in known)
@@ -301,11 +297,11 @@ class _Count:
             self.progress(self.done, self.total, what)
 
 
-def _finished(row: Evaluation) -> Result | VsfsimError:
+def _finished(row: Evaluation) -> Made:
     try:
-        return row.finish()
+        return Made(row.path, row.finish())
     except VsfsimError as error:
-        return error
+        return Made(row.path, failure=error)
 
 
 def _by_threads(queue: Sequence[tuple[Evaluation, Job]], processes: int, reader: Reader, trials: _Count

@@ -136,7 +136,7 @@ def evaluate(task: TaskName,
             if tables and one.failure is not None:
                 raise one.failure
             if show and not tables:
-                print(f"{one.choice.stem:<28}{one.state}", flush=True)
+                print(f"{paths[one.path].stem:<28}{one.state}", flush=True)
             made.append(one)
     if tables:
         results = [(one.result, one.path) for one in made if one.result is not None]
@@ -144,12 +144,12 @@ def evaluate(task: TaskName,
         report("\n\n".join(_scored(result, path, wanted, keep) for result, path in results),
                numbers[0] if len(numbers) == 1 else numbers, json)
         return
-    write_json([{"method": m.choice.method, "preset": m.choice.preset, "state": m.state, "written": str(m.path)}
-                for m in made], json)
+    write_json([{"method": paths[one.path].method, "preset": paths[one.path].preset, "state": one.state,
+                 "written": str(one.path)} for one in made], json)
     failed = [one for one in made if one.result is None]
     if failed:
         raise MethodError(f"{len(failed)} of {len(made)} rows could not be made: "
-                          + ", ".join(one.choice.stem for one in failed) + ". The messages are above; the same "
+                          + ", ".join(paths[one.path].stem for one in failed) + ". The messages are above; the same "
                           "command tries them again.")
     if show:
         print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them" if fan.shard is None else
