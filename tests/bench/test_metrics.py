@@ -32,16 +32,12 @@ def test_reading_metrics_by_hand():
     assert scores["mae_pooled"] == pytest.approx(2.0)
 
 
-def test_spearman_agrees_with_scipy_with_ties():
+def test_spearman_agrees_with_scipy_with_ties_and_rounding_does_not_move_ranks():
     rng = np.random.default_rng(0)
     a, b = rng.integers(0, 6, 40).astype(float), rng.normal(size=40)
     assert spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
     assert spearman(np.ones(5), np.arange(5.0)) == 0.0
-
-
-def test_rounding_does_not_move_ranks():
-    """A prior gives half of the points one value; another machine rounds them otherwise."""
-    rng = np.random.default_rng(0)
+    # a prior gives half of the points one value; another machine rounds them otherwise
     estimate, truth = np.where(np.arange(40) < 20, 3.0, rng.uniform(1.0, 9.0, 40)), rng.uniform(size=40)
     rounded = estimate * (1.0 + 1e-14 * rng.standard_normal(40))
     assert spearman(rounded, truth) == spearman(estimate, truth)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -58,8 +60,7 @@ def test_hysteresis_changes_with_the_direction_of_motion_and_stays_at_rest():
 # ------------------------------------------------------------------ the force of any sensor
 
 
-def noise(**given):
-    return Noise(seed=0, **given)
+noise = partial(Noise, seed=0)
 
 
 def read(force, noise, **which):

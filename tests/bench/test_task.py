@@ -51,6 +51,7 @@ def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
     ("query = 4", "querry = 4", r"\[protocol\]: unknown key 'querry'. Did you mean 'query'\?"),
     ("query = 4", "query = 0", "query is 0; it must be a whole number >= 1"),
     ("shots = [0, 1, 5]", "shots = [5, 1]", "increasing whole numbers"),
+    ("shots =", "support = 'best', shots =", r"support is 'best'\. Allowed: chosen, drawn"),
     ('kind = "normal-force"', 'kind = "colour"', "observation 'colour' is unknown"),
     ('noise = { ', 'noise = { kind = "punio", ', "Did you mean 'punyo'"),
     ('noise = { ', 'noise = { pressure_drift = "down", ', "pressure_drift is 'down'"),

@@ -12,7 +12,7 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.engines import Fan
 
 ROW = Choice("toy_methods:Constant", "", {"value": 2.0})
-FOLDS = 'protocol = { folds = 3, draws = 1, trainings = 1, shots = [5], query = 4, seed = 0 }'
+FOLDS = 'protocol = { folds = 3, draws = 1, trainings = 1, shots = [0, 5], query = 4, seed = 0 }'
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.method import Action, Reading, checked_choice
 from vsfsim.bench.protocol import divide, support
 from vsfsim.bench.task import parse_task
-from vsfsim.core.errors import MethodError, TaskError
+from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import parse_probe_shape
 
 
@@ -70,11 +70,6 @@ def test_a_choice_that_was_not_offered_is_refused(chosen, toy_dataset, answer):
             evaluate("toy_methods:Choosy", chosen, toy_dataset, parameters={"answer": 8}, check=False)
         with pytest.raises(MethodError, match="choose returned"):
             evaluate("toy_methods:Choosy", chosen, toy_dataset, parameters={"answer": 8})
-
-
-def test_a_task_says_how_support_is_made(task_text):
-    with pytest.raises(TaskError, match=r"support is 'best'\. Allowed: chosen, drawn"):
-        parse_task(task_text.replace("shots =", "support = 'best', shots ="), "toy-v1.toml")
 
 
 def at(x):
