@@ -64,10 +64,10 @@ def test_what_it_refuses(fine, coarse):
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory):
+def model():
     from vsfsim.core.bubble import Bubble
     from vsfsim.physics.bubble.sensor import build_bubble
-    return build_bubble(Bubble(nodes=200), cache=tmp_path_factory.mktemp("bubble"))
+    return build_bubble(Bubble(nodes=200))
 
 
 def test_the_real_sensor_is_read_on_its_390_nodes(model):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.scene_tables.request import Request
@@ -160,12 +157,7 @@ EFFECTOR = BubbleEffector()
 
 
 def _sensor_of(subject: Subject) -> BubbleModel:
-    return _built(subject.scene.required_sensor, str(subject.scene.source), subject.job.cache)
-
-
-@functools.lru_cache(maxsize=1)
-def _built(spec: Bubble, source: str, cache: Path | None) -> BubbleModel:
-    return build_bubble(spec, where=f"{source} [sensor]", cache=cache)
+    return build_bubble(subject.scene.required_sensor, where=f"{subject.scene.source} [sensor]")
 
 
 @dataclass(frozen=True)
@@ -207,12 +199,12 @@ def solve(scene: Scene, request: Request) -> Made:
     began, axis = time.perf_counter(), direction(spec)
     path, first = press_path(spec, LEADING), pose_at(spec, LEADING, 0)
     aim = Aim(np.array(spec.stop), -axis, axis, np.array(spec.start), 0.0, path=path, start=first)
-    model, body, notes = build_bubble(sensor, where=where, cache=request.cache), None, []
+    model, body, notes = build_bubble(sensor, where=where), None, []
     if scene.object is None:
         poses, bodies = in_mount(scene, path), RigidBodies(scene.bodies)
         finer = wishes(model.mesh.points, model.element_size, bodies, poses, sensor.contact_edge)
         if finer:
-            model = build_bubble(sensor, finer=finer, where=where, cache=request.cache)
+            model = build_bubble(sensor, finer=finer, where=where)
             notes = [f"{sensor.nodes} nodes became {len(model.mesh.points)}: triangles are smaller "
                      "where bodies touch; contact_edge in [sensor] says how small."]
         _before_housing(scene, model, poses)

@@ -8,14 +8,13 @@ state, before that point.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.bubble.sheet import Balanced, Sheet
 
 _GROWTH, _MOST_TIMES = 1.4, 1e4  # ratio of the volumes of two steps, and of the last and the first one
 _LEAST = 1e-3  # smallest growth of the volume in a step
-_OFF = 1e-6  # of the pressure; a volume that is known to 1e-14 leaves far less
 
 
 def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> Balanced:
@@ -30,52 +29,41 @@ def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> 
     Raises:
         SceneError: the pressure is beyond the limit point, or the branch could not be followed.
     """
-    low, high = _bracket(sheet, guess, pressure, where)
-    return _between(sheet, low, high, pressure, where)
-
-
-def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tuple[Balanced, Balanced]:
-    """Two states on the rising branch with the pressure between them."""
-    volume = sheet.volume(guess)
-    first, shrink = sheet.at_volume(guess, pressure, volume), 0
-    while first is None or first.pressure > pressure:
-        # a flatter dome has less pressure: near the plane it grows with the volume or faster
-        share = 0.5 if first is None else max(0.05, min(0.7, pressure / first.pressure))
-        volume, guess = share * volume, share * (guess if first is None else first.displacement)
-        first, shrink = sheet.at_volume(guess, pressure, volume), shrink + 1
-        if shrink > 60:
-            raise SceneError(f"{where}: the membrane could not be inflated from flat to a gauge pressure of "
-                             f"{pressure:g} Pa; check young_modulus, thickness and pre_stretch.")
-    states = [first]
-    growth = _GROWTH
-    while states[-1].pressure < pressure:
-        now = states[-1]
-        volume = growth * now.volume
-        if volume > _MOST_TIMES * first.volume:
-            break
+    first = _shallow(sheet, guess, pressure, where)
+    states, growth, limited = [first], _GROWTH, False
+    while (states[-1].pressure < pressure and not limited and growth > 1.0 + _LEAST
+           and states[-1].volume < _MOST_TIMES * first.volume):
+        volume = growth * states[-1].volume
         found = sheet.at_volume(*_ahead(states, volume), volume)
         if found is None:
             growth = 1.0 + 0.5 * (growth - 1.0)
-            if growth < 1.0 + _LEAST:
-                break
             continue
-        states.append(found)
         growth = min(_GROWTH, 1.0 + 1.5 * (growth - 1.0))
-        if found.pressure < now.pressure:
-            top = _top(sheet, states[-3:] if len(states) > 2 else states)
-            if top.pressure < pressure:
-                raise SceneError(
-                    f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane's limit point is at "
-                    f"{top.pressure:.5g} Pa (volume {1e6 * top.volume:.4g} mL, height "
-                    f"{1e3 * float(np.abs(top.displacement).max()):.3g} mm): beyond it a rubber membrane blows up "
-                    f"without bound. Give less pressure, or a larger young_modulus or thickness.")
-            return now if now.pressure <= pressure else states[-3], top
-    if states[-1].pressure < pressure:
-        raise SceneError(f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane could be followed to "
-                         f"{states[-1].pressure:.5g} Pa only (volume "
-                         f"{1e6 * states[-1].volume:.4g} mL). Give less pressure, or a larger young_modulus "
-                         f"or thickness.")
-    return states[-2], states[-1]
+        limited = found.pressure < states[-1].pressure
+        states.append(_top(sheet, [*states[-2:], found]) if limited else found)
+    last = states[-1]
+    if last.pressure < pressure:
+        reach, why = ("'s limit point is at", ": beyond it a rubber membrane blows up without bound") if limited else (
+            " could be followed only to", "")
+        raise SceneError(f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane{reach} {last.pressure:.5g} Pa "
+                         f"(volume {1e6 * last.volume:.4g} mL, height "
+                         f"{1e3 * float(np.abs(last.displacement).max()):.3g} mm){why}. Give less pressure, or a "
+                         f"larger young_modulus or thickness.")
+    lower = [first, *(state for state in states if state.volume < last.volume)][-1]
+    return _between(sheet, lower, last, pressure, where)
+
+
+def _shallow(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> Balanced:
+    """A state below the pressure, near the plane: there the pressure grows with the volume or faster."""
+    volume = sheet.volume(guess)
+    for _ in range(60):
+        found = sheet.at_volume(guess, pressure, volume)
+        if found is not None and found.pressure <= pressure:
+            return found
+        share = 0.5 if found is None else max(0.05, min(0.7, pressure / found.pressure))
+        volume, guess = share * volume, share * (guess if found is None else found.displacement)
+    raise SceneError(f"{where}: the membrane could not be inflated from flat to a gauge pressure of {pressure:g} Pa; "
+                     f"check young_modulus, thickness and pre_stretch.")
 
 
 def _ahead(states: list[Balanced], volume: float) -> tuple[np.ndarray, float]:
@@ -106,22 +94,18 @@ def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
 
 
 def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
-    """By the volume, which is known to all its digits."""
-    known = [low, high]
-    lost = SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
-                      f"young_modulus, thickness and pre_stretch.")
-
-    def over(volume: float) -> float:
-        if volume in (low.volume, high.volume):
-            return known[volume == high.volume].pressure - pressure
-        found = sheet.at_volume(*_ahead([low, high], volume), volume)
-        if found is None:
-            raise lost
-        known.append(found)
-        return found.pressure - pressure
-
-    brentq(over, low.volume, high.volume, xtol=1e-14 * high.volume, maxiter=200)
-    best = min(known, key=lambda s: abs(s.pressure - pressure))
-    if abs(best.pressure - pressure) > _OFF * abs(pressure):  # the states jump to others between two volumes
-        raise lost
-    return best
+    """The state at the pressure, which is between those of two states of the rising branch."""
+    if low is high:
+        return high
+    for _ in range(50):
+        share = (pressure - low.pressure) / (high.pressure - low.pressure)
+        found = sheet.at_pressure(low.displacement + share * (high.displacement - low.displacement), pressure)
+        if found is not None and (1.0 - 1e-9) * low.volume <= found.volume <= (1.0 + 1e-9) * high.volume:
+            return found
+        volume = 0.5 * (low.volume + high.volume)
+        middle = sheet.at_volume(*_ahead([low, high], volume), volume)
+        if middle is None:
+            break
+        low, high = (middle, high) if middle.pressure < pressure else (low, middle)
+    raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
+                     f"young_modulus, thickness and pre_stretch.")

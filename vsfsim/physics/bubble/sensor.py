@@ -1,4 +1,4 @@
-"""The air-filled bubble sensor as a body for the solver: inflated once, cached, and in equilibrium at u = 0.
+"""The air-filled bubble sensor as a body for the solver: inflated once, and in equilibrium at u = 0.
 
 Mount frame: origin at the centre of the rim, x along the long semi-axis, y along the short one, +z out of the dome.
 """
@@ -6,9 +6,7 @@ Mount frame: origin at the centre of the rim, x along the long semi-axis, y alon
 from __future__ import annotations
 
 import functools
-import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,7 +15,6 @@ from vsfsim.core.bubble import NODES, Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Capsule, Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics import disk_cache
 from vsfsim.physics.bubble import inflation
 from vsfsim.physics.bubble.sheet import Sheet
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -35,7 +32,6 @@ SHARE = 1.0 / 3.0
 # of the membrane's edge: the same under bodies with edges, which no mesh resolves. A corner of a cube is pushed back
 # by a Punyo, 6 mm deep, with 2.80 N on an even mesh, 2.22 N with this, and 2.20 N on edges of 1.2 mm
 SHARP = 0.6
-_VERSION = 1  # part of the cache key: raise it when a mesh, a law or the inflation changes
 _COARSE = 390  # nodes of the mesh on which the branch from flat to inflated is followed
 _STOP = 10.0  # penalty of the housing over E h: the gas presses a node 4 mm from the next 0.02 mm into it
 _SHALLOW = 0.1  # height of the first dome over the short semi-axis
@@ -121,20 +117,18 @@ def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray
     return tuple(out)
 
 
-def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]",
-                 cache: Path | None = None) -> BubbleModel:
-    """The model of a bubble, cached in this process and, but for its factor, on the disk.
+def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]") -> BubbleModel:
+    """The model of a bubble, made once in a process.
 
     Args:
         spec: the bubble.
         finer: where its mesh is refined.
         where: scene and section, for messages.
-        cache: folder for inflated shapes; None for the user's own.
 
     Raises:
         SceneError: the gauge pressure is beyond the membrane's limit point, or the dome holds more than the gas.
     """
-    return _build(spec, tuple((edge, nodes) for edge, nodes in finer if nodes), where, cache)
+    return _build(spec, tuple((edge, nodes) for edge, nodes in finer if nodes), where)
 
 
 def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -181,22 +175,10 @@ def _dome(spec: Bubble, flat: np.ndarray) -> np.ndarray:
     return u.ravel()
 
 
-def free_dome(spec: Bubble, where: str) -> np.ndarray:
-    """Displacements (n, 3) [m] from the flat sheet to the free dome.
-
-    The branch is followed on a coarse mesh, whose dome is the guess for the fine one.
-    """
-    known = None
-    if spec.nodes > _COARSE:
-        coarse = flat_mesh(spec, _COARSE)
-        known = *coarse[:2], _inflated(spec, coarse, None, where)
-    return _inflated(spec, flat_mesh(spec), known, where)
-
-
 def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
               known: tuple[np.ndarray, np.ndarray, np.ndarray] | None, where: str) -> np.ndarray:
-    """That on a mesh, from the nodes, triangles and displacements of a ``known`` dome on another mesh; where that does
-    not converge, or without one, by following the branch."""
+    """Displacements (n, 3) [m] from a flat mesh to the free dome, from the nodes, triangles and displacements of a
+    ``known`` dome on another mesh; where that does not converge, or without one, by following the branch."""
     own = sheet(spec, *mesh)
     if known is not None:
         guess = (locate(*known[:2], mesh[0]) @ known[2]).ravel() * own.free
@@ -225,31 +207,20 @@ def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix
 
 
 @functools.lru_cache(maxsize=8)
-def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> BubbleModel:
-    # the file's name holds only what the inflated shape depends on; the gas is not part of it
-    content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes,
-               *finer, _VERSION)
-    digest = hashlib.sha256(repr(content).encode()).hexdigest()[:32]
-    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"bubble-{digest}.npz"
+def _build(spec: Bubble, finer: Wishes, where: str) -> BubbleModel:
+    flat, faces, rim = flat_mesh(spec)
+    known = None
     if finer:
-        even = build_bubble(spec, where=where, cache=cache)
+        even = build_bubble(spec, where=where)
         flat, faces, rim = membrane_mesh.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes,
-                                                 even.mesh.points, finer)
-    else:
-        flat, faces, rim = flat_mesh(spec)
-
-    def inflated() -> np.ndarray:
-        if not finer:
-            return free_dome(spec, where)
+                                               even.mesh.points, finer)
         dome = even.mesh.points - np.column_stack([even.flat, np.zeros(len(even.flat))])
-        return _inflated(spec, (flat, faces, rim), (even.flat, even.mesh.faces, dome), where)
-
-    with disk_cache.locked(stored):
-        kept = disk_cache.read(stored)
-        if kept is None or kept.get("u", np.zeros(0)).shape != (len(flat), 3):
-            disk_cache.write(stored, u=inflated())
-            kept = disk_cache.read(stored) or {"u": inflated()}
-    points = np.column_stack([flat, np.zeros(len(flat))]) + kept["u"]
+        known = even.flat, even.mesh.faces, dome
+    elif spec.nodes > _COARSE:
+        # the branch is followed on a coarse mesh, whose dome is the guess for the fine one
+        coarse = flat_mesh(spec, _COARSE)
+        known = *coarse[:2], _inflated(spec, coarse, None, where)
+    points = np.column_stack([flat, np.zeros(len(flat))]) + _inflated(spec, (flat, faces, rim), known, where)
     touched = sorted({node for _, nodes in finer for node in nodes})
     return assemble_bubble(spec, flat, faces.astype(np.int32), rim, points, where, touched=np.array(touched, int))
 
