@@ -128,9 +128,8 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     silence by an independent check. Exit code 3 if a cell is one of the last three.
     """
     import vsfsim
-    from measurements.stability import campaign, design
+    from measurements.stability import design, judge
     from measurements.stability import report as results
-    from measurements.stability.judge import Outcome
     from vsfsim.data.provenance import commit
 
     cells = design.design(seed)
@@ -146,7 +145,7 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
         out.mkdir(parents=True, exist_ok=True)
         circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
         with Progress("stability") as progress:
-            verdicts = campaign.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
+            verdicts = judge.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
                                     budget=seconds, progress=progress, circumstances=circumstances)
     except OSError as error:
         raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
@@ -156,7 +155,7 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
                 "device": device}
     found = results.measurement(verdicts, settings)
     report(found.text(), found.record(), json or out / "stability.json", indent=1)
-    if any(v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE) for v in verdicts):
+    if any(v.outcome in judge.BAD for v in verdicts):
         raise typer.Exit(3)
 
 

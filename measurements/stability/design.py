@@ -18,7 +18,6 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -117,15 +116,6 @@ class Cell:
         """Whether friction is at most 1, and the depth at most half of the body (or of a rod's length, or of a bubble's
         height)."""
         return float(self.factors["friction"]) <= 1.0 and float(self.factors["depth"]) <= 0.5
-
-    def table(self) -> dict[str, Any]:
-        """For JSON; `of` reads it back."""
-        return {"key": self.key, "kind": self.kind, "group": self.group, "factors": dict(self.factors)}
-
-    @classmethod
-    def of(cls, table: Mapping[str, Any]) -> Cell:
-        """The cell of `table`."""
-        return cls(table["kind"], table["group"], table["factors"])
 
 
 def design(seed: int = 0, random_solids: int = 230, random_others: int = 40) -> list[Cell]:

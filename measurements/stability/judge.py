@@ -1,13 +1,18 @@
-"""The verdict on one cell: made in the process that presses it."""
+"""The verdict on a cell, made in the process that presses it; and on many cells in worker processes: interrupted at any
+time, continued later, and ended by a budget of time."""
 
 from __future__ import annotations
 
+import gc
+import json
 import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +21,14 @@ import numpy as np
 from measurements.stability.checks import PATH, TIER, compare, contradictions
 from measurements.stability.design import Cell
 from measurements.stability.evidence import Evidence, gather
+from measurements.stability.team import Ended, answers, kept
 from vsfsim.core.errors import VsfsimError
+from vsfsim.core.table import typed
 
 SAMPLE = 8  # one cell in so many is also pressed in twice the frames, and another one at tier fem
+COMMAND = "vsfsim measure stability"
+FRAMES = 80  # more than any cell has
+SPARE = 180.0  # for meshes, factors and kernels of a cell [s]
 LATE = 1.2  # time of a frame over its limit that counts as over the limit [-]
 
 
@@ -37,6 +47,10 @@ class Outcome(StrEnum):
     def rank(self) -> int:
         """0 for the best."""
         return list(Outcome).index(self)
+
+
+BAD = (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE)
+"""What no cell should become."""
 
 
 @dataclass(frozen=True)
@@ -64,15 +78,8 @@ class Verdict:
     """Why the second press of a sampled cell was refused, which leaves the cell without that check; else ""."""
 
     def table(self) -> dict[str, Any]:
-        """For JSON; `of` reads it back."""
-        return {**self.cell.table(), **{k: v for k, v in asdict(self).items() if k != "cell"}}
-
-    @classmethod
-    def of(cls, table: dict[str, Any]) -> Verdict:
-        """The verdict of `table`."""
-        rest = {name: table[name] for name in ("frames", "converged", "resolved", "reasons", "seconds", "slowest")}
-        return cls(Cell.of(table), Outcome(table["outcome"]), tuple(table["words"]), push=tuple(table["push"]),
-                   unchecked=table.get("unchecked", ""), **rest)
+        """For JSON."""
+        return {"key": self.cell.key, **asdict(self)}
 
 
 def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
@@ -128,3 +135,67 @@ def second_press(cell: Cell, e: Evidence, folder: Path, limit: float, device: st
     if draw == 1 and f["tier"] == "fem-coarse" and float(f["depth"]) >= 0.1:
         return compare(e, gather(cell, folder, limit, device=device, tier="fem"), TIER, "at tier fem")
     return []
+
+
+def finished(file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
+    """The verdicts that a file already holds; a new file gets its first line.
+
+    Args:
+        file: see `team.kept`.
+        circumstances: what must be the same for verdicts to be comparable: limit, commit and version.
+
+    Raises:
+        VsfsimError: see `team.kept`.
+    """
+    return [typed(row, Verdict, str(file), also=("key",), error=VsfsimError)
+            for row in kept(file, circumstances, COMMAND)]
+
+
+def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device: str = "cpu",
+        budget: float | None = None, circumstances: dict[str, Any] | None = None,
+        progress: Callable[[int, int, str], None] | None = None) -> list[Verdict]:
+    """Judge cells, and append each verdict to ``file`` as soon as it is there.
+
+    A process that ends by itself or works longer than all its frames may is ended, and its cell counts as crashed or as
+    over the limit.
+
+    Args:
+        cells: in the order in which they are made.
+        file: see `finished`.
+        limit: limit of a frame's processor time [s].
+        workers: processes.
+        device: Warp device.
+        budget: time after which no new cell begins [s]; None for none.
+        circumstances: see `finished`; limit and device are added.
+        progress: called with (done, in all, what).
+
+    Returns:
+        The verdicts of the cells that are done, in the order of ``cells``.
+
+    Raises:
+        VsfsimError: see `finished`.
+    """
+    done = {v.cell.key: v for v in finished(file, {"limit": limit, "device": device, **(circumstances or {})})}
+    waiting = [c for c in cells if c.key not in done]
+    with file.open("a") as out:
+        for cell, found in answers(waiting, partial(_work, limit=limit, device=device), workers=workers,
+                                   most=FRAMES * LATE * limit + SPARE, budget=budget):
+            if isinstance(found, Ended):
+                outcome = Outcome.LATE if found.late else Outcome.CRASHED
+                found = Verdict(cell, outcome, (found.words,), seconds=found.seconds)
+            out.write(json.dumps(found.table()) + "\n")
+            out.flush()
+            done[cell.key] = found
+            if progress is not None:
+                progress(sum(c.key in done for c in cells), len(cells), "cells")
+    return [done[c.key] for c in cells if c.key in done]
+
+
+def _work(cell: Cell, limit: float, device: str) -> Verdict:
+    found = judge(cell, limit, device)
+    if device != "cpu":
+        import torch
+
+        gc.collect()
+        torch.cuda.empty_cache()  # for the other processes
+    return found

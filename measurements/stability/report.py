@@ -9,7 +9,7 @@ from typing import Any
 
 from measurements.measurement import Column, Measurement, Table
 from measurements.stability.design import KINDS, Cell
-from measurements.stability.judge import Outcome, Verdict
+from measurements.stability.judge import BAD, Outcome, Verdict
 
 SIMILAR = 1e-3  # relative difference of a force that the scaling of units forbids (float64)
 
@@ -51,22 +51,20 @@ def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any], notes: Se
     columns = (Column("cells", "cells"), Column("number", "number", "1", form="d"),
                *(Column(o.value, o.value, "1", "%", ".1f") for o in Outcome))
     tables = [Table("Share of the cells by outcome, in percent", columns, rows, "shares")]
-    if reasons:
-        tables.append(Table("Cells with frames that are marked, by reason",
-                            (Column("reason", "reason"), Column("number", "cells", "1", form="d")),
-                            [{"reason": reason, "number": n} for reason, n in reasons.most_common()], "reasons"))
-    worse = [v for v in verdicts if v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE)]
+    counted = [Table(title, (Column("reason", "reason"), Column("number", "cells", "1", form="d")),
+                     [{"reason": reason, "number": n} for reason, n in count.most_common()], name)
+               for title, name, count in (
+                   ("Cells with frames that are marked, by reason", "reasons", reasons),
+                   ("Sampled cells whose second press was refused, by reason", "unchecked",
+                    Counter(v.unchecked for v in verdicts if v.unchecked))) if count]
+    tables += counted
+    worse = [v for v in verdicts if v.outcome in BAD]
     if worse:
         tables.append(Table("Cells that are wrong, crashed or over the limit",
                             (Column("key", "key"), Column("outcome", "outcome"), Column("cell", "cell"),
                              Column("words", "why")),
                             [{"key": v.cell.key, "outcome": v.outcome.value, "cell": v.cell.text,
                               "words": " | ".join(v.words[:2])} for v in worse], "worse"))
-    unchecked = Counter(v.unchecked for v in verdicts if v.unchecked)
-    if unchecked:
-        tables.append(Table("Sampled cells whose second press was refused, by reason",
-                            (Column("reason", "reason"), Column("number", "cells", "1", form="d")),
-                            [{"reason": reason, "number": n} for reason, n in unchecked.most_common()], "unchecked"))
     return Measurement.of("stability", settings, tables,
                           numbers={"cells": [v.table() for v in verdicts],
                                    "seconds": sum(v.seconds for v in verdicts)},

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vsfsim.bench.board.compare import interval, joined_ranks, paired, ratios
+from vsfsim.bench.board.compare import by_object, interval, joined_ranks, paired
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.predictions import questions
@@ -79,10 +79,10 @@ def test_each_object_is_predicted_from_the_others(folded, dataset, results):
 
 
 def test_zero_has_the_ratio_one_and_others_that_of_their_objects(results):
-    by_object = ratios(results["Constant"], "5")
-    assert len(by_object) == OBJECTS and list(by_object.values()) == pytest.approx([1.0] * OBJECTS, rel=1e-7)
+    values = by_object(results["Constant"], "rmse_ratio", "5")
+    assert len(values) == OBJECTS and list(values.values()) == pytest.approx([1.0] * OBJECTS, rel=1e-7)
     mean = results["FoldMean"].scores["rmse_ratio"]["5"].mean
-    assert mean == pytest.approx(interval(ratios(results["FoldMean"], "5"))[0], rel=1e-12)
+    assert mean == pytest.approx(interval(by_object(results["FoldMean"], "rmse_ratio", "5"))[0], rel=1e-12)
 
 
 def test_ranks_are_joined_by_paired_differences():

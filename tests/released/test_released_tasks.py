@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vsfsim.bench.board.compare import absolute
+from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.shipped import read_rows
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record
@@ -106,5 +106,5 @@ def test_a_shipped_row_is_scored_again(released):
     readings = zip(*(again.readings[key] for key in ("n", "ss")), strict=True)
     norm = max(math.sqrt(ss / n) for n, ss in readings)
     for shot in ("0", "all"):  # between them a row holds the mean over several draws of the support
-        for name, found in absolute(again, shot).items():
+        for name, found in by_object(again, "rmse", shot).items():
             assert found == pytest.approx(shipped.values["rmse"][shot][name], abs=TOLERANCE * norm), (name, shot)

@@ -46,10 +46,13 @@ class Question:
     """Indices of the query touches."""
     actions: tuple[Action, ...]
     """Of the query touches."""
-    keys: tuple[str, ...]
-    """Names of the answers in the file, one a query touch."""
-    train: tuple[str, ...]
+    train: tuple[str, ...] = ()
     """Names of the object views that the answers may be learned from; with cross-validation others in every fold."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the answers in the file, one a query touch."""
+        return tuple(f"{self.name}/{self.shot}/{self.seed}/{touch:03d}" for touch in self.touches)
 
 
 def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
@@ -57,12 +60,12 @@ def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
     for fold in folds_of(dataset, task.protocol):
         for view in map(dataset.blind().load, fold.test):
             recording, draw, shown = record(view, task), divide(view, task.protocol), frozen_view(view.view)
+            actions = tuple(recording.queries[i].action for i in draw.query)
             for seed in task.protocol.runs(seeded=False):
                 for label in task.protocol.labels:
                     chosen = support(view, draw, label, seed, task.protocol)
                     yield Question(view.name, label, seed, shown, tuple(recording.readings[i] for i in chosen),
-                                   draw.query, tuple(recording.queries[i].action for i in draw.query),
-                                   tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query), fold.train)
+                                   draw.query, actions, fold.train)
 
 
 def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:

@@ -163,7 +163,7 @@ def _questions_of(path: Path, sha256: str, task: Task) -> list[Question]:
     except (OSError, ValueError, KeyError, TypeError, IndexError, BadZipFile, EOFError, SceneError) as error:
         raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
     return [Question(name, label, run, view, tuple(readings[k] for k in support(who, draw, label, run, task.protocol)),
-                     draw.query, asked, tuple(f"{name}/{label}/{run}/{k:03d}" for k in draw.query), ())
+                     draw.query, asked)
             for run in task.protocol.runs(seeded=False) for label in task.protocol.labels]
 
 

@@ -4,7 +4,7 @@ differences with their standard errors."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,56 +40,36 @@ class Paired:
         return self.objects >= FEWEST_OBJECTS and abs(self.mean) > TOLD_APART * self.error
 
 
-def ratios(result: Any, shot: str) -> dict[str, float]:
-    """Mean over runs of each object's ratio to zero (`metric_functions.object_ratios`), by the object's name.
-
-    {} where the result does not hold the shot, or not the true readings' sizes.
-    """
-    by_run: dict[int, list[dict]] = {}
-    for row in result.rows():
-        if row["shot"] == shot:
-            by_run.setdefault(row["seed"], []).append(row)
-    found = [object_ratios(rows) for rows in by_run.values()]
-    known = [one for one in found if one is not None]
-    if not known or len(known) != len(found):
-        return {}
-    return {name: math.fsum(one[name] for one in known) / len(known) for name in known[0]
-            if all(name in one for one in known)}
-
-
-def absolute(result: Any, shot: str, *, scale: float = 1.0) -> dict[str, float]:
-    """Mean over runs and query touches of the error of each object [unit of a reading], by the object's name.
-
-    Args:
-        result: of any task. shot: label. scale: factor on every error.
-    """
-    sums: dict[str, list[float]] = {}
-    for name, at, n, sse in zip(*(result.queries[k] for k in ("object", "shot", "n", "sse")), strict=True):
-        if at == shot:
-            sums.setdefault(object_of(name), []).append(math.sqrt(sse / n))
-    return {name: scale * math.fsum(values) / len(values) for name, values in sums.items()}
-
-
 def by_object(result: Any, metric: str, shot: str) -> dict[str, float]:
     """A metric of each object, mean over runs, by the object's name; {} where the result does not hold it.
+
+    The mean of ``rmse`` is over the query touches of all runs [unit of a reading]; ``rmse_ratio`` is that of each run
+    to zero (`metric_functions.object_ratios`), where the result keeps the true readings' sizes.
 
     Args:
         result: of any task. metric: a key of `vsfsim.bench.metrics.METRICS`. shot: label.
     """
     if result.values:
         return dict(result.values.get(metric, {}).get(shot, {}))
+    pairs: Iterable[tuple[str, float]]
     if metric == "rmse_ratio":
-        return ratios(result, shot)
-    if metric == "rmse":
-        return absolute(result, shot)
-    rows = result.answers.get(METRICS[metric].answer.value, {})
-    if metric not in rows:
-        return {}
-    found: dict[str, list[float]] = {}
-    for name, at, value in zip(*(rows.get(key, ()) for key in ("object", "shot", metric)), strict=True):
-        if at == shot and value is not None:
-            found.setdefault(object_of(name), []).append(value)
-    return {name: math.fsum(v) / len(v) for name, v in found.items()}
+        by_run: dict[int, list[dict]] = {}
+        for row in result.rows():
+            if row["shot"] == shot:
+                by_run.setdefault(row["seed"], []).append(row)
+        found = [object_ratios(rows) or {} for rows in by_run.values()]
+        pairs = ((name, one[name]) for one in found for name in one if all(name in other for other in found))
+    elif metric == "rmse":
+        columns = (result.queries[key] for key in ("object", "shot", "n", "sse"))
+        pairs = ((name, math.sqrt(sse / n)) for name, at, n, sse in zip(*columns, strict=True) if at == shot)
+    else:
+        rows = result.answers.get(METRICS[metric].answer.value, {})
+        given = zip(*(rows[key] for key in ("object", "shot", metric)), strict=True) if metric in rows else ()
+        pairs = ((name, value) for name, at, value in given if at == shot and value is not None)
+    values: dict[str, list[float]] = {}
+    for name, value in pairs:
+        values.setdefault(object_of(name), []).append(value)
+    return {name: math.fsum(of) / len(of) for name, of in values.items()}
 
 
 def paired(one: ByObject, other: ByObject) -> Paired:
