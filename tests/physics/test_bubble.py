@@ -59,7 +59,7 @@ def sound(frames, model):
 # ------------------------------------------------------------------------------------------ meshes
 
 
-@pytest.mark.parametrize("nodes", [100, 390, 391, 1000])
+@pytest.mark.parametrize("nodes", [100, 391])
 @pytest.mark.parametrize("b", [0.04, 0.05725])
 def test_meshes_have_the_nodes_asked_for_and_are_their_own_mirror_images(nodes, b):
     a = 0.05725
@@ -175,7 +175,6 @@ def test_touches_together_are_as_alone(device):
 @pytest.mark.parametrize(("change", "depth"), [
     ({"gauge_pressure": 200.0, "pre_stretch": 1.0, "gas_volume": 6e-5}, 0.004),  # deflated, no tension but its own
     ({"gauge_pressure": 200.0}, 0.0009),  # 1.1 mm high; behind it is the housing
-    ({"young_modulus": 1.36e9, "gauge_pressure": 7.82e6}, 0.010),
     ({"thickness": 0.004, "young_modulus": 1.7e5}, 0.010),
 ])
 def test_extremes_converge(change, depth):

@@ -31,12 +31,10 @@ class Link:
 
     name: str
     """Name of the body."""
-    parent: str
-    """Name of the body that it is attached to."""
     position: Vector
-    """Origin of its frame in the parent's frame (3,) [m]."""
+    """Origin of its frame in that of the link before (3,) [m]."""
     quaternion: Quaternion
-    """Rotation of its frame in the parent's frame, w x y z (4,), not normalised."""
+    """Rotation of its frame in that of the link before, w x y z (4,), not normalised."""
     joint_range: tuple[float, float] | None
     """Least and largest angle [rad], infinite for a continuous joint; None for no joint."""
     mass: float
@@ -50,27 +48,27 @@ class Link:
 
 
 LINKS = (  # [table]
-    Link("base_link", "world", (0, 0, 0), (1, 0, 0, 0), None, 1.697,
+    Link("base_link", (0, 0, 0), (1, 0, 0, 0), None, 1.697,
          (-0.000648, -0.000166, 0.084487), (0.999294, 0.00139618, -0.0118387, 0.035636),
          (0.00462407, 0.00449437, 0.00207755)),
-    Link("shoulder_link", "base_link", (0, 0, 0.15643), (0, 1, 0, 0), CONTINUOUS, 1.3773,
+    Link("shoulder_link", (0, 0, 0.15643), (0, 1, 0, 0), CONTINUOUS, 1.3773,
          (-2.3e-05, -0.010364, -0.07336), (0.707051, 0.0451246, -0.0453544, 0.704263),
          (0.00488868, 0.00457, 0.00135132)),
-    Link("half_arm_1_link", "shoulder_link", (0, 0.005375, -0.12838), (1, 1, 0, 0), (-2.24, 2.24), 1.1636,
+    Link("half_arm_1_link", (0, 0.005375, -0.12838), (1, 1, 0, 0), (-2.24, 2.24), 1.1636,
          (-4.4e-05, -0.09958, -0.013278), (0.482348, 0.516286, -0.516862, 0.483366), (0.0113017, 0.011088, 0.00102532)),
-    Link("half_arm_2_link", "half_arm_1_link", (0, -0.21038, -0.006375), (1, -1, 0, 0), CONTINUOUS, 1.1636,
+    Link("half_arm_2_link", (0, -0.21038, -0.006375), (1, -1, 0, 0), CONTINUOUS, 1.1636,
          (-4.4e-05, -0.006641, -0.117892), (0.706144, 0.0213722, -0.0209128, 0.707437),
          (0.0111633, 0.010932, 0.00100671)),
-    Link("forearm_link", "half_arm_2_link", (0, 0.006375, -0.21038), (1, 1, 0, 0), (-2.57, 2.57), 0.9302,
+    Link("forearm_link", (0, 0.006375, -0.21038), (1, 1, 0, 0), (-2.57, 2.57), 0.9302,
          (-1.8e-05, -0.075478, -0.015006), (0.483678, 0.515961, -0.515859, 0.483455),
          (0.00834839, 0.008147, 0.000598606)),
-    Link("spherical_wrist_1_link", "forearm_link", (0, -0.20843, -0.006375), (1, -1, 0, 0), CONTINUOUS, 0.6781,
+    Link("spherical_wrist_1_link", (0, -0.20843, -0.006375), (1, -1, 0, 0), CONTINUOUS, 0.6781,
          (1e-06, -0.009432, -0.063883), (0.703558, 0.0707492, -0.0707492, 0.703558),
          (0.00165901, 0.001596, 0.000346988)),
-    Link("spherical_wrist_2_link", "spherical_wrist_1_link", (0, 0.00017505, -0.10593), (1, 1, 0, 0), (-2.09, 2.09),
+    Link("spherical_wrist_2_link", (0, 0.00017505, -0.10593), (1, 1, 0, 0), (-2.09, 2.09),
          0.6781,
          (1e-06, -0.045483, -0.00965), (0.44426, 0.550121, -0.550121, 0.44426), (0.00170087, 0.001641, 0.00035013)),
-    Link("bracelet_link", "spherical_wrist_2_link", (0, -0.10593, -0.00017505), (1, -1, 0, 0), CONTINUOUS, 0.5,
+    Link("bracelet_link", (0, -0.10593, -0.00017505), (1, -1, 0, 0), CONTINUOUS, 0.5,
          (0.000281, 0.011402, -0.029798), (0.394358, 0.596779, -0.577293, 0.393789),
          (0.000657336, 0.000587019, 0.000320645)),
 )

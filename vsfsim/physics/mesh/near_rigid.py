@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vsfsim.core.solid import TET_FACES
+from vsfsim.core.solid import boundary_faces
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.physics.mesh.validity import joined
 
@@ -55,25 +55,16 @@ def limited(mesh: QuadraticMesh, young_modulus: np.ndarray) -> tuple[np.ndarray,
         around[part] = False
         if (nodes & boundary).any() or not around.any():
             continue
-        most = COMPACT * _slenderness(mesh, part) ** 3 * _surroundings(mean[around], mesh.volume[around])
-        out[part] = np.minimum(out[part], most)
+        # a few tetrahedra at the surface of a part hold a mixture of both materials
+        surroundings = np.quantile(mean[around], ENCLOSED, weights=mesh.volume[around], method="inverted_cdf")
+        out[part] = np.minimum(out[part], COMPACT * _slenderness(mesh, part) ** 3 * surroundings)
     return out, float((young_modulus / out).max())
-
-
-def _surroundings(modulus: np.ndarray, volume: np.ndarray) -> float:
-    """The modulus [Pa] that nine tenths of the volume around a part do not exceed: a few tetrahedra at its surface hold
-    a mixture of both materials."""
-    order = np.argsort(modulus)
-    share = np.cumsum(volume[order]) / volume.sum()
-    return float(modulus[order][np.searchsorted(share, ENCLOSED)])
 
 
 def _slenderness(mesh: QuadraticMesh, part: np.ndarray) -> float:
     """Longest extent over thickness of a part of the mesh, by its tetrahedra [-]."""
     corners = mesh.tets[part][:, :4]
-    faces = corners[:, TET_FACES].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    a, b, c = (mesh.points[faces[first[count == 1]][:, k]] for k in range(3))
+    a, b, c = np.moveaxis(mesh.points[boundary_faces(corners)[0]], 1, 0)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     at = mesh.points[np.unique(corners)]
     longest = 2.0 * np.linalg.norm(at - at.mean(axis=0), axis=1).max()
