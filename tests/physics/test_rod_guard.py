@@ -10,6 +10,7 @@ from stems import crossing, stem
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import Ended, RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.physics.solve.frames import Reason
 
 HOLD, OUT, LIMIT = 3, 15, 40.0
 POSES = crossing(np.linspace(0.0, 0.06, 31), height=0.15, start=-0.07)
@@ -129,4 +130,5 @@ def test_where_no_frame_finds_an_equilibrium_the_arm_turns_back(device):
     frames = push(solver(1e6, device=device, room=1, force_limit=1e9))
     bad = np.flatnonzero(~frames.converged[:, 0])
     assert frames.frames[0] == len(PLAN) and len(bad) >= 5 and (np.diff(bad[:5]) == 1).all()
+    assert (frames.reason[bad, 0] == Reason.PATCH).any()
     assert frames.where[bad[4] + 1, 0] == frames.where[bad[0] - 1, 0] and np.isfinite(frames.force).all()

@@ -6,7 +6,7 @@ The touches of a batch advance together but independently, and may be of differe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -82,12 +82,6 @@ class RodFrames:
     turns: np.ndarray | None
     """Rotations of the nodes since rest, quaternions x y z w (T, B, N, 4), or None."""
 
-    def columns(self, some: slice) -> RodFrames:
-        """The frames of some touches."""
-        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return RodFrames(**{name: None if a is None else a[some] if a.ndim == 1 else a[:, some]
-                            for name, a in parts.items()})
-
     @staticmethod
     def joined(parts: Sequence[RodFrames]) -> RodFrames:
         """The touches of several batches with the same number of frames."""
@@ -134,19 +128,16 @@ class RodSolver:
         self.weighs = int(any(m.weight.any() for m in self.models))
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0,
-            frames: np.ndarray | None = None, plan: np.ndarray | None = None, inward: np.ndarray | None = None,
-            keep_nodes: bool = False, progress: Callable[[int, int], None] | None = None) -> RodFrames:
+            plan: np.ndarray | None = None, inward: np.ndarray | None = None, keep_nodes: bool = False) -> RodFrames:
         """Carry out touches.
 
         Args:
             plant: number of the touched plant (B,).
             poses: poses of the capsules along the way, z along their axes (P, B, K, 4, 4) [m].
             friction: coefficient of friction (B,), or one for all [-].
-            frames: number of frames of each touch (B,), None for T.
             plan: position of each frame on the way, in numbers of poses (B, T); None for one frame a pose.
             inward: number of frames before the planned way out (B,), None for all.
             keep_nodes: return the states of the nodes.
-            progress: called with the number of new frames and of the touches that are not finished.
 
         Raises:
             RodError: shapes do not fit, or poses are not finite.
@@ -154,11 +145,9 @@ class RodSolver:
         p, b = len(poses), len(np.asarray(plant))
         plan = np.tile(np.arange(p, dtype=float), (b, 1)) if plan is None else np.asarray(plan, float)
         batch = RodBatch(self, b, frames=plan.shape[1], poses=p, keep_nodes=keep_nodes)
-        batch.add(plant, poses, plan=plan, friction=friction, frames=frames, inward=inward)
+        batch.add(plant, poses, plan=plan, friction=friction, inward=inward)
         while batch.live:
-            new = batch.advance()
-            if progress is not None:
-                progress(new, batch.live)
+            batch.advance()
         return batch.take(slice(0, b))
 
 
@@ -214,7 +203,7 @@ class RodBatch:
         return None
 
     def add(self, plant: np.ndarray, poses: np.ndarray, *, plan: np.ndarray, friction: np.ndarray | float = 0.0,
-            frames: np.ndarray | None = None, inward: np.ndarray | None = None) -> slice:
+            inward: np.ndarray | None = None) -> slice:
         """Adds touches; the arguments are those of `RodSolver.run`.
 
         Returns:
@@ -234,8 +223,6 @@ class RodBatch:
         if plan.shape != (b, t) or not ((plan >= 0.0) & (plan <= p - 1)).all():
             raise RodError(f"the plan has the shape {plan.shape} and numbers {plan.min():g} to {plan.max():g}; give "
                            f"({b}, frames) numbers of the {p} poses, from 0.")
-        if plant.min() < 0 or plant.max() >= len(models):
-            raise RodError(f"a touch is of plant {int(plant.max())}, but there are {len(models)}, counted from 0.")
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
         if not ((friction >= 0.0) & (friction <= 10.0)).all():
             raise RodError(f"friction is {friction.min():g} to {friction.max():g}; it must be from 0 to 10.")
@@ -245,7 +232,7 @@ class RodBatch:
                            f"for {self._touch.plan.shape[1]} and {self._poses} are free.")
         some = slice(begin, begin + b)
         self._taken[some], self._plant[some], self._next[some], self._ended[some] = True, plant, 0, 0
-        self._frames[some] = t if frames is None else frames
+        self._frames[some] = t
 
         def put(array: wp.array, values: np.ndarray) -> None:
             array[some].assign(np.ascontiguousarray(values.astype(np.int32 if array.dtype is wp.int32 else np.float64)))

@@ -85,15 +85,6 @@ class Stick(IntEnum):
     NEW = 2
 
 
-class Stale(IntEnum):
-    """What elimination has to do again at a node: nothing; what a node further from the root has changed; or all,
-    because a contact of its own segment entered or left the model of the step."""
-
-    NO = 0
-    BELOW = 1
-    CONTACTS = 2
-
-
 # The plants, one after the other. A node and the segment from its parent to it share a number; node 0 of a plant is
 # clamped and has no segment. Numbers of nodes are counted within a plant.
 Trees = struct(
@@ -213,7 +204,6 @@ System = struct(
     rhs="spatial_vectord BN  right-hand side",
     eliminated_coupling="spatial_matrixd BN  inverse diagonal block times `child_parent`, eliminated",
     eliminated_rhs="spatial_vectord BN  inverse diagonal block times `rhs`, eliminated",
-    stale="int32 BN  `Stale`",
     step="spatial_vectord BN  the Newton step: displacement and spin")
 
 # What the end of a segment has of a contact.
@@ -352,7 +342,7 @@ def start(work: Any, models: Sequence[RodModel], some: slice, plan: np.ndarray) 
         for name, variable in part._cls.vars.items():
             if isinstance(variable.type, wp.array):
                 getattr(part, name)[some].zero_()
-    for array in (work.count[0], work.count[1], work.system.stale, work.progress):
+    for array in (work.count[0], work.count[1], work.progress):
         array[some].zero_()
     rest = np.zeros((len(models), work.now.x.shape[1], 3))
     for row, model in zip(rest, models):

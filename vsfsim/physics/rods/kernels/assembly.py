@@ -43,7 +43,7 @@ from vsfsim.physics.rods.kernels.segment import (
     real,
     spatial,
 )
-from vsfsim.physics.rods.structs import Contact, End, Stale, State, Stick, Thread, Touches, Trees, Work
+from vsfsim.physics.rods.structs import Contact, End, State, Stick, Thread, Touches, Trees, Work
 
 vec6 = wp.spatial_vectord
 # the blocks of a segment, by the nodes of their rows and columns
@@ -165,12 +165,10 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
 
 
 @wp.func
-def contact_hessians(touch: Touches, w: Work, me: Thread, count: int, side: int, geometric: real, coulomb: int):
-    """Second derivatives of the contacts; marks the whole model as stale. An open contact is a plane with the penalty's
-    stiffness. With ``coulomb`` the friction limit follows the normal force."""
+def contact_hessians(touch: Touches, w: Work, me: Thread, side: int, geometric: real, coulomb: int):
+    """Second derivatives of the contacts. An open contact is a plane with the penalty's stiffness. With ``coulomb`` the
+    friction limit follows the normal force."""
     b = me.b
-    for a in range(1 + me.lane, count, me.lanes):
-        w.system.stale[b, w.nodes.order[b, a]] = Stale.CONTACTS
     for c in range(me.lane, w.count[side, b], me.lanes):
         at = w.contacts[side, b, c]
         n = at.gap.normal
@@ -198,17 +196,14 @@ def end_of(at: Contact, parent: bool):
 
 @wp.func
 def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric: real, coulomb: int):
-    """Blocks and right-hand side of the step where they are stale, from the elastic energy and the contacts that take
-    part."""
+    """Blocks and right-hand side of the step, from the elastic energy and the contacts that take part."""
     b = me.b
     o = me.o
     # one item for each of the four blocks of a segment: there are few segments with contacts and many lanes
     for item in range(4 + me.lane, 4 * count, me.lanes):
         i = w.nodes.order[b, item / 4]
-        if w.system.stale[b, i] < Stale.CONTACTS or w.segments.contact_count[b, i] == 0:
-            continue
         block = item % 4
-        if block == PARENT_CHILD and coulomb == 0:
+        if w.segments.contact_count[b, i] == 0 or (block == PARENT_CHILD and coulomb == 0):
             continue
         own = mat66()
         if block == CHILD_PARENT:
@@ -245,14 +240,12 @@ def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geome
     sync()
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        if w.system.stale[b, i] == Stale.NO:
-            continue
         diagonal = w.system.elastic[b, i].child
         right = -w.system.elastic_gradient[b, i]
         if w.segments.contact_count[b, i] > 0:
             diagonal = diagonal + w.system.contact_block_child[b, i]
             right = right + w.system.contact_rhs_child[b, i]
-        elif w.system.stale[b, i] == Stale.CONTACTS:
+        else:
             w.system.child_parent[b, i] = w.system.elastic[b, i].mixed
             if coulomb == 1:
                 w.system.parent_child[b, i] = wp.transpose(w.system.elastic[b, i].mixed)
@@ -274,14 +267,11 @@ def carried(end: End, step: vec6):
 
 
 @wp.func
-def predict_contacts(tree: Trees, w: Work, me: Thread, levels: int, count: int, side: int):
-    """Predicts from the step which contacts will press, takes these into the model of the step, and marks what of it is
-    stale then. Returns the number of contacts that changed."""
+def predict_contacts(tree: Trees, w: Work, me: Thread, side: int):
+    """Predicts from the step which contacts will press, and takes these into the model of the step. Returns the number
+    of contacts that changed."""
     b = me.b
     changed = int(0)
-    for a in range(1 + me.lane, count, me.lanes):
-        w.system.stale[b, w.nodes.order[b, a]] = Stale.NO
-    sync()
     for c in range(me.lane, w.count[side, b], me.lanes):
         at = w.contacts[side, b, c]
         i = at.node
@@ -289,24 +279,9 @@ def predict_contacts(tree: Trees, w: Work, me: Thread, levels: int, count: int, 
         on = wp.where(-at.gap.value - wp.dot(at.gap.normal, way) > ZERO, 1, 0)
         if on != at.in_step:
             w.contacts[side, b, c].in_step = on
-            w.system.stale[b, i] = Stale.CONTACTS
             changed = changed + 1
     sync()
-    changed = lane_count(changed)
-    if changed > 0:
-        for back in range(1, levels):
-            d = levels - back
-            for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
-                i = w.nodes.order[b, a]
-                stale = w.system.stale[b, i]
-                kid = tree.child[me.o + i]
-                while kid >= 0:
-                    if w.nodes.active[b, kid] == 1 and w.system.stale[b, kid] > Stale.NO:
-                        stale = wp.max(stale, Stale.BELOW)
-                    kid = tree.next[me.o + kid]
-                w.system.stale[b, i] = stale
-            sync()
-    return changed
+    return lane_count(changed)
 
 
 @wp.func

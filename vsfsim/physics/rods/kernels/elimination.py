@@ -10,7 +10,7 @@ import warp as wp
 
 from vsfsim.physics.rods.kernels.lanes import lane_count, sync
 from vsfsim.physics.rods.kernels.segment import mat66
-from vsfsim.physics.rods.structs import Stale, Thread, Trees, Work
+from vsfsim.physics.rods.structs import Thread, Trees, Work
 
 vec6 = wp.spatial_vectord
 COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
@@ -142,7 +142,7 @@ def substitute(passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), st
 
 @wp.func
 def solve(tree: Trees, w: Work, me: Thread, levels: int, coulomb: int):
-    """Solves for the step of all active nodes; nodes that are not stale keep their last elimination.
+    """Solves for the step of all active nodes.
 
     Returns:
         1, or 0 where the tangent is not positive definite, or with ``coulomb`` (the unsymmetric system) singular.
@@ -161,8 +161,6 @@ def solve(tree: Trees, w: Work, me: Thread, levels: int, coulomb: int):
         if column < COLUMNS - 1:
             for a in range(w.nodes.level[b, d] + begin, w.nodes.level[b, d + 1], by):
                 i = w.nodes.order[b, a]
-                if w.system.stale[b, i] == Stale.NO:
-                    continue
                 fine = eliminate(tree.child, tree.next, w.nodes.active, w.system.diagonal, w.system.child_parent,
                                  w.system.parent_child, w.system.rhs, w.system.eliminated_coupling,
                                  w.system.eliminated_rhs, b, me.o, i, column, 1 - coulomb)

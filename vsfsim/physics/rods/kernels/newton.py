@@ -176,13 +176,13 @@ def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, le
     """Newton's step with the contacts that it closes itself: their set is predicted until it no longer changes, at most
     ``sets`` times. Returns 1, or 0 if the system is singular or not positive definite."""
     fine = int(0)
-    contact_hessians(touch, w, me, count, side, geometric, coulomb)
+    contact_hessians(touch, w, me, side, geometric, coulomb)
     for _pick in range(sets):
         assemble_step(tree, w, me, count, side, geometric, coulomb)
         fine = solve(tree, w, me, levels, coulomb)
         if fine == 0 or sets == 1:
             break
-        if predict_contacts(tree, w, me, levels, count, side) == 0:
+        if predict_contacts(tree, w, me, side) == 0:
             break
     return fine
 
