@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli.cluster import Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, fan_of
+from vsfsim.cli.cluster import Machines
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import JsonFile, check_choice
+from vsfsim.cli.options import AtLeastOne, JsonFile, check_choice, command
 from vsfsim.core.errors import TaskError
 
 app = typer.Typer(rich_markup_mode=None)
@@ -20,32 +20,30 @@ def _complete(incomplete: str) -> list[str]:
     return [name for name in studies() if name.startswith(incomplete)]
 
 
-@app.command()
-def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete,
-                                                            help="Of a study, or the path of its .toml file; may be "
-                                                                 "given again. Without it, the studies are listed.")
-                           ] = None,
-          every: Annotated[bool, typer.Option("--all", help="All studies that ship.")] = False,
-          size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size.")
-                          ] = "mini",
-          workers: Annotated[int, typer.Option(min=1, help="Trainings that run at the same time, of all variants.")
-                             ] = 1,
-          device: Annotated[str, typer.Option(help="Torch device of the methods that a GPU makes faster: cuda:0 for "
-                                                   "instance; with cuda each training uses one of all GPUs.")] = "",
-          on: On = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shard: ShardOf = None,
-          shards: Shards = None, printed: Printed = False,
-          show: Annotated[bool, typer.Option("--show", help="Print what is stored and make nothing.")] = False,
-          json: JsonFile = None) -> None:
+@command(app)
+def study(machines: Machines,
+          names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)] = None,
+          every: Annotated[bool, typer.Option("--all")] = False, size: str = "mini", workers: AtLeastOne = 1,
+          device: str = "", show: bool = False, json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
+
+    Args:
+        names: Of a study, or the path of its .toml file; may be given again. Without it, the studies are listed.
+        every: All studies that ship.
+        size: Tasks that are asked: mini, or standard for the papers' size.
+        workers: Trainings that run at the same time, of all variants.
+        device: Torch device of the methods that a GPU makes faster: cuda:0 for instance; with cuda each training uses
+            one of all GPUs.
+        show: Print what is stored and make nothing.
     """
     from papers import report as tables
     from papers.results import make_missing, stored
     from papers.study import SIZES, load_study, studies
 
     check_choice("--size", size, SIZES)
-    fan = fan_of(on, shard, printed, address, gpus_per_task)
+    fan = machines.fan()
     known = [load_study(name) for name in (studies() if every else names or [])]
     if not known:
         listed = [load_study(name) for name in studies()]
@@ -55,7 +53,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                  "variants": [v.name for v in one.variants]} for one in listed], json)
         return
     reasons: dict[str, list[str]] = {}
-    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, printed, int(gpus_per_task)):
+    if machines.scheduled and not machines.by_shards(10):
         return
     if not show:
         with Progress("study") as progress:
@@ -76,16 +74,17 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         raise TaskError("\n\n".join(f"{'; '.join(which)}: {message}" for message, which in reasons.items()))
 
 
-@app.command()
-def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper, exact or "
-                                                    "tuned.")] = "tuned",
-           size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size; "
-                                                  "default: of each claim the larger one that has results.")] = "",
-           json: JsonFile = None) -> None:
+@command(app)
+def claims(preset: str = "tuned", size: str = "", json: JsonFile = None) -> None:
     """Hold the papers' claims against stored results.
 
     Reads the results that ship, those in results/TASK and those of `vsfsim papers study`. Each verdict names the
     commands behind it; of a claim that does not hold, experiments say what is at fault.
+
+    Args:
+        preset: Settings of the methods whose results count: paper, exact or tuned.
+        size: Tasks that are asked: mini, or standard for the papers' size; default: of each claim the larger one that
+            has results.
     """
     from papers import claims as judged
     from papers.study import SIZES

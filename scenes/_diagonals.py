@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vsfsim.core.hexes import split_hexes
-from vsfsim.core.quality import smallest_sine
+from vsfsim.core.solid import smallest_sine
 
 
 def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, good: float = 0.2,

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.core.scene_tables.foam import FOAMS, Foam
+from vsfsim.core.material import FOAMS, Foam
 from vsfsim.core.solid import Appearance, Law
 
 Colour = tuple[float, float, float]

@@ -102,15 +102,12 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, ol
 
 
 @pytest.mark.parametrize(("probe", "message"), [
-    ('{ mesh = "none.stl" }', "mesh file 'none.stl' cannot be read: No such file"),
     ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
-    ('{ mesh = "text.obj" }', "mesh file 'text.obj' cannot be understood as OBJ: line 1 begins with 'not'"),
     ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
 ])
 def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vsfsim, tmp_path, probe, message):
     (tmp_path / "box.toml").write_text(BOX[:BOX.index("[touches]")].replace("{ sphere = 0.02 }", probe))
     (tmp_path / "flat.obj").write_text(FLAT)
-    (tmp_path / "text.obj").write_text("not a mesh")
     before = contents(tmp_path)
     assert_refused(vsfsim(*PRESS, cwd=tmp_path), message)
     assert contents(tmp_path) == before
@@ -124,7 +121,6 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vs
     (("verify", "toy-v1.toml"), "'toy-v1.toml' is a file, not a folder of a dataset."),
     (("press", "indent", "--tier", "linear"),
      "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),
-    (("press", "indent", "--plot", "nowhere/x.png"), "there is no folder 'nowhere'"),
     (("press", "indent", "--picture", "nowhere/x.png"),
      "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
     (("press", "indent", "--save", "x.h5"), "--save is 'x.h5'; it must end in .npz"),
@@ -225,7 +221,7 @@ def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp
 
 
 @pytest.mark.parametrize("words", [("--debug", *PRESS), (*PRESS, "--debug")])
-def test_debug_shows_the_traceback(tmp_path, words):
+def test_debug_shows_the_traceback(vsfsim, tmp_path, words):
     (tmp_path / "box.toml").write_text(BOX.replace("young_modulus", "young_modulos"))
-    out = run(*words, cwd=tmp_path)
+    out = vsfsim(*words, cwd=tmp_path)
     assert out.returncode == 2 and "Traceback" in out.stderr and "error: box.toml [object]: unknown key" in out.stderr

@@ -76,9 +76,9 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("press", "fom.toml"), "there is no scene file 'fom.toml'. Did you mean 'foam.toml'?"),
+    (("press", "fom.toml"), "there is no scene file (.toml) 'fom.toml'. Did you mean 'foam.toml'?"),
     (("press", "there/foam.toml"), "there is no folder 'there'"),
-    (("press", "notes.txt"), "'notes.txt' is no .toml file"),
+    (("press", "notes.txt"), "'notes.txt' is a file, not a scene file (.toml)."),
     (("verify", "data/trry"),
      "there is no folder of a dataset 'data/trry'. Did you mean "
      "'data/try'?"), (("check", "mine.py:Mine"), "without .py: mine:Mine"),

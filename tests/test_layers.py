@@ -83,7 +83,6 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 """The same for one file, which nothing imports at its top: a class that inherits from one of the package's."""
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL", "jinja2"},
-                "cli": {"rich"},
                 "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`."""
 
@@ -293,7 +292,7 @@ PLANTED = [
 """File, text and the violation that must be found in it."""
 
 LAWFUL = [
-    ("vsfsim/cli/main.py", "def f():\n    from vsfsim.bench.task import load_task\n    import rich"),
+    ("vsfsim/cli/main.py", "def f():\n    from vsfsim.bench.task import load_task"),
     ("vsfsim/vsf/dynamics.py", "from vsfsim.physics.contact.sdf import reach\nimport warp as wp\nimport json"),
     ("baselines/x.py", "from .posterior import Posterior\nimport torch\nfrom vsfsim.bench.method import Action"),
     ("vsfsim/__init__.py", "if TYPE_CHECKING:\n    from vsfsim.bench.task import Task"),

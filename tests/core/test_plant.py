@@ -36,7 +36,7 @@ def test_a_core_is_at_most_as_stiff_as_its_segment():
     for segment in (1, 2, 3):
         stiffer = core(0.5)
         stiffer[segment] = core(1.001)[segment]
-        with pytest.raises(SceneError, match=f"the core of segment {segment} has a bending stiffness"):
+        with pytest.raises(SceneError, match=f"bending stiffness of the core of segment {segment} is"):
             plant(yielding=stiffer)
 
 
@@ -66,7 +66,7 @@ def test_a_blades_normal_is_a_unit_vector_across_it():
 
 def test_a_parent_comes_before_its_child():
     for parent in (2, 3, -1):
-        with pytest.raises(SceneError, match="the parent of node 2 is"):
+        with pytest.raises(SceneError, match="the parent of segment 2 is"):
             plant(parent=np.array([-1, 0, parent, 2]))
 
 

@@ -22,9 +22,9 @@ def test_names_are_the_files_and_paths_work_too(tmp_path):
     (shelf.find_scene, "indnt", SceneError, "unknown scene 'indnt'. Did you mean 'indent'?"),
     (shelf.find_scene, "indnt", SceneError, "`vsfsim scenes` lists them; a path to a .toml file works too."),
     (shelf.find_scene, "nowhere/x.toml", SceneError,
-     "there is no scene file 'nowhere/x.toml': there is no folder 'nowhere'."),
+     "there is no scene file (.toml) 'nowhere/x.toml': there is no folder 'nowhere'."),
     (shelf.find_task, "fewshot-shoe-v3-mini-v1", TaskError, "Did you mean 'fewshot-shoes-v3-mini-v1'?"),
-    (shelf.find_task, "x.toml", TaskError, "there is no task file 'x.toml'."),
+    (shelf.find_task, "x.toml", TaskError, "there is no task file (.toml) 'x.toml'."),
 ])
 def test_neither_a_name_nor_a_file(find, given, error, message):
     with pytest.raises(error, match=re.escape(message)):

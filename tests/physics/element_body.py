@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import warp as wp
 
-from vsfsim.core.scene_tables.foam import Foam
+from vsfsim.core.material import Foam
 from vsfsim.physics.elements import tet10
 from vsfsim.physics.laws.law import lame
 from vsfsim.physics.solve.elasticity import Elasticity

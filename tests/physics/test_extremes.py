@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from frame_checks import from_above, numbers_stand_for_equilibria
 
-from vsfsim.core.quality import worst_angle
 from vsfsim.core.shape import Plane, Sphere
-from vsfsim.core.solid import Solid
+from vsfsim.core.solid import Solid, smallest_sine
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
@@ -167,7 +166,7 @@ def slivered(degrees):
         part = 0.5 * (low + high)
         moved = vertices.copy()
         moved[inside[::2], 2] += part * 0.01
-        low, high = (part, high) if worst_angle(moved, tets) > np.radians(degrees) else (low, part)
+        low, high = (part, high) if smallest_sine(moved, tets).min() > np.sin(np.radians(degrees)) else (low, part)
     moved = vertices.copy()
     moved[inside[::2], 2] += low * 0.01
     return Solid(moved, tets, np.zeros(len(tets), int), ("body",))
@@ -176,7 +175,7 @@ def slivered(degrees):
 def test_slivers(device):
     """Dihedral angles down to one degree make the problem ill-conditioned, and the force hardly another."""
     bad, good = slivered(1.0), slivered(20.0)
-    assert np.degrees(worst_angle(bad.vertices, bad.tets)) == pytest.approx(1.0, abs=0.1)
+    assert smallest_sine(bad.vertices, bad.tets).min() == pytest.approx(np.sin(np.radians(1.0)), rel=0.1)
     forces = [press(body(solid=s, nu=0.45), [0.1, 0.2], device) for s in (bad, good)]
     assert all(f.converged.all() for f in forces)
     # a few flat elements in 540 interpolate worse; they do not lock the body

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.quality import worst_angle
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import scenes
-from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.core.solid import Solid, smallest_sine, tet_volumes
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.validity import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import footwear
@@ -39,7 +38,7 @@ def test_there_are_23_shoes_of_four_classes_and_slippers_mislead() -> None:
 def test_every_shoe_is_whole(model: str) -> None:
     solid = make(1, model=model)
     assert tet_volumes(solid.vertices, solid.tets).min() > 0.0 and not len(pinched_vertices(solid.tets))
-    assert worst_angle(solid.vertices, solid.tets) > math.radians(WORST)
+    assert smallest_sine(solid.vertices, solid.tets).min() > math.sin(math.radians(WORST))
     assert solid.region_names == PARTS and set(np.unique(solid.region)) == set(range(len(PARTS)))
     for part in range(len(PARTS)):
         assert body_of_each_tet(solid.tets[solid.region == part]).max() == 0

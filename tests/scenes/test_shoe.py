@@ -10,8 +10,7 @@ import pytest
 import trimesh
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.quality import worst_angle
-from vsfsim.core.solid import TEXTURES, Solid, tet_volumes
+from vsfsim.core.solid import TEXTURES, Solid, smallest_sine, tet_volumes
 from vsfsim.physics.mesh.validity import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import shoe
 from vsfsim.scenes._materials import CLASSES, GRADED, SOLE_MATERIAL, TEXTURED, draw_appearance
@@ -32,7 +31,7 @@ def test_no_inverted_tets_over_all_parameters() -> None:
         solid = make(number, resolution=(0.016, 0.012)[number % 2], style=list(STYLES)[number % 4],
                      side=("left", "right")[number // 2 % 2], **form)
         assert tet_volumes(solid.vertices, solid.tets).min() > 0.0, form
-        assert worst_angle(solid.vertices, solid.tets) > math.radians(WORST), form
+        assert smallest_sine(solid.vertices, solid.tets).min() > math.sin(math.radians(WORST)), form
         assert not len(pinched_vertices(solid.tets))
 
 
@@ -40,7 +39,7 @@ def test_no_inverted_tets_over_all_parameters() -> None:
 def test_usual_shoes_are_well_shaped(style: str) -> None:
     for seed in range(2):
         solid = make(seed, style=style, resolution=0.012)
-        assert worst_angle(solid.vertices, solid.tets) > math.radians(USUAL)
+        assert smallest_sine(solid.vertices, solid.tets).min() > math.sin(math.radians(USUAL))
 
 
 @pytest.mark.parametrize("style", STYLES)

@@ -8,8 +8,8 @@ from scipy.optimize import brentq
 
 import references
 from vsfsim.core.errors import SceneError
+from vsfsim.core.material import FOAMS
 from vsfsim.core.scene import load_scene
-from vsfsim.core.scene_tables.foam import FOAMS
 from vsfsim.core.shape import Plane
 from vsfsim.physics import tiers
 from vsfsim.physics.laws import hyperfoam

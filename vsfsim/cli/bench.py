@@ -1,20 +1,26 @@
-"""Commands of the benchmark: methods, tasks, evaluate, score, leaderboard, check, new-method."""
+"""Commands of the benchmark: methods, tasks, evaluate, score, leaderboard, check, new-method; and of those who keep or
+enter a leaderboard: submit, audit, seal."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vsfsim.cli.cluster import ENGINES, Address, GpusPerTask, On, Printed, ShardOf, Shards, by_shards, fan_of
+from vsfsim.cli.cluster import ENGINES, Machines
 from vsfsim.cli.console import Progress, report, write_json
 from vsfsim.cli.options import (
+    AtLeastOne,
     DatasetFolder,
+    Folders,
     JsonFile,
     MethodName,
     Parameters,
+    Several,
     TaskName,
+    command,
     complete_method,
     complete_task,
     parameters_of,
@@ -29,8 +35,11 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
+KnownTask = Annotated[str | None, typer.Option(autocompletion=complete_task)]
+Results = Annotated[list[Path] | None, typer.Argument(metavar="RESULT")]
 
-@app.command()
+
+@command(app)
 def methods(json: JsonFile = None) -> None:
     """List the installed methods."""
     from vsfsim.bench.commands.catalogue import methods as catalogue
@@ -39,7 +48,7 @@ def methods(json: JsonFile = None) -> None:
     report("\n".join(f"{name:<20}{place}" for name, place in found.items()), found.table(), json)
 
 
-@app.command()
+@command(app)
 def tasks(json: JsonFile = None) -> None:
     """List the tasks."""
     from vsfsim.bench.commands.catalogue import tasks as catalogue
@@ -51,49 +60,35 @@ def tasks(json: JsonFile = None) -> None:
     report("\n".join(lines), found.table(), json)
 
 
-@app.command()
-def evaluate(task: TaskName,
-             method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method,
-                                                              help="Name of a method (`vsfsim methods`), or "
-                                                                   "module:attribute; may be given again. Ceilings: "
-                                                                   "resim, the true object; fem-map, its mesh.")
-                               ] = None,
-             every: Annotated[bool, typer.Option("--all", help="All methods that ship, with all their presets; results "
-                                                               "that are there already are kept. With --set "
-                                                               "device=cuda:0 those use the GPU that it makes faster; "
-                                                               "with device=cuda each training of several "
-                                                               "--processes uses one of all GPUs.")
-                             ] = False,
-             preset: Annotated[str, typer.Option(help="Settings of a method that ships: paper, exact or tuned; default "
-                                                      "those of its constructor.")] = "",
-             dataset: DatasetFolder = None,
-             out: Annotated[Path | None, typer.Option(help="Result file, or with --all a folder of them; default: "
-                                                           "results/TASK/METHOD.json.")] = None,
-             seeds: Annotated[int | None, typer.Option(min=1, help="Draws of the support set; default: the task's "
-                                                                   "number. With cross-validation, of one training.")
-                              ] = None,
-             parameters: Parameters = None,
-             workers: Annotated[int, typer.Option(min=1, help="Trials that run at the same time.")] = 1,
-             processes: Annotated[int, typer.Option(min=1, help="Trainings that run at the same time, each in a "
-                                                                "process of its own; with --all, of all rows.")] = 1,
-             timeout: Annotated[float | None, typer.Option(help="Seconds that one call of the method may take; "
-                                                                "default: no limit.")] = None,
-             memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
-                                                               "[GiB]; default: what the machine has.")] = None,
-             on: On = None,
-             shard: ShardOf = None, address: Address = "auto", gpus_per_task: GpusPerTask = 0.0, shards: Shards = None,
-             printed: Printed = False,
-             keep: Annotated[str, typer.Option(help="predictions: also write every prediction beside the truth, "
-                                                    "RESULT.predictions.npz, which `vsfsim view RESULT` draws.")
-                             ] = "",
-             sandbox: Annotated[str, typer.Option(help="namespaces: in a container, which hides your files and the "
-                                                       "network; process: in a process of its own; default: "
-                                                       "$VSFSIM_SANDBOX, or the strongest that works here.")
-                                ] = "", json: JsonFile = None) -> None:
+@command(app)
+def evaluate(task: TaskName, machines: Machines,
+             method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method)] = None,
+             every: Annotated[bool, typer.Option("--all")] = False, preset: str = "", dataset: DatasetFolder = None,
+             out: Path | None = None, seeds: Several = None, parameters: Parameters = None, workers: AtLeastOne = 1,
+             processes: AtLeastOne = 1, timeout: float | None = None, memory: float | None = None, keep: str = "",
+             sandbox: str = "", json: JsonFile = None) -> None:
     """Score methods on a task.
 
     Prints a table; every number goes into a JSON file. Finished parts are kept, and the same command goes on after an
     interruption.
+
+    Args:
+        method: Name of a method (`vsfsim methods`), or module:attribute; may be given again. Ceilings: resim, the true
+            object; fem-map, its mesh.
+        every: All methods that ship, with all their presets; results that are there already are kept. With --set
+            device=cuda:0 those use the GPU that it makes faster; with device=cuda each training of several --processes
+            uses one of all GPUs.
+        preset: Settings of a method that ships: paper, exact or tuned; default those of its constructor.
+        out: Result file, or with --all a folder of them; default: results/TASK/METHOD.json.
+        seeds: Draws of the support set; default: the task's number. With cross-validation, of one training.
+        workers: Trials that run at the same time.
+        processes: Trainings that run at the same time, each in a process of its own; with --all, of all rows.
+        timeout: Seconds that one call of the method may take; default: no limit.
+        memory: Memory that a process of the method may allocate [GiB]; default: what the machine has.
+        keep: predictions: also write every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view
+            RESULT` draws.
+        sandbox: namespaces: in a container, which hides your files and the network; process: in a process of its own;
+            default: $VSFSIM_SANDBOX, or the strongest that works here.
     """
     from vsfsim.bench.commands import catalogue
     from vsfsim.bench.commands.ceiling import ceiling_rows
@@ -108,12 +103,13 @@ def evaluate(task: TaskName,
                           "leave them away (--out FOLDER and --set device=cuda:0 go with --all).")
     if every and preset and preset not in catalogue.PRESETS:
         raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(catalogue.PRESETS)}.")
+    on = machines.on
     if on and (on == "development" or on.startswith("seed-")):
         raise VsfsimError(f"--on is '{on}'; it names an engine of {', '.join(ENGINES)}. For other objects give --task "
                           f"{task}-{on}.")
     wanted = load_task(task)
-    fan = fan_of(on, shard, printed, address, gpus_per_task)
-    if on in ("slurm", "k8s") and not by_shards(on, shards or 10, printed, int(gpus_per_task)):
+    fan = machines.fan()
+    if machines.scheduled and not machines.by_shards(10):
         return
     reads, answer = wanted.observation.name, wanted.metric.answer.value
     if every:
@@ -173,16 +169,9 @@ def _scored(result: Result, path: Path, task: Task, keep: str) -> str:
     return "\n".join(lines)
 
 
-@app.command()
-def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .npz with one array (T, d) a query; its "
-                                                                           "keys are OBJECT/SHOT/SEED/TOUCH.")],
-          task: TaskName, name: Annotated[str, typer.Option(help="Name of the method in the result.")],
-          dataset: DatasetFolder = None,
-          sealed: Annotated[Path | None, typer.Option(metavar="FILE", help="Private part of a sealed set; --dataset is "
-                                                                           "its dataset (`vsfsim seal`).")
-                            ] = None,
-          out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None,
-          json: JsonFile = None) -> None:
+@command(app)
+def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()], dataset: DatasetFolder = None,
+          sealed: Path | None = None, out: Path | None = None, json: JsonFile = None) -> None:
     """Score a file of predictions made elsewhere.
 
     This Python makes the file; write the questions out for a method in another language:
@@ -201,6 +190,12 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
 
     \b
       vsfsim score predictions.npz --task fewshot-shoes-v3-mini-v1 --name mine
+
+    Args:
+        predictions (FILE): An .npz with one array (T, d) a query; its keys are OBJECT/SHOT/SEED/TOUCH.
+        name: Name of the method in the result.
+        sealed (FILE): Private part of a sealed set; --dataset is its dataset (`vsfsim seal`).
+        out: Result file; default: results/TASK/NAME.json.
     """
     from vsfsim.bench.board.shipped import row_sha256
     from vsfsim.bench.leaderboard import score_table
@@ -220,23 +215,19 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
         f"\n{key}: {value}" for key, value in given.items()), {**result.summary(), "written": str(path), **given}, json)
 
 
-@app.command()
-def leaderboard(results: Annotated[list[Path] | None,
-                                   typer.Argument(metavar="RESULT", help="More result files, or folders of them; "
-                                                                         "default: results/TASK if there is one.")
-                                   ] = None,
-                task: Annotated[str | None, typer.Option(autocompletion=complete_task,
-                                                         help="Name of a task; default: all tasks.")] = None,
-                markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False,
-                html: Annotated[Path | None, typer.Option(metavar="DIR", help="Write static pages that work offline "
-                                                                              "into this folder.")] = None,
-                ship: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the rows as files that ship, "
-                                                                              "DIR/TASK.json, and rows of studies "
-                                                                              "beside them.")] = None,
-                json: JsonFile = None) -> None:
+@command(app)
+def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool = False, html: Path | None = None,
+                ship: Path | None = None, json: JsonFile = None) -> None:
     """Rank the methods of a task, from result files.
 
     The last column says which results came with vsfsim and which were made here.
+
+    Args:
+        results: More result files, or folders of them; default: results/TASK if there is one.
+        task: Name of a task; default: all tasks.
+        markdown: Print a Markdown page.
+        html (DIR): Write static pages that work offline into this folder.
+        ship (DIR): Write the rows as files that ship, DIR/TASK.json, and rows of studies beside them.
     """
     from vsfsim.bench import leaderboard as board
     from vsfsim.bench.task import load_task
@@ -270,7 +261,7 @@ def leaderboard(results: Annotated[list[Path] | None,
     report("\n\n".join(pages), tables[0] if task else tables, json)
 
 
-@app.command()
+@command(app)
 def check(method: MethodName, parameters: Parameters = None, json: JsonFile = None) -> None:
     """Try a method against the contract, in seconds.
 
@@ -283,14 +274,100 @@ def check(method: MethodName, parameters: Parameters = None, json: JsonFile = No
     raise typer.Exit(2 if any(f.outcome == "failed" for f in findings) else 0)
 
 
-@app.command("new-method")
-def new_method(name: Annotated[str, typer.Argument(metavar="NAME", help="Of the method: small letters, digits and "
-                                                                        "dashes, e.g. my-method.")],
-               out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME here.")] = None) -> None:
+@command(app, "new-method")
+def new_method(name: str, out: Path | None = None) -> None:
     """Begin a method of your own: a package with its entry point and its test.
 
     It passes `vsfsim check` as it is. What it prints are the next steps.
+
+    Args:
+        name: Of the method: small letters, digits and dashes, e.g. my-method.
+        out: Folder to make; default: NAME here.
     """
     from vsfsim.bench.commands.new_method import write_package
 
     print(write_package(name, out))
+
+
+@command(app)
+def submit(result: Path, out: Path = Path("submission"), task: KnownTask = None, json: JsonFile = None) -> None:
+    """Check a result as the leaderboard does, and write its pull request.
+
+    Says where the row would stand. Exit code 2, and nothing is written, if a check refuses it.
+
+    Args:
+        result: Result file of `vsfsim evaluate`.
+        out (DIR): Folder for the row and the text of the pull request.
+        task: Path of the task's .toml file, if it is no installed one.
+    """
+    from vsfsim.bench.commands.submit import submit as run
+    from vsfsim.bench.task import load_task
+
+    report(*run(result, out, task=None if task is None else load_task(task)), json)
+
+
+@command(app)
+def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], results: Results = None,
+          dataset: DatasetFolder = None, fresh: Folders = None, source: Folders = None, ship: Path | None = None,
+          json: JsonFile = None) -> None:
+    """Measure whether a task measures what it says.
+
+    Four diagnostics: what methods reach that do not look at everything, which share of neighbouring ranks differ and
+    the least difference that can be told, and whether the ranks hold on fresh objects and with other training data.
+
+    Args:
+        task: Name of a task (`vsfsim tasks`), or the path of its .toml file.
+        results: More result files, or folders; default: results/TASK.
+        fresh: Folder of results of the same methods on objects of another seed; may be given again.
+        source: Folder of results of the same methods trained on another scene; may be given again.
+        ship (DIR): For developers: write what needs data or further rows to DIR/audits/TASK.json.
+    """
+    from vsfsim.bench.commands import audit as module
+    from vsfsim.bench.task import load_task
+
+    wanted = load_task(task)
+    own = Path("results") / wanted.name
+    with Progress("audit") as progress:
+        found = module.audit(wanted, results or ([own] if own.is_dir() else []), dataset=dataset, fresh=fresh or (),
+                             source=source or (), progress=progress)
+    if ship is not None:
+        found.ship(ship / "audits" / f"{wanted.name}.json", wanted.sha256)
+    report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), asdict(found), json)
+
+
+@command(app)
+def seal(dataset: Path, task: TaskName, public: Annotated[Path, typer.Option(metavar="DIR")],
+         private: Annotated[Path, typer.Option(metavar="FILE")], json: JsonFile = None) -> None:
+    """Divide a dataset into a public and a private part, with a commitment.
+
+    The public part holds no query reading, no truth and no seed. Answers to it are scored against the private part:
+
+    \b
+      from pathlib import Path
+      import numpy as np
+      from vsfsim.bench.sealed import questions
+      from vsfsim.bench.task import load_task
+      answers = {}
+      for q in questions(Path("public"), load_task("my-task-v1.toml")):
+          method.adapt(q.view, q.support)                # after method.meta_fit(...) on other objects
+          answers |= zip(q.keys, method.predict(q.actions))
+      np.savez("predictions.npz", **answers)
+
+    \b
+      vsfsim score predictions.npz --task my-task-v1.toml --dataset DATASET --sealed private.json --name mine
+
+    Args:
+        dataset: Folder of the dataset to seal.
+        public: New folder for pictures, support touches and query paths.
+        private: New file for the text that the commitment is of. Keep it with the dataset.
+    """
+    from vsfsim.bench import sealed
+    from vsfsim.bench.task import load_task, open_dataset
+
+    wanted = load_task(task)
+    data = open_dataset(wanted, dataset)
+    commitment = sealed.seal(wanted, data, public, private)
+    guess = f"\nnote: seed {data.recipe.seed} is found by trying; seal data of a seed with 12 digits or more" if (
+        data.recipe.seed < sealed.FEWEST_SEEDS) else ""
+    report(f"public part: {public}\nprivate part: {private} and {dataset}; keep both\ncommitment to publish: "
+           f"{commitment}{guess}", {"public": str(public), "private": str(private), "commitment": commitment}, json)

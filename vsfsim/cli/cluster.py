@@ -1,14 +1,15 @@
-"""Options of the commands whose parts a cluster may make, and the files for its scheduler."""
+"""The machines that make the parts of a command: this one, a shard beside others, or a cluster."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
-from vsfsim.cli.options import check_choice
+from vsfsim.cli.options import Several, check_choice
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.engines import Fan, shard_of
 
@@ -16,70 +17,67 @@ ENGINES = ("ray", "slurm", "k8s")
 _ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
 """Options with a value that the command of one shard does not repeat; nor does it --print."""
 
-GROUP = "Machines"
-"""Of the options of a cluster in the help."""
-On = Annotated[str | None, typer.Option("--on", rich_help_panel=GROUP, help="Engine of a cluster: ray, slurm or k8s.")]
-Address = Annotated[str, typer.Option("--address", rich_help_panel=GROUP, help="Of the Ray cluster, HOST:PORT.")]
-GpusPerTask = Annotated[float, typer.Option("--gpus-per-task", rich_help_panel=GROUP, min=0.0,
-                                                help="GPUs of each task of a cluster.")]
-ShardOf = Annotated[str | None, typer.Option("--shard", rich_help_panel=GROUP, metavar="I/N",
-                                             help="Make the I-th of N shares, from 0, beside other machines; auto: of "
-                                                  "a Slurm array, auto/N: of a Kubernetes Indexed Job.")]
-Shards = Annotated[int | None, typer.Option("--shards", rich_help_panel=GROUP, min=1,
-                                            help="Tasks of a Slurm array or pods of a Kubernetes job; default: 100, at "
-                                                 "most one a part.")]
-Printed = Annotated[bool, typer.Option("--print", rich_help_panel=GROUP,
-                                       help="Print the file for Slurm or Kubernetes and make nothing.")]
 
+@dataclass(frozen=True)
+class Machines:
+    """Options of the commands whose parts a cluster may make."""
 
-def check_engine(on: str | None, shard: str | None, printed: bool) -> tuple[int, int] | None:
-    """The shard that is asked for.
+    on: str | None = None
+    """Engine of a cluster: ray, slurm or k8s."""
+    address: str = "auto"
+    """Of the Ray cluster, HOST:PORT."""
+    gpus_per_task: Annotated[float, typer.Option(min=0.0)] = 0.0
+    """GPUs of each task of a cluster."""
+    shard: Annotated[str | None, typer.Option(metavar="I/N")] = None
+    """Make the I-th of N shares, from 0, beside other machines; auto: of a Slurm array, auto/N: of a Kubernetes
+    Indexed Job."""
+    shards: Several = None
+    """Tasks of a Slurm array or pods of a Kubernetes job; default: 100, at most one a part."""
+    printed: Annotated[bool, typer.Option("--print")] = False
+    """Print the file for Slurm or Kubernetes and make nothing."""
 
-    Raises:
-        VsfsimError: no such engine or shard, or options that do not go together.
-    """
-    if on is not None:
-        check_choice("--on", on, ENGINES)
-    part = shard_of(shard) if shard is not None else None
-    for wrong, words in ((part and on, "--shard and --on"),
-                         (printed and on in (None, "ray"), "--print without --on slurm or --on k8s"),
-                         (on == "k8s" and not printed, "--on k8s without --print")):
-        if wrong:
-            raise VsfsimError(f"{words} do not go together. Each machine of a cluster makes a --shard; --on makes the "
-                              f"shards there.")
-    return part
+    def fan(self) -> Fan:
+        """Where the parts are made.
 
+        Raises:
+            VsfsimError: no such engine or shard, or options that do not go together.
+        """
+        if self.on is not None:
+            check_choice("--on", self.on, ENGINES)
+        part = shard_of(self.shard) if self.shard is not None else None
+        for wrong, words in ((part and self.on, "--shard and --on"),
+                             (self.printed and self.on in (None, "ray"), "--print without --on slurm or --on k8s"),
+                             (self.on == "k8s" and not self.printed, "--on k8s without --print")):
+            if wrong:
+                raise VsfsimError(f"{words} do not go together. Each machine of a cluster makes a --shard; --on makes "
+                                  f"the shards there.")
+        return Fan(part, self.address if self.on == "ray" else "", self.gpus_per_task)
 
-def fan_of(on: str | None, shard: str | None, printed: bool, address: str, gpus: float) -> Fan:
-    """Where the parts of a command are made.
+    @property
+    def scheduled(self) -> bool:
+        """Whether a scheduler makes the parts."""
+        return self.on in ("slurm", "k8s")
 
-    Raises:
-        VsfsimError: as of `check_engine`.
-    """
-    return Fan(check_engine(on, shard, printed), address if on == "ray" else "", gpus)
+    def by_shards(self, usual: int, finish: Sequence[str] = ()) -> bool:
+        """Print the file of a scheduler, or make all shards of this command by Slurm.
 
+        Args:
+            usual: how many shards if nobody says. finish: words that the command which ends the work has besides.
 
-def by_shards(engine: str, shards: int, printed: bool, gpus: int, finish: Sequence[str] = ()) -> bool:
-    """Print the file of a scheduler, or make all shards of this command by Slurm.
+        Returns:
+            Whether the shards were made.
 
-    Args:
-        engine: "slurm" or "k8s". shards: how many. printed: print and make nothing. gpus: of each. finish: words that
-        the command which ends the work has besides.
+        Raises:
+            VsfsimError: shards failed, or there is no Slurm.
+        """
+        from vsfsim.core.system import engines
 
-    Returns:
-        Whether the shards were made.
-
-    Raises:
-        VsfsimError: shards failed, or there is no Slurm.
-    """
-    from vsfsim.core.system import engines
-
-    words = shard_words(sys.argv[1:])
-    if printed:
-        print(engines.job_file(engine, words, shards, finish=[*words, *finish], gpus=gpus), end="")
-    else:
-        engines.submit(words, shards, gpus=gpus)
-    return not printed
+        words, shards, gpus = shard_words(sys.argv[1:]), self.shards or usual, int(self.gpus_per_task)
+        if self.printed:
+            print(engines.job_file(str(self.on), words, shards, finish=[*words, *finish], gpus=gpus), end="")
+        else:
+            engines.submit(words, shards, gpus=gpus)
+        return not self.printed
 
 
 def shard_words(given: Sequence[str]) -> list[str]:

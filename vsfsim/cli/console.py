@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 
 class Progress:
-    """Progress of a command on stderr: rich's bar in a terminal, now and then a line in a log.
+    """Progress of a command on stderr: one line that changes in a terminal, now and then a line in a log.
 
     Use it as a context manager and call it with (done, in all, what).
 
@@ -22,50 +22,36 @@ class Progress:
     """
 
     def __init__(self, label: str, *, interval: float = 20.0):
-        self.label, self.interval = label, interval
-        self._bar: Any = None  # rich.progress.Progress; importing rich costs as much as `vsfsim --help`
+        self.label, self._live = label, sys.stderr.isatty()
+        self._interval = 0.1 if self._live else interval
         self._total = self._first = -1
-        self._start = self._logged = time.perf_counter()
+        self._start = self._written = time.perf_counter()
 
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+    def __exit__(self, *_: object) -> None:
+        if self._live:
+            self._rewrite("")
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        if sys.stderr.isatty():
-            self._draw(done, total, what)
-        else:
-            self._log(done, total, what)
-
-    def _draw(self, done: int, total: int, what: str) -> None:
-        if self._bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-            self._bar = Progress(TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
-                                 TextColumn("{task.fields[what]}", markup=False), TimeRemainingColumn(),
-                                 console=Console(stderr=True), transient=True)
-            self._bar.start()
-        if total != self._total:  # Another stage begins: its speed says nothing about the one before.
-            for task in self._bar.task_ids:
-                self._bar.remove_task(task)
-            self._bar.add_task(self.label, total=total, what=what)
-            self._total = total
-        self._bar.update(self._bar.task_ids[0], completed=done, what=what)
-
-    def _log(self, done: int, total: int, what: str) -> None:
         now = time.perf_counter()
-        if total != self._total:  # Another stage begins.
+        if total != self._total:  # Another stage begins: its speed says nothing about the one before.
             self._start, self._first, self._total = now, done, total
-        if now - self._logged > self.interval:
-            self._logged = now
-            new = done - self._first
-            left = f", {(now - self._start) / new * (total - done):.0f} s left" if new else ""
-            print(f"{self.label}: {done}/{total} {what}{left}", file=sys.stderr, flush=True)
+        if now - self._written < self._interval:
+            return
+        self._written, new = now, done - self._first
+        left = f", {(now - self._start) / new * (total - done):.0f} s left" if new else ""
+        line = f"{self.label}: {done}/{total} {what}{left}"
+        if self._live:
+            self._rewrite(line)
+        else:
+            print(line, file=sys.stderr, flush=True)
+
+    @staticmethod
+    def _rewrite(line: str) -> None:
+        """Put a text in the place of the terminal's last line."""
+        print(f"\r\x1b[K{line[:shutil.get_terminal_size().columns - 1]}", end="", file=sys.stderr, flush=True)
 
 
 def step(what: str) -> None:

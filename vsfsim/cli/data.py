@@ -8,20 +8,20 @@ from typing import Annotated
 import typer
 
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import JsonFile
+from vsfsim.cli.options import AtLeastOne, JsonFile, command
 
 app = typer.Typer()
 
 
-@app.command()
-def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a dataset.")],
-           against: Annotated[Path | None, typer.Option(metavar="FOLDER", help="The same dataset, made elsewhere: "
-                                                                              "count touches that are bit-equal, equal "
-                                                                              "to 1e-3, and other.")] = None,
-           json: JsonFile = None) -> None:
+@command(app)
+def verify(folder: Path, against: Path | None = None, json: JsonFile = None) -> None:
     """Check every byte, field and frame of a dataset.
 
     Hashes, schema, finite numbers, force balance. Exit code 2 if anything is wrong, with what to do about it.
+
+    Args:
+        folder (FOLDER): Folder of a dataset.
+        against (FOLDER): The same dataset, made elsewhere: count touches that are bit-equal, equal to 1e-3, and other.
     """
     if against is not None:
         from vsfsim.data.same import compare
@@ -38,14 +38,16 @@ def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder
     raise typer.Exit(0 if found.ok else 2)
 
 
-@app.command()
-def export(folder: Annotated[str, typer.Argument(metavar="DATASET", help="Folder of a dataset, or its address.")],
-           to: Annotated[str, typer.Option("--to", help="lerobot, croissant, webdataset or openvsf.")],
-           out: Annotated[Path | None, typer.Option("--out", help="New folder; default: DATASET-FORMAT.")] = None,
-           json: JsonFile = None) -> None:
+@command(app)
+def export(folder: str, to: Annotated[str, typer.Option()], out: Path | None = None, json: JsonFile = None) -> None:
     """Write a dataset in a format that others load, with its truth beside it.
 
     The new folder appears when it is whole; stopped before, there is none.
+
+    Args:
+        folder (DATASET): Folder of a dataset, or its address.
+        to: lerobot, croissant, webdataset or openvsf.
+        out: New folder; default: DATASET-FORMAT.
     """
     from vsfsim.data.formats.export import export as run
 
@@ -57,22 +59,24 @@ def export(folder: Annotated[str, typer.Argument(metavar="DATASET", help="Folder
            {"out": str(made), "format": to, "files": len(files), "bytes": size}, json)
 
 
-@app.command("import")
-def import_(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Of one recorded object, or of several.")],
-            origin: Annotated[str, typer.Option("--from", help="Its layout: openvsf.")],
-            out: Annotated[Path | None, typer.Option("--out", help="New folder; default: FOLDER-dataset.")] = None,
-            assets: Annotated[Path | None, typer.Option(metavar="FOLDER",
-                                                        help="Cloud and box of each object, where they do not lie "
-                                                             "beside its sequences.")] = None,
-            bubble: Annotated[Path | None, typer.Option(metavar="FILE", help="Mesh of the free bubble.")] = None,
-            pressure_unit: Annotated[str, typer.Option(help="Of recorded pressures: hPa or Pa.")] = "hPa",
-            tare: Annotated[int | None, typer.Option(min=0, help="Frames without contact at the start of a sequence; "
-                                                                 "default: 20 of torques, 10 of pressures.")] = None,
-            every: Annotated[int, typer.Option(min=1, help="Keep each so many-th frame.")] = 1,
+@command(app, "import")
+def import_(folder: Path, origin: Annotated[str, typer.Option("--from")], out: Path | None = None,
+            assets: Path | None = None, bubble: Path | None = None, pressure_unit: str = "hPa",
+            tare: Annotated[int | None, typer.Option(min=0)] = None, every: AtLeastOne = 1,
             json: JsonFile = None) -> None:
     """Make a dataset without truth from recordings of a real robot, on which methods run and tasks score readings.
 
     The new folder appears when it is whole. Stiffness is unknown there, so that no metric of stiffness is given.
+
+    Args:
+        folder (FOLDER): Of one recorded object, or of several.
+        origin: Its layout: openvsf.
+        out: New folder; default: FOLDER-dataset.
+        assets (FOLDER): Cloud and box of each object, where they do not lie beside its sequences.
+        bubble (FILE): Mesh of the free bubble.
+        pressure_unit: Of recorded pressures: hPa or Pa.
+        tare: Frames without contact at the start of a sequence; default: 20 of torques, 10 of pressures.
+        every: Keep each so many-th frame.
     """
     from vsfsim.core.errors import VsfsimError, did_you_mean
 

@@ -6,47 +6,35 @@ import dataclasses
 import signal
 import time
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 
 import typer
 
-from vsfsim.cli.cluster import (
-    Address,
-    GpusPerTask,
-    On,
-    Printed,
-    ShardOf,
-    Shards,
-    by_shards,
-    fan_of,
-)
+from vsfsim.cli.cluster import Machines
 from vsfsim.cli.console import Progress, note, report
-from vsfsim.cli.groups import Sections
-from vsfsim.cli.options import JsonFile, SceneName, asks
+from vsfsim.cli.options import JsonFile, SceneName, command
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError
 from vsfsim.core.scene_tables.request import Request
 
 app = typer.Typer()
 
 
-@app.command(cls=Sections)
-@asks("objects", "views", "touches", "seed", "tier", "device", "renderer", "accuracy", "workers",
-      "finish", "mixed", "poison")
-def generate(request: Request, scene: SceneName,
-             out: Annotated[str | None, typer.Option(help="Folder of the dataset, or the address of an object store "
-                                                          "(s3://...); default: where a task looks for it, "
-                                                          "datasets/SCENE-v1 say, else datasets/SCENE "
-                                                          "($VSFSIM_DATASETS in place of datasets).")] = None,
-             json: JsonFile = None, shard: ShardOf = None, on: On = None, address: Address = "auto",
-             gpus_per_task: GpusPerTask = 0.0, shards: Shards = None, printed: Printed = False) -> None:
+@command(app, asks=("objects", "views", "touches", "seed", "tier", "device", "renderer", "accuracy", "workers",
+                    "finish", "mixed", "poison"))
+def generate(scene: SceneName, request: Request, machines: Machines, out: str | None = None,
+             json: JsonFile = None) -> None:
     """Make a dataset from a scene, or finish one.
 
     Run the same command again after an interruption: it makes only what is missing, to the same bits.
+
+    Args:
+        out: Folder of the dataset, or the address of an object store (s3://...); default: where a task looks for it,
+            datasets/SCENE-v1 say, else datasets/SCENE ($VSFSIM_DATASETS in place of datasets).
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
 
-    fan = fan_of(on, shard, printed, address, gpus_per_task)
+    fan = machines.fan()
     part = fan.shard
     if part and request.finish:
         raise VsfsimError("--shard and --finish do not go together. Each machine makes a --shard; --finish ends the "
@@ -57,9 +45,8 @@ def generate(request: Request, scene: SceneName,
     began = time.perf_counter()
     plan = planned(loaded, out, request.but(note=note, fan=fan))
     folder = plan.folder
-    if on in ("slurm", "k8s"):
-        count = plan.recipe.objects * plan.recipe.views
-        if not by_shards(on, shards or min(100, count), printed, int(gpus_per_task), ["--finish"]):
+    if machines.scheduled:
+        if not machines.by_shards(min(100, plan.recipe.objects * plan.recipe.views), ["--finish"]):
             return
         request = request.but(finish=True)
     signal.signal(signal.SIGTERM, _terminated)

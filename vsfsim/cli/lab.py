@@ -1,20 +1,34 @@
-"""Groups of commands that only a checkout has, each in the folder of its name: `vsfsim measure` in `measurements/`,
-`vsfsim papers` in `papers/`."""
+"""Groups of commands; two that only a checkout has, each in the folder of its name: `vsfsim measure` in
+`measurements/`, `vsfsim papers` in `papers/`."""
 
 from __future__ import annotations
 
 import functools
 import importlib
+import re
 from collections.abc import MutableMapping
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
-from vsfsim.cli.groups import WholeSentences
 from vsfsim.core.shelf import checkout
 
 OLD_NAMES = {"bench": "measure", "stability": "measure stability", "study": "papers study", "claims": "papers claims"}
 """Spellings up to version 0.1; they work, with a note, until the release after this one."""
+
+
+class WholeSentences(TyperGroup):
+    """Click cuts the first sentences of the commands at one line of the terminal; here they go on in the next."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of commands."""
+        # up to the first full stop that ends a sentence, on one line
+        ends = re.compile(r"(?<=[a-z)`]\.) (?=[A-Z`])")
+        rows = [(name, ends.split(" ".join((command.help or "").split("\n\n")[0].split()))[0])
+                for name, command in self.commands.items() if not command.hidden]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
 
 
 @functools.cache

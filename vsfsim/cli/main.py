@@ -12,13 +12,13 @@ import io
 import os
 import sys
 import traceback
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
-from vsfsim.cli import bench, board, data, generate, info, lab, simulate, tradeoff
+from vsfsim.cli import bench, data, generate, info, lab, simulate
 from vsfsim.cli.console import note
-from vsfsim.cli.groups import WholeSentences
+from vsfsim.cli.lab import WholeSentences
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
@@ -29,7 +29,7 @@ estimators.""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in
                          "converge, 4 object views that failed twice were left out, 130 interrupted, 143 ended by "
                          "SIGTERM.")
 
-for group in (simulate, generate, data, bench, board, info, tradeoff):
+for group in (simulate, generate, data, bench, info):
     app.add_typer(group.app)  # without a name: its commands are the app's own
 app.add_typer(lab.measure, name="measure")
 app.add_typer(lab.papers, name="papers")
@@ -66,48 +66,42 @@ def main() -> None:
     except Interrupted as stop:
         print(f"\n{stop}", file=sys.stderr)
         sys.exit(143 if isinstance(stop.__cause__, Terminated) else 130)
-    except (VsfsimError, ModuleNotFoundError) as error:
-        found = error if isinstance(error, VsfsimError) else missing(error)
-        if found is None:
-            _report_bug()
-        if debug:
-            traceback.print_exc()
-        print(f"error: {found}", file=sys.stderr)
-        sys.exit(2)
     except BrokenPipeError:
         sys.stderr.close()  # The reader of a pipe has left; nothing is wrong.
         sys.exit(0)
-    except OSError as error:
-        nowhere = "No usable temporary directory" in str(error)
-        if error.errno not in (*_DISK, errno.ENAMETOOLONG) and not nowhere:
-            _report_bug()
-        if debug:
+    except Exception as error:
+        if (said := _said(error)) is None or debug:
             traceback.print_exc()
-        if error.errno == errno.ENAMETOOLONG:
-            print(f"error: the name '{str(error.filename)[:60]}...' is too long for this system, which allows 255 "
-                  f"bytes a name; use a shorter one.", file=sys.stderr)
-            sys.exit(2)
-        if nowhere or (error.filename is None and error.errno == errno.ENOSPC):
-            print(f"error: a temporary file cannot be written: {error.strerror}. TMPDIR is "
-                  f"'{os.environ.get('TMPDIR', '/tmp')}': free some space there, or export TMPDIR with a folder that "
-                  f"has some.", file=sys.stderr)
-            sys.exit(2)
-        print(f"error: {error.filename or 'a file'} cannot be written: {error.strerror}. Free some space, or choose "
-              f"another place, and run the same command again.", file=sys.stderr)
-        sys.exit(2)
-    except Exception:
-        _report_bug()
+        our_bug = "this is a bug in vsfsim, not in what you gave it. Please report it with the lines above."
+        print(f"error: {said or our_bug}", file=sys.stderr)
+        sys.exit(1 if said is None else 2)
+
+
+def _said(error: Exception) -> str | None:
+    """What the user can do about an error; None for a bug of ours."""
+    if isinstance(error, VsfsimError):
+        return str(error)
+    if isinstance(error, ModuleNotFoundError):
+        found = missing(error)
+        return None if found is None else str(found)
+    if not isinstance(error, OSError):
+        return None
+    if error.errno == errno.ENAMETOOLONG:
+        return (f"the name '{str(error.filename)[:60]}...' is too long for this system, which allows 255 bytes a name; "
+                f"use a shorter one.")
+    nowhere = "No usable temporary directory" in str(error)
+    if nowhere or (error.filename is None and error.errno == errno.ENOSPC):
+        return (f"a temporary file cannot be written: {error.strerror}. TMPDIR is "
+                f"'{os.environ.get('TMPDIR', '/tmp')}': free some space there, or export TMPDIR with a folder that "
+                f"has some.")
+    if error.errno not in _DISK:
+        return None
+    return (f"{error.filename or 'a file'} cannot be written: {error.strerror}. Free some space, or choose another "
+            f"place, and run the same command again.")
 
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
 """Errors of a full or read-only disk, raised by libraries that write pictures or temporary files."""
-
-
-def _report_bug() -> NoReturn:
-    traceback.print_exc()
-    print("error: this is a bug in vsfsim, not in what you gave it. Please report it with the lines above.",
-          file=sys.stderr)
-    sys.exit(1)
 
 
 @app.callback(invoke_without_command=True)

@@ -1,15 +1,19 @@
-"""Options that several commands share, and the checks of their values before the work begins."""
+"""Options of the commands: a command is a function whose docstring says what its options are; and the checks of their
+values before the work begins."""
 
 from __future__ import annotations
 
+import ast
+import copy
 import dataclasses
 import functools
 import inspect
+import itertools
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 
@@ -40,18 +44,24 @@ def _checked_device(device: str) -> str:
     return device
 
 
-def _writable(param: typer.CallbackParam, path: Path | None) -> Path | None:
-    """A file that can be written after the work, or "-"."""
-    if path is None or str(path) == "-":
+def _writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
+    """A file that can be written after the work, or "-"; with the name of its format, one of several."""
+    def check(param: typer.CallbackParam, path: Path | None) -> Path | None:
+        option = param.opts[0]
+        if path is None or (str(path) == "-" and not suffixes):
+            return path
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise VsfsimError(f"{option} is '{path}'; it must end in {' or '.join(filter(None, suffixes))}, the format "
+                              f"that is written.")
+        if not path.parent.is_dir():
+            raise VsfsimError(f"{option} is '{path}', but there is no folder '{path.parent}'. Make it first, or choose "
+                              f"another place.")
+        if path.is_dir():
+            raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
+        _check_unlike_input(option, path)
         return path
-    option = param.opts[0]
-    if not path.parent.is_dir():
-        raise VsfsimError(f"{option} is '{path}', but there is no folder '{path.parent}'. Make it first, or choose "
-                          f"another place.")
-    if path.is_dir():
-        raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
-    _check_unlike_input(option, path)
-    return path
+
+    return check
 
 
 def _check_unlike_input(option: str, path: Path) -> None:
@@ -65,22 +75,6 @@ def _check_unlike_input(option: str, path: Path) -> None:
                           f"another name.")
 
 
-def _ends_in(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """A file that can be written after the work and has the name of its format, one of several."""
-    def check(param: typer.CallbackParam, path: Path | None) -> Path | None:
-        if path is not None and path.suffix.lower() not in suffixes:
-            raise VsfsimError(f"{param.opts[0]} is '{path}'; it must end in {' or '.join(filter(None, suffixes))}, "
-                              f"the format that is written.")
-        return _writable(param, path)
-
-    return check
-
-
-def picture_option(help: str, *names: str, more: Iterable[str] = ()) -> Any:
-    """An option for a picture to write, or for a file with one of ``more`` endings."""
-    return typer.Option(*names, metavar="PNG", help=help, callback=_ends_in(*PICTURES, *more))
-
-
 def _names(of: str) -> Callable[[str], list[str]]:
     """Completes a word to names of the shelf: "scenes", "tasks" or "methods"."""
     def complete(incomplete: str) -> list[str]:
@@ -92,105 +86,112 @@ def _names(of: str) -> Callable[[str], list[str]]:
 
 
 complete_task, complete_method = _names("tasks"), _names("methods")
-
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", autocompletion=_names("scenes"),
                                           help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
-Tier = Annotated[str | None, typer.Option("--tier",
-                                          help="Fidelity, from the cheapest: vsf, linear, fem-coarse, "
-                                                         "fem, fem-fine; default: the scene's.")]
-Device = Annotated[str, typer.Option("--device", help="Warp device: cpu or cuda:0.", callback=_checked_device)]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random numbers.")]
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=_writable,
-                                               help="Write the numbers here as JSON; - for standard output, instead of "
-                                                    "the table.")]
-ArchiveFile = Annotated[Path | None, typer.Option("--save", metavar="FILE", callback=_ends_in(".npz"),
-                                                  help="Write mesh, displacements and contact forces of every frame "
-                                                       "(.npz).")]
-GifFile = Annotated[Path | None, typer.Option("--gif", metavar="FILE", callback=_ends_in(".gif"),
-                                              help="Write the deformed body frame by frame (.gif).")]
-PageFile = Annotated[Path | None, typer.Option("--html", metavar="FILE", callback=_writable,
-                                               help="File to write, which must not exist; default: NAME.html here.")]
-Objects = Annotated[int | None, typer.Option("--objects", min=1, help="How many objects; default: the scene's.")]
-Views = Annotated[int | None, typer.Option("--views", min=1, help="Views of each object; default: the scene's.")]
-Touches = Annotated[int | None, typer.Option("--touches", min=1, help="Touches of each view; default: the scene's.")]
-Workers = Annotated[int | None, typer.Option("--workers", min=1, rich_help_panel="Machines",
-                                             help="Processes; default: one a CPU core, or up to 16 on a GPU.")]
-Limit = Annotated[float | None, typer.Option("--limit", min=0.1, metavar="SECONDS",
-                                             help="Processor time of a frame; one that takes more is marked. Default: "
-                                                  "the tier's own, 120, and 1,500 conjugate gradients.")]
-Accuracy = Annotated[str | None, typer.Option("--accuracy", metavar="SHARE",
-                                              callback=lambda text: text and share_of("--accuracy", text),
-                                              help="Largest error of the force, e.g. 5%: a pilot on the first objects "
-                                                   "chooses tier and element size, and one touch in ten is audited one "
-                                                   "level finer.")]
-ASKED: dict[str, Any] = {
-    "seed": Seed, "tier": Tier, "device": Device, "objects": Objects, "views": Views, "touches": Touches,
-    "workers": Workers, "limit": Limit, "accuracy": Accuracy,
-    "renderer": Annotated[str, typer.Option("--renderer", help="warp or pyrender.")],
-    "finish": Annotated[bool, typer.Option("--finish", rich_help_panel="Machines",
-                                           help="Check what shards have made, and write dataset.json.")],
-    "mixed": Annotated[bool, typer.Option("--mixed", rich_help_panel="Machines",
-                                          help="Allow machines of several kinds, which round otherwise.")],
-    "poison": Annotated[bool, typer.Option("--poison", rich_help_panel="Machines",
-                                           help="Leave out a view that fails twice and make the others; exit code "
-                                                "4.")]}
-"""The option of each field of `Request` that a command may have."""
+Device = Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.", callback=_checked_device)]
+Seed = Annotated[int, typer.Option(min=0, help="Root of all random numbers.")]
+AtLeastOne = Annotated[int, typer.Option(min=1)]
+Several = Annotated[int | None, typer.Option(min=1)]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core, or up to 16 on a GPU.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=_writable(), help=(
+    "Write the numbers here as JSON; - for standard output, instead of the table."))]
+Picture = Annotated[Path | None, typer.Option(metavar="PNG", callback=_writable(*PICTURES))]
+ArchiveFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".npz"))]
+GifFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".gif"))]
+PageFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable())]
+Folders = Annotated[list[Path] | None, typer.Option(metavar="DIR")]
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim methods`), or module:attribute.")]
 TaskName = Annotated[str, typer.Option("--task", autocompletion=complete_task,
                                        help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
-DatasetFolder = Annotated[Path | None, typer.Option("--dataset",
-                                                    help="Folder of the dataset; default: the task's, under datasets/ "
-                                                         "or $VSFSIM_DATASETS.")]
+DatasetFolder = Annotated[Path | None, typer.Option(help=(
+    "Folder of the dataset; default: the task's, under datasets/ or $VSFSIM_DATASETS."))]
 Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
                                                       help="Parameter of the method; may be given again.")]
+ASKED: dict[str, Any] = {
+    "seed": Seed, "device": Device, "workers": Workers, "objects": Several, "views": Several, "touches": Several,
+    "limit": Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS")],
+    "accuracy": Annotated[str | None, typer.Option(metavar="SHARE", callback=lambda text: text and share_of(
+        "--accuracy", text))]}
+"""What a command line asks of fields of `Request` besides their type."""
 
 
-def asks(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A command whose first operand is a `Request` has the fields ``names`` of it as options."""
-    fields = {field.name: field for field in dataclasses.fields(Request)}
+def command(app: typer.Typer, name: str | None = None, *, asks: Sequence[str] = ()) -> Callable[..., Any]:
+    """A function as a command: its keywords are the options, and ``Args:`` of its docstring are their help, each
+    ``name (METAVAR): text``. A parameter that is a dataclass has its fields as options, with the text below each.
 
-    def give(command: Callable[..., None]) -> Callable[..., None]:
-        own, hints = inspect.signature(command), get_type_hints(command, include_extras=True)
-        options = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=fields[name].default,
-                                     annotation=ASKED[name]) for name in names]
+    Args:
+        app: the group. name: of the command, the function's by default. asks: fields of `Request` that are asked.
+    """
+    def add(function: Callable[..., None]) -> Callable[..., None]:
+        text, _, args = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:\n")
+        parts = iter(re.split(r"^    (\w+)(?: \((.+?)\))?: ", args, flags=re.MULTILINE)[1:])
+        told = {option: (metavar, words) for option, metavar, words in zip(parts, parts, parts, strict=True)}
+        own, hints = inspect.signature(function), get_type_hints(function, include_extras=True)
+        records = {p: hints[p] for p in own.parameters if dataclasses.is_dataclass(hints[p])}
+        options: list[inspect.Parameter] = []
+        fields: dict[str, list[Any]] = {}
+        for p in own.parameters.values():
+            if p.name not in records:
+                options.append(_option(p.name, hints[p.name], p.default, *told.get(p.name, (None, ""))))
+                continue
+            asked, docs = get_type_hints(records[p.name], include_extras=True), field_docs(records[p.name])
+            fields[p.name] = [field for field in dataclasses.fields(records[p.name])
+                              if records[p.name] is not Request or field.name in asks]
+            options += [_option(field.name, ASKED.get(field.name, asked[field.name]), field.default, None,
+                                docs[field.name]) for field in fields[p.name]]
 
-        @functools.wraps(command)
-        def asked(**given: Any) -> None:
-            command(Request(**{name: given.pop(name) for name in names}), **given)
+        @functools.wraps(function)
+        def run(**given: Any) -> None:
+            made = {key: records[key](**{field.name: given.pop(field.name) for field in own_fields})
+                    for key, own_fields in fields.items()}
+            function(**made, **given)
 
-        (first, *others) = own.parameters.values()
-        asked.__signature__ = own.replace(parameters=[  # type: ignore[attr-defined]
-            *(p.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in others), *options])
-        asked.__annotations__ = {**{name: hint for name, hint in hints.items() if name != first.name},
-                                 **{p.name: p.annotation for p in options}}
-        return asked
+        run.__doc__ = text
+        run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+        run.__annotations__ = {p.name: p.annotation for p in options}
+        app.command(name)(run)
+        return run
 
-    return give
+    return add
+
+
+def _option(name: str, hint: Any, default: Any, metavar: str | None, words: str) -> inspect.Parameter:
+    """A parameter with typer's description of it: required ones are operands, others options."""
+    kind, *infos = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
+    required = default in (inspect.Parameter.empty, dataclasses.MISSING)
+    info: Any = copy.copy(infos[0]) if infos else typer.Argument() if required else typer.Option()
+    info.metavar, info.help = metavar or info.metavar, " ".join(words.split()) or info.help
+    if kind is bool and not infos:
+        info.param_decls = (f"--{name}",)  # and no --no-NAME
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info],
+                             default=inspect.Parameter.empty if required else default)
+
+
+def field_docs(kind: type) -> dict[str, str]:
+    """What stands below each field of a dataclass."""
+    (found,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(found, ast.ClassDef)
+    return {ast.unparse(field.target): ast.literal_eval(text.value)
+            for field, text in itertools.pairwise(found.body)
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)}
 
 
 def share_of(option: str, text: str) -> float:
-    """A share from "5%" or "0.05".
-
-    Raises:
-        VsfsimError: it is neither.
-    """
-    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(%?)", text.strip())
-    if found is None:
-        raise VsfsimError(f"{option} is '{text}'; give a share, e.g. 5% or 0.05.")
-    return float(found[1]) / (100.0 if found[2] else 1.0)
+    """A share from "5%" or "0.05". Raises a `VsfsimError` if it is neither."""
+    return _quantity(option, text, {"%": 0.01, "": 1.0}, "a share, e.g. 5% or 0.05")
 
 
 def seconds_of(option: str, text: str) -> float:
-    """A time [s] from a number with s, m or h.
+    """A time [s] from a number with s, m or h. Raises a `VsfsimError` if it is none, or not over 0."""
+    return _quantity(option, text, {"s": 1.0, "m": 60.0, "h": 3600.0}, "a time with its unit: 90s, 10m or 2h")
 
-    Raises:
-        VsfsimError: it is none, or not over 0.
-    """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh])", text.strip())
-    if found is None or float(found[1]) <= 0.0:
-        raise VsfsimError(f"{option} is '{text}'; give a time with its unit: 90s, 10m or 2h.")
-    return float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]]
+
+def _quantity(option: str, text: str, units: dict[str, float], wanted: str) -> float:
+    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z%]?)", text.strip())
+    if found is None or found[2] not in units or (float(found[1]) == 0.0 and "s" in units):
+        raise VsfsimError(f"{option} is '{text}'; give {wanted}.")
+    return float(found[1]) * units[found[2]]
 
 
 def parameters_of(words: list[str] | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Young's modulus as a field E(x) over an object, as a scene file gives it."""
+"""What an object is made of, as a scene file gives it: Young's modulus as a field E(x), and foams by name."""
 
 from __future__ import annotations
 
@@ -137,3 +137,53 @@ def _inclusion(part: Any, where: str) -> Inclusion:
                          f"{{ sphere = [x, y, z, r], value = 1e7 }}.")
     return Inclusion(kinds[0], value(part[kinds[0]], _INCLUSIONS[kinds[0]], f"{where}: {kinds[0]}"),
                      value(part["value"], Modulus, f"{where}: value"))
+
+
+@dataclass(frozen=True)
+class Foam:
+    """One foam: parameters of the hyperfoam law (Ogden and Storåkers), in the form of Abaqus.
+
+        Psi = sum_i 2 mu_i / alpha_i^2 [ l1^alpha_i + l2^alpha_i + l3^alpha_i - 3 + (J^(-alpha_i beta_i) - 1) / beta_i ]
+
+    beta = nu / (1 - 2 nu) for one term.
+    """
+
+    mu: tuple[float, ...]
+    """Shear moduli of the terms [Pa]."""
+    alpha: tuple[float, ...]
+    """Exponents of the principal stretches [-]."""
+    beta: tuple[float, ...]
+    """Exponents of the volume, over alpha [-]."""
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """(mu, lambda) of small strains [Pa]."""
+        return sum(self.mu), sum(2.0 * m * b for m, b in zip(self.mu, self.beta, strict=True))
+
+    @property
+    def young_modulus(self) -> float:
+        """Young's modulus of small strains [Pa]."""
+        mu, lam = self.lame
+        return mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
+
+    @property
+    def poisson_ratio(self) -> float:
+        """Poisson's ratio of small strains [-]."""
+        mu, lam = self.lame
+        return 0.5 * lam / (lam + mu)
+
+
+# [N]: McCulloch, Delp and Kuhl 2026 (arXiv 2602.12694), fitted in the repository jkuzmeski/newton.
+# [C]: LivingMatterLab/CANN, folder FOAM: fit to its compression curve up to a strain of 0.6.
+# [K]: Kossa and Berezvai 2016 (chauminhvu/fitting-model-parameters): fit to its uniaxial, biaxial and lateral data.
+FOAMS: dict[str, Foam] = {
+    "ff-leap": Foam((171.8e3, 18.2e3), (8.39, -1.04), (0.0, 0.0)),  # [N]
+    "ff-turbo": Foam((169.0e3, 12.0e3), (5.65, -2.0), (0.0, 0.0)),  # [N]
+    "midsole-heel": Foam((162.1e3, 6.4e3), (6.15, -2.44), (0.0, 0.0)),  # [C]
+    "midsole": Foam((75.4e3,), (1.62,), (0.0,)),  # [C]
+    "midsole-worn": Foam((185.3e3, 1.6e3), (4.83, -4.4), (0.0, 0.0)),  # [C]
+    "pe-foam": Foam((87.2e3, 14.3e3), (7.71, 0.465), (0.076, 0.423)),  # [K]
+    "poron-125": Foam((24.4e3, 4.18e3), (8.31, 1.39), (0.154, 7.71)),  # Landauer et al. 2019
+    "eva": Foam((1050e3,), (4.0,), (0.0,)),  # Verdejo and Mills 2004, J. Biomech.; beta is assumed
+}
+"""Foams that ``material`` in ``[object]`` of a scene may name."""

@@ -67,50 +67,43 @@ class Plant:
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
-        if n < 2 or self.nodes.shape != (n, 3) or not np.isfinite(self.nodes).all():
-            raise SceneError(f"plant: nodes have the shape {self.nodes.shape}; give at least two finite points (n, "
-                             f"3) in metres.")
-        for name in ("parent", "radius", "half_width", "young_modulus", "density", "region"):
-            if getattr(self, name).shape != (n,):
-                raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; one value a node, "
-                                 f"({n},), is wanted.")
-        if self.blade_normal.shape != (n, 3):
-            raise SceneError(f"plant: blade_normal has the shape {self.blade_normal.shape}; it must be ({n}, 3).")
-        wrong = np.flatnonzero((self.parent[1:] < 0) | (self.parent[1:] >= np.arange(1, n))) + 1
-        if len(wrong):
-            raise SceneError(f"plant: the parent of node {wrong[0]} is {self.parent[wrong[0]]}; it must be a node "
-                             f"before it, 0 to {wrong[0] - 1}.")
-        checks = (("radius", self.radius, 1e-5, 1.0), ("young_modulus", self.young_modulus, 1.0, 1e13),
-                  ("length of the segment", self.lengths(), 1e-5, 10.0))
-        for name, value, low, high in checks:
-            bad = np.flatnonzero(~((value[1:] >= low) & (value[1:] <= high))) + 1
-            if len(bad):
-                raise SceneError(f"plant: the {name} of segment {bad[0]} is {value[bad[0]]:g}; it must be from {low:g} "
-                                 f"to {high:g}.")
-        if (not (self.half_width[1:] >= 0.0).all() or not (self.density[1:] >= 0.0).all()
-            or not 0.0 <= self.poisson_ratio < 0.5):
-            raise SceneError("plant: half widths and densities must be 0 or more, and Poisson's ratio from 0 "
-                             "to under 0.5.")
+        shapes: dict[str, tuple[int, ...]] = {"nodes": (n, 3), "blade_normal": (n, 3), **dict.fromkeys(
+            ("parent", "radius", "half_width", "young_modulus", "density", "region"), (n,))}
+        for name, shape in shapes.items():
+            if n < 2 or getattr(self, name).shape != shape or not np.isfinite(self.nodes).all():
+                raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; give finite values of the "
+                                 f"shape {shape}, for two nodes or more.")
+        if not 0.0 <= self.poisson_ratio < 0.5:
+            raise SceneError(f"plant: Poisson's ratio is {self.poisson_ratio}; it must be from 0 to under 0.5.")
+        self._check("parent", self.parent, 0, np.arange(n) - 1)
+        for name, low, high in (("radius", 1e-5, 1.0), ("young_modulus", 1.0, 1e13), ("half_width", 0.0, np.inf),
+                                ("density", 0.0, np.inf)):
+            self._check(name, getattr(self, name), low, high)
+        self._check("length", self.lengths(), 1e-5, 10.0)
         if self.yielding is not None:
-            self._check_yielding(self.yielding)
+            if self.yielding.shape != (n, 2):
+                raise SceneError(f"plant: yielding has the shape {self.yielding.shape}; give the bending stiffness of "
+                                 f"each core and its yield moment, ({n}, 2).")
+            second = np.where(self.half_width > 0.0, 4.0 / 3.0 * self.half_width * self.radius**3,
+                              0.25 * np.pi * self.radius**4)
+            self._check("bending stiffness of the core", self.yielding[:, 0], 0.0,
+                        (1.0 + 1e-9) * self.young_modulus * second)
+            self._check("yield moment of the core", self.yielding[:, 1], 0.0, 1e300)
         along = (self.nodes[1:] - self.nodes[self.parent[1:]]) / self.lengths()[1:, None]
         blade = self.half_width[1:] > 0.0
         tilt = np.abs(np.einsum("ij,ij->i", along, self.blade_normal[1:]))[blade]
         size = np.linalg.norm(self.blade_normal[1:], axis=1)[blade]
-        if blade.any() and not ((tilt < 1e-6) & (np.abs(size - 1.0) < 1e-6)).all():
+        if not ((tilt < 1e-6) & (np.abs(size - 1.0) < 1e-6)).all():
             raise SceneError("plant: the normal of a blade must be a unit vector across its segment.")
 
-    def _check_yielding(self, core: np.ndarray) -> None:
-        if core.shape != (len(self.nodes), 2) or not (core[1:] >= 0.0).all() or not np.isfinite(core[1:]).all():
-            raise SceneError(f"plant: yielding has the shape {core.shape}; give the bending stiffness of each core and "
-                             f"its yield moment, ({len(self.nodes)}, 2) numbers of 0 or more.")
-        second = np.where(self.half_width > 0.0, 4.0 / 3.0 * self.half_width * self.radius**3,
-                          0.25 * np.pi * self.radius**4)
-        over = np.flatnonzero(core[1:, 0] > (1.0 + 1e-9) * (self.young_modulus * second)[1:]) + 1
-        if len(over):
-            i = over[0]
-            raise SceneError(f"plant: the core of segment {i} has a bending stiffness of {core[i, 0]:g} N m^2, more "
-                             f"than the whole segment with {self.young_modulus[i] * second[i]:g}.")
+    @staticmethod
+    def _check(name: str, values: np.ndarray, low: float, high: float | np.ndarray) -> None:
+        """Raises a `SceneError` if a segment's value is out of its range; entry 0 is not read."""
+        most = np.broadcast_to(high, values.shape)
+        for i in np.flatnonzero(~((values >= low) & (values <= most)))[:2]:
+            if i > 0:
+                raise SceneError(f"plant: the {name} of segment {i} is {values[i]:g}; it must be from {low:g} to "
+                                 f"{most[i]:g}.")
 
     def lengths(self) -> np.ndarray:
         """Length of each segment (n,) [m]; 0 for entry 0."""

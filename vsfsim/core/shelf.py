@@ -111,16 +111,13 @@ def plug_ins(scene: Mapping[str, Any], effector: str) -> list[importlib.metadata
 
 def _find(given: str, shelf: dict[str, Path], kind: str, error: type[VsfsimError]) -> Path:
     path = Path(given)
-    if path.suffix == ".toml":
-        if path.is_file():
-            return path
-        raise error(f"{no_such_file(f'{kind} file', given)} Shipped {kind}s are given by name: {', '.join(shelf)}.")
     if given in shelf:
         return shelf[given]
+    if path.suffix == ".toml" and path.is_file():
+        return path
     if path.suffix or len(path.parts) > 1:
-        there = path.exists()
-        raise error(f"'{given}' is no .toml file; a {kind} is one. Shipped {kind}s are given by name: "
-                    f"{', '.join(shelf)}." if there else no_such_file(f"{kind} file", given))
+        raise error(f"{no_such_file(f'{kind} file (.toml)', given)} Shipped {kind}s are given by name: "
+                    f"{', '.join(shelf)}.")
     raise error(f"unknown {kind} '{given}'. {did_you_mean(given, shelf)} `vsfsim {kind}s` lists them; a path to a "
                 f".toml file works too.")
 

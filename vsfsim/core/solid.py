@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vsfsim.core.scene_tables.foam import Foam
+from vsfsim.core.material import Foam
 
 
 @dataclass(frozen=True)
@@ -100,3 +100,26 @@ def boundary_faces(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
     once = np.sort(first[count == 1])
     return faces[once], owner[once]
+
+
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+
+
+def smallest_sine(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Smallest sine of the dihedral angles of each tetrahedron (m,), negative if it is inverted.
+
+    The sine at an edge is 3/2 of volume times edge length over the areas of the two faces there. It is what
+    a mesh is improved by.
+    """
+    volume = tet_volumes(vertices, tets)
+    corner = vertices[tets]
+    area = {}
+    for k, (a, b, c) in enumerate(((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))):
+        area[k] = 0.5 * np.linalg.norm(np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a]), axis=1)
+    out = np.full(len(tets), np.inf)
+    for i, j in _EDGES:
+        k, m = (n for n in range(4) if n not in (i, j))
+        length = np.linalg.norm(corner[:, i] - corner[:, j], axis=1)
+        # The faces at edge ij are the ones opposite k and m. A collapsed face counts as a sine of 0.
+        np.minimum(out, 1.5 * volume * length / np.maximum(area[k] * area[m], 1e-300), out=out)
+    return out

@@ -113,7 +113,8 @@ def typed(table: Any, kind: type[T], where: str, *, also: tuple[str, ...] = (),
     for key, one in fields.items():
         if key not in table and one.default is one.default_factory is dataclasses.MISSING:
             raise error(f"{where}: '{key}' is missing.")
-    values = {key: value(table[key], _hints(kind)[key], f"{where}: {key}", error) for key in fields if key in table}
+    hints = _hints(kind)  # type: ignore[arg-type]
+    values = {key: value(table[key], hints[key], f"{where}: {key}", error) for key in fields if key in table}
     try:
         return kind(**values, **given)
     except ValueError as problem:  # what the class itself says
@@ -154,7 +155,7 @@ def value(given: Any, hint: Any, place: str, error: type[VsfsimError] = SceneErr
         for key, item, kind in (found for one in bare for found in _items(given, one)):
             value(item, kind, f"{place}{key}", error)
         for one in filter(dataclasses.is_dataclass, bare):
-            typed(given, one, place, error=error)  # type: ignore[type-var]
+            typed(given, one, place, error=error)  # type: ignore[arg-type]
         words = [word for one in bare if get_origin(one) is Literal for word in get_args(one)]
         if words and given not in words and isinstance(given, str):
             raise error(f"{place} is {given!r}. {did_you_mean(given, words)}") from problem

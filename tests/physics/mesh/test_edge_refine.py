@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from vsfsim.core.quality import smallest_sine
 from vsfsim.core.shape import Box
-from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.core.solid import Solid, smallest_sine, tet_volumes
 from vsfsim.physics.contact.body_samples import sharp_samples
 from vsfsim.physics.mesh.edge_refine import GROWTH, EdgePath, refine_near
 from vsfsim.physics.mesh.structured import ball, box

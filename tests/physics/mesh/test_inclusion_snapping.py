@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.material import Inclusion, MaterialField, parse_material
-from vsfsim.core.quality import smallest_sine
-from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.core.solid import Solid, smallest_sine, tet_volumes
 from vsfsim.physics.mesh import structured as blocks
 from vsfsim.physics.mesh.inclusions import WORST_SINE, snap_to_inclusions
 

@@ -10,9 +10,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.material import MaterialField, parse_material
+from vsfsim.core.material import FOAMS, Foam, MaterialField, parse_material
 from vsfsim.core.rigid import beside
-from vsfsim.core.scene_tables.foam import FOAMS, Foam
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
 from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, typed, value
 

@@ -13,41 +13,43 @@ from vsfsim.core.system.engines import HERE, Fan
 
 @dataclass(frozen=True)
 class Request:
-    """The options; None leaves what the scene, its tier or the machine says."""
+    """The options; None leaves what the scene, its tier or the machine says. The texts below are also the
+    help of the commands."""
 
     seed: int = 0
-    """Root of all random numbers (0 or more)."""
+    """Root of all random numbers."""
     tier: str | None = None
-    """Fidelity."""
+    """Fidelity, from the cheapest: vsf, linear, fem-coarse, fem, fem-fine; default: the scene's."""
     device: str = "cpu"
-    """Warp device, "cpu" or "cuda:0"."""
+    """Warp device: cpu or cuda:0."""
     cache: Path | None = None
     """Folder of meshes that were made before; None for the user's own cache."""
     progress: Callable[[int, int, str], None] | None = None
     """Called with (done, in all, what)."""
     limit: float | None = None
-    """Of a press: limit of a frame's processor time [s]; a frame that takes longer is marked."""
+    """Of a press: processor time of a frame [s]; one that takes more is marked. Default: the tier's own, 120, and 1,500
+    conjugate gradients."""
     tolerance: float | None = None
     """Of a press: tolerance of the equilibrium, see `vsfsim.physics.solve.frames.SolverOptions` [-]."""
     objects: int | None = None
-    """Of a dataset, as all that follow: how many objects."""
+    """How many objects a dataset has; default: the scene's."""
     views: int | None = None
-    """Views of each object."""
+    """Views of each object; default: the scene's."""
     touches: int | None = None
-    """Touches of each view."""
+    """Touches of each view; default: the scene's."""
     renderer: str = "warp"
-    """Renderer of the pictures, "warp" or "pyrender"."""
+    """Of the pictures: warp or pyrender."""
     accuracy: float | None = None
-    """Largest error of the force over its largest value in a touch [-], for which a pilot chooses tier and element
-    size, and by which some touches are audited."""
+    """Largest error of the force over its largest value in a touch [-], e.g. 5%: a pilot on the first objects chooses
+    tier and element size, and one touch in ten is audited one level finer."""
     workers: int | None = None
-    """Processes; None for one a CPU core, or one for 5 GiB of a GPU, 16 at most and one a core."""
+    """Processes; default: one a CPU core, or one for 5 GiB of a GPU, 16 at most and one a core."""
     finish: bool = False
-    """Only check what shards have made, and write dataset.json."""
+    """Check what shards have made, and write dataset.json."""
     mixed: bool = False
-    """Whether machines of several kinds may make the dataset."""
+    """Allow machines of several kinds, which round otherwise."""
     poison: bool = False
-    """Whether a view that fails twice is left out and the others are made."""
+    """Leave out a view that fails twice and make the others; exit code 4."""
     fan: Fan = HERE
     """Where the views are made, and which of them by this call."""
     note: Callable[[str], None] | None = None

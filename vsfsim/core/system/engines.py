@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import json
 import os
-import re
 import shlex
 import socket
 import subprocess
@@ -53,35 +52,21 @@ def shard_of(given: str, environment: Mapping[str, str] | None = None) -> tuple[
     env = os.environ if environment is None else environment
     allowed = ("Allowed: i/n with 0 <= i < n, e.g. 0/4 to 3/4; auto in a Slurm job array; auto/n there or in a "
                "Kubernetes Indexed Job.")
-    match = re.fullmatch(r"(?:(\d{1,9})|auto)(?:/(\d{1,9}))?", given)
-    if match is None or (match[1] is not None and match[2] is None):
-        raise VsfsimError(f"--shard is '{given}'. {allowed}")
-    if match[1] is not None:
-        index = int(match[1])
-    elif "SLURM_ARRAY_TASK_ID" in env:
-        index = _number(env, "SLURM_ARRAY_TASK_ID") - _number(env, "SLURM_ARRAY_TASK_MIN", "0")
-    elif "JOB_COMPLETION_INDEX" in env:
-        index = _number(env, "JOB_COMPLETION_INDEX")
-    else:
-        raise VsfsimError(f"--shard is '{given}', but neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is set: "
-                          f"this is no task of a job array. {allowed}")
-    if match[2] is not None:
-        count = int(match[2])
-    elif "SLURM_ARRAY_TASK_COUNT" in env:
-        count = _number(env, "SLURM_ARRAY_TASK_COUNT")
-    else:
-        raise VsfsimError(f"--shard is '{given}', but the environment does not say how many shards there are. "
-                          f"{allowed}")
-    if not 0 <= index < count <= MOST:
+    index, _, count = given.partition("/")
+    try:
+        if index == "auto":
+            first = int(env.get("SLURM_ARRAY_TASK_MIN", "0"))
+            index = str(int(env["SLURM_ARRAY_TASK_ID"]) - first) if "SLURM_ARRAY_TASK_ID" in env else env[
+                "JOB_COMPLETION_INDEX"]
+            count = count or env["SLURM_ARRAY_TASK_COUNT"]
+        if 0 <= int(index) < int(count) <= MOST:
+            return int(index), int(count)
         raise VsfsimError(f"--shard is {index}/{count}. {allowed}")
-    return index, count
-
-
-def _number(env: Mapping[str, str], name: str, default: str = "") -> int:
-    text = env.get(name, default)
-    if not text.isdecimal():
-        raise VsfsimError(f"the environment variable {name} is '{text}'; it must be a whole number.")
-    return int(text)
+    except KeyError as name:
+        raise VsfsimError(f"--shard is '{given}', but {name} is not set: this is no task of a job array, or the "
+                          f"environment does not say how many there are. {allowed}") from None
+    except ValueError as wrong:
+        raise VsfsimError(f"--shard is '{given}', of '{index}' and '{count}': {wrong}. {allowed}") from None
 
 
 MOST_TASKS = 1000

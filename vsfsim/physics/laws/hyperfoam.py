@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene_tables.foam import Foam
+from vsfsim.core.material import Foam
 from vsfsim.physics.laws import principal
 from vsfsim.physics.laws.law import Settings, SolidLaw
 from vsfsim.physics.laws.neo_hooke import CRUSHED

@@ -13,8 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from vsfsim.core.errors import MeshError, SceneError
-from vsfsim.core.quality import smallest_sine
-from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
+from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, smallest_sine, tet_volumes
 
 # Six volumes over the cube of the longest edge: a regular tetrahedron has 0.7, one whose dihedral angles come down to 1
 # degree about 0.01. Below this the gradients of the shape functions have lost half their digits.
