@@ -123,8 +123,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
             objects = {label: by_object(result, task.primary, label) for label in result.shots
                        } if task.protocol.folds and found.mark in ("", CEILING, EARLIER) else {}
             row = Row(None, found.mark, result, found.scores, path, found.other_bits and not found.mark, objects,
-                      "made here" if here else "shipped", found.evidence)
-            if not found.listed and not found.mark and any(one.origin != "made here" and contradicts(
+                      "made here" if here else "shipped", found.entry.evidence if found.entry else "open")
+            if found.entry is None and not found.mark and any(one.origin != "made here" and contradicts(
                     result, one.result, task, (objects.get(shot, {}), one.objects.get(shot, {}))) for one in good):
                 row, rows = dataclasses.replace(row, mark=CLAIMED, other_bits=False), odd
             rows.append(row)

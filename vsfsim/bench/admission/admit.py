@@ -48,10 +48,8 @@ class Admission:
     """By metric and shot, computed from its rows."""
     other_bits: bool
     """Its dataset is not the board's to the bit."""
-    listed: bool
-    """It is on the repository's list of rows."""
-    evidence: str
-    """What that list says that it rests on; "open" where it is not listed."""
+    entry: Listed | None = None
+    """What the repository's list says of it; None where it is not listed."""
 
 
 def admit(result: Result, task: Task, record: Record | None, reference: str, known: Mapping[str, list],
@@ -73,7 +71,7 @@ def admit(result: Result, task: Task, record: Record | None, reference: str, kno
         try:
             scores, other = result.computed(), result.dataset_sha256 != reference
         except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
-            return Admission("its rows cannot be scored", {}, True, False, "open")
+            return Admission("its rows cannot be scored", {}, True)
         reason = (_other_task(result, task) or _wrong_rows(result, task, record) or _wrong_scores(result, scores)
                   or ("" if task.ranking_shot in scores.get(task.primary, {}) else
                       f"no {task.primary} at {task.ranking_shot}-shot")
@@ -83,7 +81,7 @@ def admit(result: Result, task: Task, record: Record | None, reference: str, kno
         reason = EARLIER
     elif packed is None and not reason:
         reason = CLAIMED if entry is None and claimed(result, task) else CEILING if is_ceiling(result) else ""
-    return Admission(reason, scores, other, entry is not None, "open" if entry is None else entry.evidence)
+    return Admission(reason, scores, other, entry)
 
 
 def _other_task(result: Result, task: Task) -> str:

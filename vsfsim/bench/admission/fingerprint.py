@@ -13,7 +13,6 @@ other data with the same fingerprints, nor against somebody who writes a result 
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +23,7 @@ import numpy as np
 from vsfsim.bench.protocol import divide, record, share_unresolved, shown_names, test_names
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import from_json, plain
+from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import probe_table
 from vsfsim.core.shelf import folder
 from vsfsim.data.dataset import Dataset
@@ -173,7 +172,7 @@ def save_record(record: Record, path: Path, *, again: Again | None = None) -> No
         TaskError: the file cannot be written.
     """
     record = msgspec.structs.replace(record, again=again or record.again)
-    write_atomic(path, (json.dumps(record.table()) + "\n").encode(), error=TaskError)
+    write_atomic(path, msgspec.json.encode(record) + b"\n", error=TaskError)
 
 
 def load_record(path: Path) -> Record:
@@ -185,10 +184,10 @@ def load_record(path: Path) -> Record:
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it has more than {LARGEST_FILE} bytes")
-        table = from_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file.") from error
-    return Record.read(table, str(path))
+        return msgspec.json.decode(path.read_bytes(), type=Record)
+    except (OSError, ValueError, RecursionError) as error:
+        raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file, or make it again with `vsfsim "
+                        f"measure record FOLDER`.") from error
 
 
 def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:
