@@ -18,6 +18,7 @@ from vsfsim.core.shape import MeshFile, Plane, ProbeShape
 from vsfsim.data.records import View
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.body_samples import sharp_samples
+from vsfsim.physics.mesh.surface_distance import crossings
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
@@ -66,51 +67,44 @@ def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarra
               samples: np.ndarray | None = None) -> float:
     """How far the probe can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the body at rest [m].
 
-    Conservative advancement on the signed distance, without the fillet of edges; edges and corners that meet the
-    boundary between its samples count, too. Infinite if the probe meets nothing within 2 m.
+    Conservative advancement on the signed distance; edges and corners that meet the boundary between its samples count,
+    too. Edges are sharp on a solid, whose contact has points on them, and have their fillet on a sheet, which feels no
+    more than that. Infinite if the probe meets nothing within 2 m.
     """
-    return min(_advance(model, probe, pose, axis, samples), _edges_first(model, probe, pose, axis))
+    fillet = sdf.encode(probe)[1][3] if model.mesh.faces.shape[1] == 3 else 0.0
+    return min(_advance(model, probe, pose, axis, samples, fillet), _edges_first(model, probe, pose, axis, fillet))
 
 
-def _advance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray,
-             samples: np.ndarray | None) -> float:
+def _advance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray, samples: np.ndarray | None,
+             fillet: float) -> float:
     points = surface_samples(model) if samples is None else samples
     gone = 0.0
     for _ in range(500):
         local = (points - pose[:3, 3] - gone * axis) @ pose[:3, :3]
         gap = float((sdf.distance(probe, local) if isinstance(probe, MeshFile)
-                     else signed_distance.distance(probe, local)).min())  # type: ignore[arg-type]
-        if gap < 1e-6:
-            return gone
+                     else signed_distance.distance(probe, local, fillet=fillet)).min())  # type: ignore[arg-type]
+        if gap < 1e-6 or gone > 2.0:
+            break
         gone += gap
-        if gone > 2.0:
-            return float("inf")
-    return gone
+    return gone if gone <= 2.0 else float("inf")
 
 
-def _edges_first(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray) -> float:
-    """The same for the edges and corners of the probe alone: their points against the triangles at rest."""
-    spot, outward, _ = sharp_samples(probe, 0.5 * model.element_size)
-    leading = outward @ (pose[:3, :3].T @ axis) > 0.0
+def _edges_first(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray, fillet: float) -> float:
+    """The same for the edges and corners of the probe alone: their points, or those of the fillet that lie furthest
+    along the axis, against the triangles at rest."""
+    sharp, outward, length = sharp_samples(probe, 0.5 * model.element_size)
+    ahead = pose[:3, :3].T @ axis
+    leading = outward @ ahead > 0.0
     if not leading.any():  # a ball, say
         return float("inf")
+    sides = np.where(length > 0.0, 2.0, 3.0)[:, None]  # that meet on an edge, and in a corner
+    spot = sharp + fillet * (ahead - np.sqrt(sides) * outward)
     spot = (spot @ pose[:3, :3].T + pose[:3, 3])[leading]
-    corner = model.mesh.points[model.mesh.faces[:, :3]]
-    side, up = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    meets = np.cross(side, up) @ axis < 0.0  # faces that look at the probe
-    corner, side, up = corner[meets, 0], side[meets], up[meets]
-    level = np.cross(axis, up)
-    share = np.einsum("fc,fc->f", side, level)
-    least = float("inf")
-    for p in spot:
-        # where the line along the axis meets the plane of every triangle (Moller and Trumbore 1997)
-        away = p - corner
-        turned = np.cross(away, side)
-        u, v = np.einsum("fc,fc->f", away, level) / share, turned @ axis / share
-        way = np.einsum("fc,fc->f", up, turned) / share
-        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way >= 0.0)
-        least = min(least, float(way[hit].min(initial=np.inf)))
-    return least
+    corners = model.mesh.points[model.mesh.faces[:, :3]]
+    side, up = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    corners = corners[np.cross(side, up) @ axis < 0.0]  # faces that look at the probe
+    ways = (crossings(p[None], axis[None], corners) for p in spot)
+    return min(float(way[way >= 0.0].min(initial=np.inf)) for way in ways)
 
 
 def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Generator],
