@@ -209,7 +209,7 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
     """The front of a scene, drawn too, and what each goal costs, from the JSON of `vsfsim tradeoff` with options."""
     from vsfsim.data.disk import write_figure
     from vsfsim.generate.trade import front
-    from vsfsim.generate.trade.page import draw
+    from vsfsim.generate.trade.command import draw
 
     points = [front.Point(**{**p, "error": math.nan if p["error"] is None else p["error"]}) for p in table["points"]]
     if scene in DRAWN:

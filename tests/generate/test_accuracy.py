@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene import parse_scene
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.kept import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
@@ -40,14 +41,13 @@ def scene(tmp_path):
 
 def test_the_cheapest_setting_that_keeps_it_is_chosen_once(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(buy, "DatasetTouches", lambda *_, **__: Imagined(0.02))
-    given = {"seed": 0, "objects": 2, "device": "cpu", "cache": None, "note": None}
-    tier, options = buy.bought(scene, tmp_path / "new", 0.15, **given)
+    tier, options = buy.bought(scene, tmp_path / "new", Request(accuracy=0.15), 2)
     # 300 h^2 over the way in: 7 % at 20 mm, which keeps it with all frames marked; 15.4 mm has none marked
     assert tier == "fem-coarse" and options["resolution"] == pytest.approx(0.02 / 1.3)
     rms = np.sqrt(np.mean(np.arange(1, 5) ** 4) / 4**4)
     assert options["accuracy"]["expected"] == pytest.approx(300 * (0.02 / 1.3) ** 2 * rms, rel=0.02)
     with pytest.raises(SceneError, match=r"--accuracy is 0.2 %, but the most exact setting of the pilot, .* Ask for"):
-        buy.bought(scene, tmp_path / "new", 0.002, **given)
+        buy.bought(scene, tmp_path / "new", Request(accuracy=0.002), 2)
 
 
 @pytest.mark.parametrize(("given", "said"), [("0", "may be 0.1 % to 50 %"), ("300%", "is 300 %"), ("5", "is 500 %"),

@@ -13,7 +13,6 @@ from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import load_scene
-from vsfsim.data.dataset import Dataset
 from vsfsim.data.streams import Stream, stream
 from vsfsim.data.verify import verify
 from vsfsim.generate.recipe import splits_for
@@ -103,12 +102,6 @@ def test_the_truth_is_the_scenes(made, scene):
         stiff, soft = truth.probe_stiffness[top & (at[:, 0] > 0.01)], truth.probe_stiffness[top & (at[:, 0] < -0.01)]
         assert len(stiff) and len(soft) and stiff.mean() > soft.mean()
     assert bases[0] != bases[1] and all(2e4 <= b <= 2e5 for b in bases)
-
-
-def test_blind_hides_the_truth(made):
-    assert all(v.truth is not None for v in made)
-    assert all(v.truth is None for v in made.blind()) and all(v.truth is None
-                                                              for v in Dataset.open(made.path, blind=True))
 
 
 def test_two_workers_give_the_same_bits(made, scene, tmp_path):

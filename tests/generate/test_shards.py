@@ -78,7 +78,7 @@ def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp
     out = tmp_path / "d"
     make(planned(scene, out, objects=2, fan=Fan((0, 2))))
     (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
-    with pytest.raises(DatasetError, match=r"'tiny-0001-v0' is missing; .*`vsfsim generate` again"):
+    with pytest.raises(DatasetError, match=r"'tiny-0001-v0', are missing; .*`vsfsim generate` again"):
         make(planned(scene, out, objects=2, finish=True))
     assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
 

@@ -12,7 +12,6 @@ from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.trade import command, front
 from vsfsim.generate.trade.front import Point, distance, sentence, with_front
-from vsfsim.generate.trade.page import page
 from vsfsim.generate.trade.setting import Ground, Setting
 from vsfsim.generate.trade.touches import Curve, Run
 from vsfsim.physics.convergence import curve_limit
@@ -69,7 +68,7 @@ def test_the_front_and_the_sentences():
 
 
 def test_the_page_is_whole_and_needs_no_network():
-    content = page(POINTS, title="Title & more", about=["about"], sentences=["5 %: c"], notes=[])
+    content = command.page(POINTS, title="Title & more", about=["about"], sentences=["5 %: c"], notes=[])
     assert "<svg" in content and "<b>" not in content and "g &lt;b&gt;" in content and "Title &amp; more" in content
     assert content.count("<tr") == 1 + len(POINTS) and "src=" not in content
 

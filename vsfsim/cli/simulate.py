@@ -150,7 +150,6 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
     loaded = load_scene(find_scene(scene))
     from vsfsim.data.disk import write_figure  # takes seconds; a mistake in the scene is reported before
     from vsfsim.generate.trade import command
-    from vsfsim.generate.trade.page import draw
     from vsfsim.physics.tiers import TIERS
 
     for name in tier or []:
@@ -160,5 +159,5 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
         found = command.tradeoff(loaded, folder, touches=touches, objects=objects, seed=seed, device=device,
                                  tiers_only=tuple(tier or ()), progress=progress)
     if picture is not None:
-        write_figure(draw(found.points, f"{found.scene}: {found.what}"), picture)
+        write_figure(command.draw(found.points, f"{found.scene}: {found.what}"), picture)
     report(f"{found.text()}\npage: {folder / 'tradeoff.html'}", found.table(), json)

@@ -158,5 +158,6 @@ def kernels_of(scene: Scene, tier: str = "auto") -> list[Any]:
     from vsfsim.vsf import particles
 
     if tier in TIERS:
-        scene = dataclasses.replace(scene, object=dataclasses.replace(scene.required_object, tier=tier))
+        body = dataclasses.replace(scene.required_object, tier=tier)  # type: ignore[arg-type]
+        scene = dataclasses.replace(scene, object=body)
     return [*effector_of(scene).kernels(scene), render_warp.cast_kernel, particles._behind]

@@ -120,8 +120,7 @@ def make(plan: Plan) -> Made:
     if asked.fan.ray and isinstance(folder, Path):
         folder = folder.resolve()  # tasks have working folders of their own
     if asked.accuracy is not None:
-        tier, options = bought(loaded, folder, asked.accuracy, seed=asked.seed, objects=recipe.objects,
-                               device=asked.device, cache=asked.cache, note=asked.note)
+        tier, options = bought(loaded, folder, asked, recipe.objects)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
     jobs = jobs_of(recipe, loaded.path, folder, asked.cache, mixed=asked.mixed, poison=asked.poison)
     with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard, mixed=asked.mixed) as writer:

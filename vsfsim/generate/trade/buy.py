@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
+from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.manifest import MANIFEST, PART_MANIFEST
 from vsfsim.data.store import open_store
 from vsfsim.generate.effector import effector_of
@@ -46,23 +47,23 @@ def check_accuracy(accuracy: float, tier: str | None) -> None:
                           "chooses the tier itself. Leave one of them out.")
 
 
-def bought(loaded: SceneFile, folder: Path | str, accuracy: float, *, seed: int, objects: int, device: str,
-           cache: Path | None, note: Callable[[str], None] | None) -> tuple[str, dict[str, Any]]:
-    """The tier and the options of the recipe that keep an accuracy: those of the dataset that was begun in ``folder``,
-    else those that a pilot finds: the first candidate whose worst touch keeps `MARGIN` of the accuracy, and of which at
-    most `MARKED` frames are marked if there is one.
+def bought(loaded: SceneFile, folder: Path | str, request: Request, objects: int) -> tuple[str, dict[str, Any]]:
+    """The tier and the options of the recipe that keep the accuracy of a request: those of the dataset that was begun
+    in ``folder``, else those that a pilot finds: the first candidate whose worst touch keeps `MARGIN` of the accuracy,
+    and of which at most `MARKED` frames are marked if there is one.
 
     Raises:
         SceneError: no setting keeps it, with the figure; or the scene's touches cannot be made again.
     """
-    there = _begun(folder)
+    accuracy, there = request.accuracy, _begun(folder)
+    assert accuracy is not None
     if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == accuracy:
         return there["tier"], {name: there["options"][name] for name in ("accuracy", "resolution", "contact")
                                if name in there["options"]}
-    said, asked = note or (lambda sentence: None), f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but"
+    said, asked = request.note or (lambda sentence: None), f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but"
     said(f"--accuracy {100 * accuracy:g} %: a pilot chooses tier and element size")
-    subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=seed,
-                             device=device, cache=cache)
+    subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=request.seed,
+                             device=request.device, cache=request.cache)
     ladder = subject.ground.ladder()
     bounds, shares = zip(*(limits([subject.near(k, setting) for setting in ladder])
                            for k in range(subject.count)), strict=True)
