@@ -99,6 +99,19 @@ def versions_of(name: str, folder: str | Path = "") -> dict[str, str]:
     return out
 
 
+def package_of(name: str) -> tuple[str, str]:
+    """The installed package that a method is from and its version; ("", "") for a file that is not installed."""
+    entry = methods().get(name)
+    if entry is not None and entry.dist is not None:
+        return entry.dist.name, entry.dist.version
+    top = _module(name).partition(".")[0]
+    for package in metadata.distributions():  # metadata.packages_distributions() would read every list of files
+        called = package.metadata["Name"] or ""
+        if top in (package.read_text("top_level.txt") or called.replace("-", "_")).split():
+            return called, package.version
+    return "", ""
+
+
 def _module(name: str) -> str:
     return (name if ":" in name else (methods() | ceilings())[name].value).partition(":")[0]
 

@@ -14,7 +14,6 @@ import pickle
 import sys
 import tempfile
 import traceback
-from importlib import metadata
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,6 @@ from vsfsim.bench.method import (
 )
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
-from vsfsim.core.shelf import methods
 
 OPTIONAL = ("predict_std", "stiffness", "locate", "choose")
 """Functions of a method that the scorer asks for where they exist."""
@@ -75,13 +73,11 @@ class _Server:
     # ------------------------------------------------------------------ before the trials
 
     def do_find(self, payload: dict[str, Any]) -> Reply:
-        name = payload["name"]
-        self.factory = find_method(name, search=payload["folder"])
+        self.factory = find_method(payload["name"], search=payload["folder"])
         self.parameters = parameters_of(self.factory, payload["parameters"])
         plain_parameters(self.parameters)
         return Reply({"entry": f"{self.factory.__module__}:{getattr(self.factory, '__qualname__', self.factory)}",
-                      "parameters": self.parameters, "seeded": "seed" in inspect.signature(self.factory).parameters,
-                      "package": _package(name, self.factory) if payload["look"] else None})
+                      "parameters": self.parameters, "seeded": "seed" in inspect.signature(self.factory).parameters})
 
     def do_check(self, name: str) -> Reply:
         from vsfsim.bench.check import check  # half of what a process would import that is not asked to check
@@ -202,17 +198,3 @@ def _numbers(value: Any, what: str) -> np.ndarray:
 def _failure(error: BaseException) -> Reply:
     kind = "missing" if isinstance(error, MissingPackage) else "refused" if isinstance(error, VsfsimError) else "raised"
     return Reply({"error": kind, "type": type(error).__name__, "text": str(error)})
-
-
-def _package(name: str, factory: Any) -> tuple[str, str]:
-    """The installed package that a method is from and its version; ("", "") for a file that is not installed."""
-    entry = methods().get(name)
-    if entry is not None and entry.dist is not None:
-        return entry.dist.name, entry.dist.version
-    top = str(getattr(factory, "__module__", "")).partition(".")[0]
-    for package in metadata.distributions():  # metadata.packages_distributions() would read every list of files
-        name = package.metadata["Name"] or ""
-        listed = (package.read_text("top_level.txt") or name.replace("-", "_")).split()
-        if top in listed:
-            return name, package.version
-    return "", ""

@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.identity import named_by
+from vsfsim.bench.identity import named_by, package_of
 from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
 from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply, send_request
 from vsfsim.bench.method import Specimen
@@ -148,11 +148,10 @@ class MethodHost:
             MethodError: it is unknown, or breaks its contract; with every clause that it breaks.
         """
         with self._process(self.hides, {}) as process:
-            head = process.find(look=True).head
+            head = process.find(self.name).head
             try:
-                package, version = (plain(word) for word in head["package"])
-                said = Description(plain(head["entry"]), dict(head["parameters"]), bool(head["seeded"]), package,
-                                   version)
+                said = Description(plain(head["entry"]), dict(head["parameters"]), bool(head["seeded"]),
+                                   *package_of(self.name))
             except (KeyError, TypeError, ValueError) as error:
                 raise MethodError(f"the process of {self.name} described itself with something unreadable.") from error
             limit = self.isolation.timeout
@@ -274,12 +273,12 @@ class Process:
         self.peak_memory_mib = 0.0
         """Largest resident size that it has had, once it has ended [MiB]."""
 
-    def find(self, *, look: bool = False) -> Reply:
-        """Import the method; ``look`` asks for its package, too."""
-        limit, name = self._host.isolation.timeout, self._host.name
-        found = name if look or ":" in name else methods()[name].value
-        return self.ask("find", {"name": found, "parameters": self._host.parameters, "folder": os.getcwd(),
-                                 "look": look}, "its import", limit=None if limit is None else limit + _IMPORT)
+    def find(self, name: str = "") -> Reply:
+        """Import the method, by its own name if it is given, as whoever looks at it first has the better message."""
+        limit, called = self._host.isolation.timeout, self._host.name
+        found = name or (called if ":" in called else methods()[called].value)
+        return self.ask("find", {"name": found, "parameters": self._host.parameters, "folder": os.getcwd()},
+                        "its import", limit=None if limit is None else limit + _IMPORT)
 
     def ask(self, operation: str, payload: Any, what: str, *, shapes: Sequence[tuple[int, ...]] | None = None,
             most: int = 1 << 26, limit: float | None = -1.0) -> Reply:
