@@ -197,7 +197,8 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
 
 def _adapt(process: Process, where: str) -> list[str]:
     """Adapt to the view and the support set of the trial; the optional functions that the method has."""
-    return process.ask("adapt", None, f"adapt to {where}").head.get("offers", [])
+    offers = process.ask("adapt", None, f"adapt to {where}").head.get("offers")
+    return offers if isinstance(offers, list) else []
 
 
 def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> tuple[int, ...]:
