@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -21,6 +22,7 @@ from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.plain_text import plain
 from vsfsim.core.system.interactive import html_table, new_figure
 from vsfsim.data.disk import write_atomic, write_figure
+from vsfsim.data.provenance import processor
 
 FORMAT = "vsfsim-result"
 
@@ -217,23 +219,14 @@ def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float 
 
 def machine() -> dict[str, Any]:
     """The machine: cpu, cores, system."""
-    name = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                name = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    return {"cpu": name, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"}
+    return {"cpu": processor().partition(", family")[0], "cores": os.cpu_count(),
+            "system": f"{platform.system()} {platform.machine()}"}
 
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that can change a number."""
     out = {"python": platform.python_version()}
     for package in ("numpy", "scipy", "h5py", "warp-lang", "torch"):
-        try:
+        with contextlib.suppress(PackageNotFoundError):
             out[package] = version(package)
-        except PackageNotFoundError:
-            continue
     return out
