@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import io
 import os
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import DatasetError, VsfsimError
+from vsfsim.core.system.content import file_sha256 as file_sha256
 from vsfsim.core.system.file_lock import sync_folder
 
 
@@ -98,12 +98,6 @@ def write_figure(figure: Any, path: str | Path) -> None:
 def own_number() -> str:
     """Digits that no other process has which may write to the same folder: of process and machine."""
     return f"{os.getpid()}{zlib.crc32(socket.gethostname().encode()):010d}"
-
-
-def file_sha256(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _complaint(path: Path, size: int, problem: OSError) -> str:

@@ -64,7 +64,9 @@ def compare(one: str | Path, other: str | Path, progress: Progress | None = None
     counts, worst, first = [0, 0, 0], 0.0, ""
     for view in a:
         for index, (p, q) in enumerate(zip(view.touches, b.load(view.name).touches, strict=True)):
-            if _equal(p, q):
+            mine, theirs = values_of(p), values_of(q)
+            if mine.keys() == theirs.keys() and all(np.asarray(mine[k]).tobytes() == np.asarray(theirs[k]).tobytes()
+                                                    for k in mine):
                 counts[0] += 1
                 continue
             apart = difference(p, q)
@@ -83,8 +85,3 @@ def difference(one: Touch, other: Touch) -> float:
     size = float(np.linalg.norm(one.force[good], axis=1).max(initial=0.0))
     apart = float(np.linalg.norm((one.force - other.force)[good], axis=1).max(initial=0.0))
     return apart / size if size > 0.0 else (0.0 if apart == 0.0 else float("inf"))
-
-
-def _equal(one: Touch, other: Touch) -> bool:
-    p, q = values_of(one), values_of(other)
-    return p.keys() == q.keys() and all(np.asarray(p[k]).tobytes() == np.asarray(q[k]).tobytes() for k in p)

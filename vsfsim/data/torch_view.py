@@ -122,35 +122,31 @@ class TorchView(torch.utils.data.Dataset):
         return self._views[name]
 
     def _touch(self, touch: Touch) -> dict[str, torch.Tensor]:
-        valid = np.asarray(touch.converged, bool)
-        readings = {"force": touch.force, "normal_force": touch.normal_force(),
-                    **{name: np.asarray(touch.channel(name)) for name in self.fields}}
-        plain = {"time": touch.time, "pose": touch.mount_pose, "axis": touch.axis, "target": touch.target}
-        for name, values in readings.items():
-            marked = np.array(values, np.float32)
-            marked[~valid] = np.nan
-            readings[name] = marked
-        return {**{name: torch.from_numpy(np.array(values, np.float32)) for name, values in (plain | readings).items()},
-                "valid": torch.from_numpy(valid.copy())}
+        valid = torch.from_numpy(np.array(touch.converged, bool))
+        out = {"time": _real(touch.time), "pose": _real(touch.mount_pose), "axis": _real(touch.axis),
+               "target": _real(touch.target), "valid": valid}
+        for name, values in (("force", touch.force), ("normal_force", touch.normal_force()),
+                             *((name, touch.channel(name)) for name in self.fields)):
+            out[name] = _real(values)
+            out[name][~valid] = float("nan")
+        return out
+
+
+def _real(values: Any) -> torch.Tensor:
+    return torch.from_numpy(np.array(values, np.float32))
 
 
 def _images(view: ObjectView) -> dict[str, torch.Tensor]:
     shown = view.view
-    return {"rgb": torch.from_numpy(np.array(shown.rgb.transpose(2, 0, 1))),
-            "depth": torch.from_numpy(np.array(shown.depth, np.float32)[None]),
-            "mask": torch.from_numpy(np.array(shown.mask, bool)[None]),
-            "intrinsics": torch.from_numpy(np.array(shown.intrinsics, np.float32)),
-            "camera_pose": torch.from_numpy(np.array(shown.camera_pose, np.float32))}
+    return {"rgb": torch.from_numpy(np.array(shown.rgb.transpose(2, 0, 1))), "depth": _real(shown.depth[None]),
+            "mask": torch.from_numpy(np.array(shown.mask[None], bool)), "intrinsics": _real(shown.intrinsics),
+            "camera_pose": _real(shown.camera_pose)}
 
 
 def _filled(key: str, tensor: torch.Tensor, frames: int) -> torch.Tensor:
     missing = frames - len(tensor)
-    if not missing:
-        return tensor
     if key in ("time", "pose"):
         tail = tensor[-1:].expand(missing, *tensor.shape[1:])
-    elif key == "valid":
-        tail = torch.zeros(missing, dtype=torch.bool)
-    else:
-        tail = torch.full((missing, *tensor.shape[1:]), float("nan"))
+    else:  # no valid frame, and no reading
+        tail = tensor.new_full((missing, *tensor.shape[1:]), False if key == "valid" else float("nan"))
     return torch.cat([tensor, tail])
