@@ -15,7 +15,7 @@ from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import VsfsimError
 
-FAST = {"rate": 3e-3, "epochs": 200, "patience": 60, "noise_std": 0.15, "noise_share": 0.1}
+FAST = {"rate": 1e-2, "epochs": 50, "patience": 25, "noise_std": 0.15, "noise_share": 0.1}
 """Particles on another grid than the mock object's err by a share of the force. With ``noise_share`` 0 touches are
 trusted beyond that, and 13 of them raise the error up to 1.6 times."""
 TEST = range(10, 16)
@@ -29,7 +29,7 @@ def task():
 
 @pytest.fixture(scope="module")
 def train(task):
-    return [specimen(mock_view(i, split="train", touches=14), task) for i in range(10)]
+    return [specimen(mock_view(i, split="train", touches=14), task) for i in range(7)]
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +71,13 @@ def test_features_predict_the_stiff_half_before_any_touch(fitted):
         points = view.truth.probe_points
         inner = points[np.abs(points[:, :2]).max(axis=1) < 0.02]
         mean = fitted.stiffness(inner).mean
-        # the darker half is five times as stiff on every training object; over twelve seeds the least is 3.08
+        # the darker half is five times as stiff on every training object; over four seeds the least is 3.44
         assert mean[inner[:, 0] > 0].mean() > 2.0 * mean[inner[:, 0] < 0].mean()
 
 
 def test_touches_reduce_the_error_and_the_std(fitted, task):
     before, after = (np.array([error(fitted, task, range(k), index) for index in TEST]) for k in (0, 13))
-    # the geometric mean over objects is 0.43 to 0.68 over twelve seeds
+    # the geometric mean over objects is 0.48 to 0.51 over four seeds
     assert np.exp(np.mean(np.log(after / before))) < 0.8
     point = np.array([[0.0, 0.0, 0.028]])
     for index in TEST:
@@ -163,7 +163,7 @@ def test_refusals(fitted, train, task):
     with pytest.raises(VsfsimError, match="meta_fit or load first"):
         Sbml().adapt(mock_view(0).view, [])
     missed = [dataclasses.replace(s, touches=(s.touches[-1],)) for s in train]  # the last touch of a mock misses it
-    with pytest.raises(VsfsimError, match="cannot learn a prior: 10 training objects with 0 touched"):
+    with pytest.raises(VsfsimError, match="cannot learn a prior: 7 training objects with 0 touched"):
         Sbml().meta_fit(missed)
     silent = [dataclasses.replace(s, touches=tuple(dataclasses.replace(t, value=0.0 * t.value) for t in s.touches))
               for s in train]

@@ -206,7 +206,7 @@ def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
 def test_finish_refuses_a_gap(tmp_path):
     with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
         writer.add(VIEWS[0])
-        with pytest.raises(DatasetError, match=f"'{NAMES[1]}', '{NAMES[2]}', are missing"):
+        with pytest.raises(DatasetError, match=f"are missing: '{NAMES[1]}', '{NAMES[2]}';"):
             writer.finish()
         with pytest.raises(DatasetError, match="not one of the names"):
             writer.add(mock_view(9))

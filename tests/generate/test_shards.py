@@ -16,7 +16,7 @@ from vsfsim.core.system.engines import Fan, shard_of
 from vsfsim.data import lines
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.store import open_store
+from vsfsim.data.store import Store
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate import workers
@@ -78,7 +78,7 @@ def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp
     out = tmp_path / "d"
     make(planned(scene, out, objects=2, fan=Fan((0, 2))))
     (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
-    with pytest.raises(DatasetError, match=r"'tiny-0001-v0', are missing; .*`vsfsim generate` again"):
+    with pytest.raises(DatasetError, match=r"are missing: 'tiny-0001-v0'; .*`vsfsim generate` again"):
         make(planned(scene, out, objects=2, finish=True))
     assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
 
@@ -144,8 +144,8 @@ def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, mon
     found = make(planned(scene, url, objects=4, finish=True)).dataset
     assert found.sha256 == made.sha256 and found.origin == url
     assert found[1].touches[0].force.tobytes() == made[1].touches[0].force.tobytes()
-    assert sorted(open_store(url).sizes()) == sorted(contents(made.path))
-    assert open_store(url).get("dataset.json") == (made.path / "dataset.json").read_bytes()
+    assert sorted(Store(url).sizes()) == sorted(contents(made.path))
+    assert Store(url).get("dataset.json") == (made.path / "dataset.json").read_bytes()
 
 
 @pytest.mark.parametrize(("given", "env", "found"), [("1/4", {}, (1, 4)), ("auto", {

@@ -79,9 +79,9 @@ def generate(scene: SceneName, request: Request, machines: Machines, out: str | 
 
 def _kept(folder: Path | str) -> str:
     from vsfsim.data.lines import finished_names
-    from vsfsim.data.store import open_store
+    from vsfsim.data.store import Store
 
-    kept = len(finished_names(open_store(folder)))
+    kept = len(finished_names(Store(folder)))
     return (f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again to make the "
             f"others." if kept else "interrupted; nothing was finished, so nothing is kept.")
 

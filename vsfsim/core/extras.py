@@ -13,7 +13,7 @@ from vsfsim.core.errors import VsfsimError
 EXTRA_OF = {
     "warp": "sim", "mujoco": "sim", "trimesh": "sim", "pytetwild": "sim", "pyvista": "sim",
     "torch": "methods", "sklearn": "methods", "safetensors": "methods",
-    "fsspec": "cloud", "s3fs": "cloud", "ray": "ray", "pyarrow": "export", "yaml": "export",
+    "s3fs": "cloud", "ray": "ray", "pyarrow": "export", "yaml": "export",
     "gymnasium": "active", "rerun": "rerun",
     "matplotlib": "render", "PIL": "render", "pyrender": "render",
 }

@@ -19,7 +19,7 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import whole_folder
 from vsfsim.data.manifest import MANIFEST, content_sha256, entries_of, parse_manifest
-from vsfsim.data.store import open_store
+from vsfsim.data.store import Store
 
 VARIABLE = "VSFSIM_ARCHIVE"
 
@@ -53,7 +53,7 @@ def taken(folder: Path, name: str, *, progress: Callable[[int, int, str], None] 
     if not digests or folder.exists():
         return None
     origin = f"{archive.rstrip('/')}/{name}"
-    store, said = open_store(origin), note or (lambda _: None)
+    store, said = Store(origin), note or (lambda _: None)
     manifest = store.get(MANIFEST)
     if manifest is None:
         return None

@@ -27,7 +27,7 @@ from vsfsim.data.manifest import (
 )
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
-from vsfsim.data.store import is_url, open_store
+from vsfsim.data.store import Store, is_url
 
 if TYPE_CHECKING:
     from vsfsim.data.torch_view import TorchView
@@ -162,7 +162,7 @@ class Dataset:
             if entry.name == name:
                 path = self.path / entry.file
                 if self.origin and not path.is_file():
-                    content = open_store(self.origin).get(entry.file)
+                    content = Store(self.origin).get(entry.file)
                     if content is None:
                         raise DatasetError(f"{self.origin}/{entry.file} does not exist. Run the same `vsfsim generate` "
                                            f"again; it makes only what is missing.")
@@ -264,7 +264,7 @@ def load(folder: str | Path, *, blind: bool = False) -> Dataset:
 
 def _fetched_manifest(origin: str) -> Path:
     """Copy dataset.json of an object store into the folder that its content names, which is returned."""
-    store = open_store(origin)
+    store = Store(origin)
     content = store.get(MANIFEST)
     if content is None:
         unfinished = store.get(PART_MANIFEST) is not None

@@ -186,7 +186,8 @@ class _File:
                           whole_number(attrs["object_index"], f"{self.path} @object_index"),
                           whole_number(attrs["view_index"], f"{self.path} @view_index"),
                           check_name(attrs["split"], f"{self.path} @split"), probes[0], View(**shown),
-                          tuple(_touch(values) for values in touches), truth and Truth(**truth), probes[1:])
+                          tuple(_touch(values) for values in touches), None if truth is None else Truth(**truth),
+                          probes[1:])
         for k, touch in enumerate(view.touches):
             if not 0 <= (touch.press or 0) < len(probes):
                 raise DatasetError(f"{self.path} touches/{k:03d}/press is {touch.press}, but attribute 'probe' has "

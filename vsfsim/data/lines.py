@@ -82,11 +82,8 @@ def check_kind(store: Store, made_on: str, *, mixed: bool) -> None:
     Raises:
         DatasetError: it is another one.
     """
-    name = f"{FOLDER}/kind"
-    there = (store.get(name) or b"").decode(errors="replace")
-    if not there and not store.put_new(name, made_on.encode()):
-        there = (store.get(name) or b"").decode(errors="replace")
-    if there and there != made_on and not mixed:
+    there = _first(store, f"{FOLDER}/kind", made_on)
+    if there != made_on and not mixed:
         raise DatasetError(f"{store.where} was begun on '{plain(there)}', and this machine is '{made_on}': they round "
                            f"otherwise, so that another machine could not make the same bytes again. Run it on "
                            f"machines of one kind, or allow it with --mixed; each file then says what made it.")
@@ -98,12 +95,18 @@ def check_shards(store: Store, count: int) -> None:
     Raises:
         DatasetError: it is another one.
     """
-    name = f"{FOLDER}/shards"
-    if not store.put_new(name, str(count).encode()):
-        there = (store.get(name) or b"").decode(errors="replace")
-        if there != str(count):
-            raise DatasetError(f"{store.where} is being made in {plain(there)} shards, and --shard asks for {count}. "
-                               f"Use the same number for all, or make what is missing without --shard.")
+    there = _first(store, f"{FOLDER}/shards", str(count))
+    if there != str(count):
+        raise DatasetError(f"{store.where} is being made in {plain(there)} shards, and --shard asks for {count}. "
+                           f"Use the same number for all, or make what is missing without --shard.")
+
+
+def _first(store: Store, name: str, word: str) -> str:
+    """What the first machine wrote into a file, which is ``word`` if this one is the first."""
+    there = store.get(name)
+    if not there and not store.put_new(name, word.encode()):
+        there = store.get(name)
+    return (there or b"").decode(errors="replace") or word
 
 
 @dataclasses.dataclass(frozen=True)

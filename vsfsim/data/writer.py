@@ -31,7 +31,7 @@ from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_name
 from vsfsim.data.schema import SCHEMA_VERSION
-from vsfsim.data.store import is_url, open_store
+from vsfsim.data.store import Store, is_url
 
 _OUR_PART = re.compile(r"\.(h5|json|md)(\.\d+\.(part|new))+$")
 """Files that `write_atomic` left when it was killed; nothing else is ever removed from a folder."""
@@ -63,7 +63,7 @@ class DatasetWriter:
     def __init__(self, path: str | Path, recipe: Recipe, names: list[str], *, shard: tuple[int, int] | None = None,
                  mixed: bool = False):
         self.recipe, self.names, self.shard, self.mixed = recipe, list(names), shard, mixed
-        self.store = open_store(path)
+        self.store = Store(path)
         self.path: Path | None = None if is_url(path) else Path(path)
         self.notes: list[str] = []
         self._fresh = False  # dataset.part.json was made by this writer
@@ -143,9 +143,9 @@ class DatasetWriter:
         found = {name: lines.read_line(self.store, name) for name in names}
         gone = [repr(name) for name, line in found.items() if line is None or sizes.get(line.file) != line.bytes]
         if gone or not names:
-            raise DatasetError(f"{self.store.where}: {len(gone)} object views, {', '.join(gone[:5])}"
-                               f"{', ...' * (len(gone) > 5)}, are missing; the dataset cannot be finished. Run `vsfsim "
-                               f"generate` again, which makes what is missing.")
+            raise DatasetError(f"{self.store.where}: object views are missing: {', '.join(gone[:5])}"
+                               f"{', ...' * (len(gone) > 5)}; the dataset cannot be finished. Run `vsfsim generate` "
+                               f"again, which makes what is missing.")
         entries = tuple(line for line in found.values() if line is not None)
         for entry in entries:
             if not self._is_whole(entry, sizes):

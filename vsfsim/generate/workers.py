@@ -20,7 +20,7 @@ from vsfsim.data.lines import MOST_FAILURES, Failure, check_kind, failure, finis
 from vsfsim.data.manifest import Entry
 from vsfsim.data.provenance import machine_kind
 from vsfsim.data.records import ObjectView
-from vsfsim.data.store import open_store
+from vsfsim.data.store import Store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files
@@ -108,7 +108,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
                                    "one does that is killed or out of memory. Run the same command "
                                    "again, which makes only what is missing; with fewer --workers "
                                    "it needs less memory.") from error
-        store = open_store(jobs[0].store)
+        store = Store(jobs[0].store)
         done = finished_names(store)
         left = [job for job in left if job.name not in done]
         begun = [job for job in left if failure(store, job.name).count]
@@ -150,7 +150,7 @@ def make_one(job: Job, device: str) -> None:
         VsfsimError: the view cannot be made, and the job is not of a run with ``poison``; or the machine is of another
             kind than the one that began.
     """
-    store = open_store(job.store)
+    store = Store(job.store)
     check_kind(store, kind_of(device), mixed=job.mixed)
     if not job.poison:
         _make(job, device)
@@ -210,7 +210,7 @@ def write(job: Job, view: ObjectView, device: str) -> Entry:
                 raise DatasetError(f"{job.name} touches/{index:03d}: the effector '{scene.effector}' declares the "
                                    f"channel '{name}' and did not record it.")
     check_files(job.recipe, job.path)
-    return put_view(open_store(job.store), view, job.recipe, kind_of(device))
+    return put_view(Store(job.store), view, job.recipe, kind_of(device))
 
 
 # ---------------------------------------------------------------------------------------------- in a worker

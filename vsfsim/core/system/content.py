@@ -64,12 +64,9 @@ def files_sha256(files: Mapping[str, Path]) -> str:
 
 
 def file_sha256(path: Path) -> str:
-    """sha256 of a file."""
-    out = hashlib.sha256()
+    """sha256 of a file, hexadecimal."""
     with open(path, "rb") as file:
-        while chunk := file.read(1 << 20):
-            out.update(chunk)
-    return out.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def named_files(values: Any, folder: str | Path) -> dict[str, Path]:

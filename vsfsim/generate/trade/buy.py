@@ -12,7 +12,7 @@ from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.manifest import MANIFEST, PART_MANIFEST
-from vsfsim.data.store import open_store
+from vsfsim.data.store import Store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
@@ -115,7 +115,7 @@ def candidates(loaded: SceneFile, resolution: float) -> list[Setting]:
 
 def _begun(folder: Path | str) -> Mapping[str, Any] | None:
     """The recipe of the dataset that lies in a folder, or was begun there."""
-    store = open_store(folder)
+    store = Store(folder)
     for name in (MANIFEST, PART_MANIFEST):
         try:
             found = from_json(store.get(name) or b"")["recipe"]
