@@ -8,7 +8,6 @@ localization-mini-v1 that turns most objects upside down, while the outline of t
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.baselines.visible_cloud import visible_cloud
+from vsfsim.baselines.visible_cloud import digest, visible_cloud
 from vsfsim.bench.method import Reading
 from vsfsim.bench.reached_points import reached
 from vsfsim.core.errors import MethodError, VsfError, did_you_mean
@@ -73,7 +72,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     stiffness = np.asarray(stiffness, float)
     if settings.pose == "registration":
         try:
-            return stiffness_pose(_known(_hashable(vertices, float), _hashable(triangles, np.int64)), points, stiffness,
+            return stiffness_pose(_known(vertices, triangles), points, stiffness,
                                   threshold=COVER_FACTOR * float(np.median(stiffness)) if len(stiffness) else 0.0,
                                   seed=settings.seed).transform
         except VsfError:
@@ -85,24 +84,24 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     np.maximum.at(stiffest, index.ravel(), stiffness)
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
-        known = _known(_hashable(vertices, float), _hashable(triangles, np.int64))
-        return outline_pose(known, (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned,
-                          refine=settings.refine, seed=settings.seed).transform
+        return outline_pose(_known(vertices, triangles), (columns + 0.5) * STEP, stiffest, area=area, top=top,
+                            turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
     except VsfError:
         return upright
 
 
-@functools.lru_cache(maxsize=16)
-def _known(vertices: tuple[tuple[int, ...], bytes], triangles: tuple[tuple[int, ...], bytes]) -> KnownObject:
-    # The same object is located at every shot and seed, and its inside test takes seconds to build.
+_KNOWN: dict[bytes, KnownObject] = {}
+"""By the digest of their meshes: the same object is located at every shot and seed, and its inside test takes seconds
+to build."""
+
+
+def _known(vertices: np.ndarray, triangles: np.ndarray) -> KnownObject:
     from vsfsim.vsf.pose import KnownObject
 
-    return KnownObject.of(np.frombuffer(vertices[1], float).reshape(vertices[0]),
-                          np.frombuffer(triangles[1], np.int64).reshape(triangles[0]))
-
-
-def _hashable(array: np.ndarray, kind: type) -> tuple[tuple[int, ...], bytes]:
-    return np.shape(array), np.ascontiguousarray(array, kind).tobytes()
+    key = digest(vertices, triangles)
+    if key not in _KNOWN:
+        _KNOWN[key] = KnownObject.of(vertices, triangles)
+    return _KNOWN[key]
 
 
 def touched_points(view: View, support: Sequence[Reading], *, depth: float) -> np.ndarray:

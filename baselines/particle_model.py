@@ -62,15 +62,14 @@ class VsfSettings:
     spring constant under the probe, weighted by the displacements, times their sum [m] to this power."""
 
     def __post_init__(self) -> None:
-        if self.max_particles < 0:
-            raise MethodError(f"max_particles is {self.max_particles!r}; it must be a number of particles, or 0 "
-                              f"for all.")
-        if not 0.0 < self.growth <= 1.0:
-            raise MethodError(f"growth is {self.growth!r}; it must be greater than 0 and at most 1.")
-        for name, value, unit in (("noise_share", self.noise_share, "a fraction"), ("band", self.band, "in metres"),
-                                  ("reach", self.reach, "in metres")):
-            if not 0.0 <= value < np.inf:
-                raise MethodError(f"{name} is {value!r}; it must be 0 or greater, {unit}.")
+        length = "0 or greater, in metres"
+        for name, allowed, words in (
+                ("max_particles", self.max_particles >= 0, "a number of particles, or 0 for all"),
+                ("growth", 0.0 < self.growth <= 1.0, "greater than 0 and at most 1"),
+                ("noise_share", 0.0 <= self.noise_share < np.inf, "0 or greater, a fraction"),
+                ("band", 0.0 <= self.band < np.inf, length), ("reach", 0.0 <= self.reach < np.inf, length)):
+            if not allowed:
+                raise MethodError(f"{name} is {getattr(self, name)!r}; it must be {words}.")
 
 
 @dataclass

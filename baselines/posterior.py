@@ -131,11 +131,6 @@ class Posterior:
         return structured_std(self.rows, noise_std=self.model.settings.noise_std,
                               prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
 
-    def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, search: PoseSearch) -> np.ndarray:
-        """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
-        touched = self.touched()
-        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, search)
-
 
 @dataclass
 class Filtered(Posterior):
@@ -188,4 +183,6 @@ class PosteriorAnswers:
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
-        return self.posterior.locate(vertices, triangles, self._view, self._search)
+        touched = self.posterior.touched()
+        return locate(vertices, triangles, self.posterior.model.particles[touched], self.posterior.stiffness[touched],
+                      self._view, self._search)

@@ -82,16 +82,14 @@ class Sbml(PosteriorAnswers, LearnedArrays):
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
             raise MethodError(f"sbml: features are '{features}'. {did_you_mean(features, NAMES)}")
-        if not 0.0 <= validation < 1.0:
-            raise MethodError(f"sbml: validation is {validation!r}; it must be a fraction from 0 to under 1.")
-        if not (noise_std > 0.0 and noise_share >= 0.0):
-            raise MethodError(f"sbml: noise_std is {noise_std!r} (greater than 0) and noise_share {noise_share!r} (0 "
-                              f"or greater).")
+        for name, value, allowed, words in (
+                ("validation", validation, 0.0 <= validation < 1.0, "a fraction from 0 to under 1"),
+                ("noise_std", noise_std, noise_std > 0.0, "greater than 0"),
+                ("networks", networks, networks >= 1, "at least 1"),
+                ("common_std", common_std, common_std >= 0.0, "0 or greater")):
+            if not allowed:
+                raise MethodError(f"sbml: {name} is {value!r}; it must be {words}.")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
-        if networks < 1:
-            raise MethodError(f"sbml: networks is {networks!r}; it must be at least 1.")
-        if not common_std >= 0.0:
-            raise MethodError(f"sbml: common_std is {common_std!r}; it must be 0 or greater.")
         self.second, self.networks, self.common_std = second, networks, common_std
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device

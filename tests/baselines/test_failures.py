@@ -40,10 +40,16 @@ def fitted(name, train, **more):
     return method
 
 
+@pytest.fixture(scope="module")
+def methods(world):
+    """Every method, trained once."""
+    return {name: fitted(name, world[0]) for name in METHODS}
+
+
 @pytest.mark.parametrize("name", METHODS)
-def test_no_touch_and_silent_touches_have_an_answer(name, world):
-    train, view, recording = world
-    method = fitted(name, train)
+def test_no_touch_and_silent_touches_have_an_answer(name, world, methods):
+    _, view, recording = world
+    method = methods[name]
     silent = [dataclasses.replace(r, value=np.zeros_like(r.value)) for r in recording.readings[:3]]
     lost = [dataclasses.replace(r, value=np.full_like(r.value, np.nan), valid=np.zeros_like(r.valid))
             for r in recording.readings[:2]]
@@ -81,9 +87,9 @@ def test_an_object_of_one_particle(name, world):
 
 
 @pytest.mark.parametrize("name", ["neural-vsf", "grid-vsf"])
-def test_a_field_needs_forces_with_and_without_touches(name, world):
-    train, view, recording = world
-    method = fitted(name, train)
+def test_a_field_needs_forces_with_and_without_touches(name, world, methods):
+    _, view, recording = world
+    method = methods[name]
     strange = dataclasses.replace(recording.readings[0].action, observation="temperature")
     for support in ([], recording.readings[:2]):
         method.adapt(view, support)
@@ -95,9 +101,9 @@ def test_a_field_needs_forces_with_and_without_touches(name, world):
         assert len(str(said.value)) < 300  # not every link of the arm
 
 
-def test_contact_points_are_of_forces(world):
-    train, view, recording = world
-    method = fitted("contact-points", train)
+def test_contact_points_are_of_forces(world, methods):
+    _, view, recording = world
+    method = methods["contact-points"]
     method.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, observation="temperature"))
                         for r in recording.readings[:3]])
     with pytest.raises(MethodError, match="readings are 'temperature'"):
@@ -105,9 +111,9 @@ def test_contact_points_are_of_forces(world):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_view_that_shows_nothing_is_refused(name, world):
-    train, view, recording = world
-    method = fitted(name, train)
+def test_a_view_that_shows_nothing_is_refused(name, world, methods):
+    _, view, recording = world
+    method = methods[name]
     empty = dataclasses.replace(view, mask=np.zeros_like(view.mask))
     hole = dataclasses.replace(view, depth=np.where(np.arange(view.depth.shape[1]) % 7 == 0, 0.0,
                                                     view.depth).astype(view.depth.dtype))

@@ -164,9 +164,3 @@ def test_bad_input_is_refused(change, words):
     with pytest.raises(VsfError) as error:
         simulate(given.pop("particles"), given.pop("probe"), given.pop("poses"), **given)
     assert words in str(error.value)
-
-
-def test_rows_refuse_what_does_not_fit():
-    moved = simulate(np.zeros((4, 3)), Sphere(R), path((0, 0, 0.03), (0, 0, 0.01)), friction=0.5)
-    with pytest.raises(VsfError, match="unit vector"):
-        normal_force_rows(moved, 4, np.array([0, 0, 2.0]))

@@ -96,8 +96,9 @@ def test_a_rigid_sphere_of_triangles_moves_particles_like_the_exact_sphere():
 def test_refusals():
     moved = displaced()
     base, triangles = plate(3)
-    with pytest.raises(VsfError, match="or one a frame"):
-        normal_force_rows(moved, 9, np.ones((3, 3)))
+    for axis in (np.ones((3, 3)), np.array([0.0, 0.0, 2.0])):
+        with pytest.raises(VsfError, match=r"unit vector .*or one a frame"):
+            normal_force_rows(moved, 9, axis)
     with pytest.raises(VsfError, match="must be finite"):
         stick(np.full((1, 3), np.nan), base[None], triangles)
     with pytest.raises(VsfError, match="name vertex 9"):
