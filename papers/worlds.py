@@ -7,37 +7,27 @@ because of the method.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import Task, parse_task
+from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import datasets
+from vsfsim.core.table import parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 
-_TASK = """
-name = "NAME-v1"
-description = "DESCRIPTION"
-dataset = { folder = "NAME-v1", scene = "NAME", seed = 0, objects = 24, views = 1, touches = 23, tier = "auto" }
-protocol = { folds = 4, draws = 4, trainings = 3, shots = [0, 1, 5, 10], query = 8, seed = 0 }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.05, offset_std = 0.1, drift_std = 0.0, tare_frames = 2, seed = 0 }
-metrics = { primary = "rmse_ratio", ranking_shot = 5 }
-"""
-
-WORLDS = {"springs": "24 blocks of independent springs, one half stiffer and darker than the other",
-          "springs-blind": "the same blocks, of which the picture does not tell which half is stiffer",
-          "springs-looks": "the same blocks, each in two colours of its own, which tell nothing",
-          "springs-classes": "24 such blocks of four classes, each class twice as stiff as the one before; the picture "
-                             "tells every other class from the rest"}
+_PATH = Path(__file__).with_name("worlds.toml")
+_GIVEN = parse_toml(read_text(_PATH, "table of worlds", TaskError), _PATH, "table of worlds", TaskError)
+_TASK: str = _GIVEN["task"]
+WORLDS: Mapping[str, str] = _GIVEN["worlds"]
 """What they are, by name."""
-
-CLASSES = {"soft": 0.5, "medium": 1.0, "firm": 2.0, "hard": 4.0}
-"""Factor on every spring of each class of blocks [-]. Blocks of a class differ by up to four times besides, as those of
-the other worlds do."""
+CLASSES: Mapping[str, float] = _GIVEN["classes"]
+"""Factor on every spring of each class of blocks [-]."""
 
 
 def task(world: str) -> Task:

@@ -102,13 +102,9 @@ def _values(result: Result) -> Mapping[str, Mapping[str, Mapping[str, float]]]:
     """Every metric of each object, by metric and shot."""
     if result.values:
         return result.values
-    out: dict[str, dict[str, Mapping[str, float]]] = {}
-    for metric in METRICS:
-        for shot in result.shots:
-            found = by_object(result, metric, shot)
-            if found:
-                out.setdefault(metric, {})[shot] = found
-    return out
+    found = {metric: {shot: by_object(result, metric, shot) for shot in result.shots} for metric in METRICS}
+    known = {metric: {shot: of for shot, of in by_shot.items() if of} for metric, by_shot in found.items()}
+    return {metric: by_shot for metric, by_shot in known.items() if by_shot}
 
 
 def _packed(row: Shipped, objects: Sequence[str], shared: list[dict[str, Any]]) -> dict[str, Any]:
