@@ -11,8 +11,7 @@ import warp as wp
 
 import references
 from vsfsim.core.errors import SceneError
-from vsfsim.physics.bubble import inflation
-from vsfsim.physics.bubble.sheet import Sheet
+from vsfsim.physics.bubble.sheet import Sheet, inflate
 from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.mesh import membrane as membrane_mesh
 from vsfsim.physics.model import Model
@@ -196,13 +195,13 @@ def test_sphere_passes_its_limit_point_under_volume_control():
 def test_sphere_under_pressure_control_stops_at_its_limit_point():
     sheet, mesh = ball(3)
     top = references.load("gas_sphere")["limit_pressure_over_mu_h_per_R0"] * MU_H / R0
-    found = inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 0.9 * top, where="test")
+    found = inflate(sheet, swollen(mesh, sheet.free, 1.05), 0.9 * top, where="test")
     s = (found.volume / float(mesh.volume[0])) ** (1 / 3)
     # 642 nodes: 0.4 %
     assert found.pressure == pytest.approx(0.9 * top, rel=1e-9) and exact(s) == pytest.approx(0.9 * top, rel=5e-3)
     assert s < 7.0 ** (1 / 6), "the branch that comes from rest"
     with pytest.raises(SceneError, match="limit point is at ") as error:
-        inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 1.1 * top, where="test")
+        inflate(sheet, swollen(mesh, sheet.free, 1.05), 1.1 * top, where="test")
     named = float(str(error.value).split("limit point is at ")[1].split(" Pa")[0])
     assert named == pytest.approx(top, rel=5e-3)
 

@@ -15,8 +15,7 @@ from vsfsim.core.bubble import NODES, Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Capsule, Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.bubble import inflation
-from vsfsim.physics.bubble.sheet import Sheet
+from vsfsim.physics.bubble.sheet import Sheet, inflate
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.elements import gas, hinge, stop, triangle
 from vsfsim.physics.elements.block import Block
@@ -185,7 +184,7 @@ def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
         found = own.at_pressure(guess, spec.gauge_pressure, iterations=20)
         if found is not None:
             return found.displacement.reshape(-1, 3)
-    return inflation.inflate(own, _dome(spec, mesh[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
+    return inflate(own, _dome(spec, mesh[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
 
 
 def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix:
