@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from vsfsim.cli.console import Progress, report, step
-from vsfsim.cli.options import Device, JsonFile, Workers, check_choice, seconds_of
+from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Several, Workers, check_choice, command, seconds_of
 from vsfsim.core.errors import TaskError, VsfsimError
 
 app = typer.Typer(rich_markup_mode=None)
+Number = Annotated[int, typer.Option(min=0)]
+Names = list[str] | None
 
 
 def _report(measurement: Any, out: Path | None) -> None:
@@ -20,20 +22,18 @@ def _report(measurement: Any, out: Path | None) -> None:
     report(measurement.text(), measurement.record(), out, indent=1)
 
 
-@app.command()
-def solver(tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
-           without: Annotated[list[str] | None,
-                              typer.Option(help="Press the gate's cells with and without this mechanism; given again: "
-                                                "without all of them.")] = None,
-           against: Annotated[Path | None,
-                              typer.Option(metavar="FILE", help="Compare the gate's cells with a record of --cell "
-                                                                "all --json FILE.")] = None,
-           cell: Annotated[list[str] | None,
-                           typer.Option(help="Press this cell of the gate alone, small for eight quick ones, or all "
-                                             "for 40; may be given again.")] = None,
+@command(app)
+def solver(tier: Names = None, without: Names = None, against: Path | None = None, cell: Names = None,
            out: JsonFile = None) -> None:
     """Force error, iterations and CPU time of S1 and S2; or what every mechanism of the solver buys on 40 fixed
-    presses."""
+    presses.
+
+    Args:
+        tier: Only this tier; may be given again.
+        without: Press the gate's cells with and without this mechanism; given again: without all of them.
+        against (FILE): Compare the gate's cells with a record of --cell all --json FILE.
+        cell: Press this cell of the gate alone, small for eight quick ones, or all for 40; may be given again.
+    """
     if without or cell or against is not None:
         from measurements.gate.compare import measure as measure_gate
 
@@ -46,37 +46,41 @@ def solver(tier: Annotated[list[str] | None, typer.Option(help="Only this tier; 
     _report(measure(tier or TIERS, progress=step), out)
 
 
-@app.command()
-def trust(cells: Annotated[int, typer.Option(min=1, help="Presses, the first ones of the seed.")] = 300,
-          seed: Annotated[int, typer.Option(min=0, help="Of the presses.")] = 0,
-          limit: Annotated[float, typer.Option(min=1.0, help="Processor time of a press [s].")] = 60.0,
-          workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")] = None,
-          out: JsonFile = None) -> None:
+@command(app)
+def trust(cells: AtLeastOne = 300, seed: Number = 0, limit: Annotated[float, typer.Option(min=1.0)] = 60.0,
+          workers: Several = None, out: JsonFile = None) -> None:
     """Random presses against forces that another solver computed: which frames are marked, and how far the others and
-    the errors that they are told hold."""
+    the errors that they are told hold.
+
+    Args:
+        cells: Presses, the first ones of the seed.
+        seed: Of the presses.
+        limit: Processor time of a press [s].
+        workers: Processes; default: one a CPU core.
+    """
     from measurements.trust import measure
 
     _report(measure(cells, seed, limit=limit, workers=workers or os.cpu_count() or 1, progress=step), out)
 
 
-@app.command(name="plant-ceilings")
-def plant_ceilings(scene: Annotated[str, typer.Option(help="Scene of plants, with [arm].")] = "plants-v4-mini",
-                   objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
-                   first: Annotated[int, typer.Option(min=0, help="Number of the first plant.")] = 0,
-                   touches: Annotated[int, typer.Option(min=26, help="Touches of each plant; the last 15 are "
-                                                                     "predicted.")] = 26,
-                   jitter: Annotated[list[float] | None, typer.Option(min=0.0, help="RMS displacement of the skeleton "
-                                                                                    "[m]; may be given again. Default: "
-                                                                                    "0, 0.002 and 0.005.")] = None,
-                   shots: Annotated[list[int] | None, typer.Option(min=1, help="Touches that the moduli are fitted to; "
-                                                                               "may be given again. Default: 5 and 10.")
-                                    ] = None,
-                   seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0,
-                   out: Annotated[Path | None, typer.Option(help="Keeps each row, from which a later run goes on; rows "
-                                                                 "of other plants that it has are printed, too.")
-                                  ] = None,
-                   json: JsonFile = None) -> None:
-    """The skeleton of a plant off by 0, 2, 5 mm: with its true moduli, and with a modulus a class fitted to touches."""
+@command(app, "plant-ceilings")
+def plant_ceilings(scene: str = "plants-v4-mini", objects: Several = None, first: Number = 0,
+                   touches: Annotated[int, typer.Option(min=26)] = 26,
+                   jitter: Annotated[list[float] | None, typer.Option(min=0.0)] = None,
+                   shots: Annotated[list[int] | None, typer.Option(min=1)] = None, seed: Number = 0,
+                   out: Path | None = None, json: JsonFile = None) -> None:
+    """The skeleton of a plant off by 0, 2, 5 mm: with its true moduli, and with a modulus a class fitted to touches.
+
+    Args:
+        scene: Scene of plants, with [arm].
+        objects: Plants; default: the scene's.
+        first: Number of the first plant.
+        touches: Touches of each plant; the last 15 are predicted.
+        jitter: RMS displacement of the skeleton [m]; may be given again. Default: 0, 0.002 and 0.005.
+        shots: Touches that the moduli are fitted to; may be given again. Default: 5 and 10.
+        seed: Of the dataset.
+        out: Keeps each row, from which a later run goes on; rows of other plants that it has are printed, too.
+    """
     from measurements.plant_ceilings import JITTERS, SHOTS, measure
 
     found = measure(scene=scene, objects=objects, first=first, touches=touches, shots=shots or SHOTS,
@@ -84,15 +88,18 @@ def plant_ceilings(scene: Annotated[str, typer.Option(help="Scene of plants, wit
     _report(found, json)
 
 
-@app.command()
-def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; may be given again.")] = None,
-          case: Annotated[list[str] | None, typer.Option(help="S1, S2 or foam; may be given again.")] = None,
-          tier: Annotated[str, typer.Option(help="Whose mesh all press: fem-coarse or fem.")] = "fem",
-          out: Annotated[Path, typer.Option(help="Folder of their venvs, made on the first run.")] = Path("peers"),
-          here: Annotated[bool, typer.Option("--here", help="Use this Python, which has the packages, in place of "
-                                                            "venvs.")] = False,
+@command(app)
+def peers(peer: Names = None, case: Names = None, tier: str = "fem", out: Path = Path("peers"), here: bool = False,
           json: JsonFile = None) -> None:
-    """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own."""
+    """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own.
+
+    Args:
+        peer: Only this one; may be given again.
+        case: S1, S2 or foam; may be given again.
+        tier: Whose mesh all press: fem-coarse or fem.
+        out: Folder of their venvs, made on the first run.
+        here: Use this Python, which has the packages, in place of venvs.
+    """
     from measurements.indent import CASES, PEERS, measure
 
     for name in peer or []:
@@ -104,28 +111,24 @@ def peers(peer: Annotated[list[str] | None, typer.Option(help="Only this one; ma
     _report(found, json)
 
 
-@app.command()
-def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a run that was interrupted, or ended by "
-                                                     "its budget, continues there.")] = Path("stability"),
-              budget: Annotated[str | None, typer.Option(metavar="TIME",
-                                                         help="Begin no new cell after this time, e.g. 90s, 10m, 2h; "
-                                                              "default: make all cells.")] = None,
-              limit: Annotated[float, typer.Option(min=0.1, help="Limit of a frame's processor time [s].")] = 10.0,
-              seed: Annotated[int, typer.Option(min=0, help="Of the random cells and of the order.")] = 0,
-              kind: Annotated[list[str] | None, typer.Option(help="Only this kind, solid, bubble or rod; may be "
-                                                                  "given again.")] = None,
-              cell: Annotated[list[str] | None, typer.Option(metavar="KEY",
-                                                             help="Only the cell with this key; may be given "
-                                                                  "again.")] = None,
-              workers: Workers = None,
-              device: Device = "cpu",
-              json: JsonFile = None) -> None:
+@command(app)
+def stability(out: Path = Path("stability"), budget: str | None = None,
+              limit: Annotated[float, typer.Option(min=0.1)] = 10.0, seed: Number = 0, kind: Names = None,
+              cell: Names = None, workers: Workers = None, device: Device = "cpu", json: JsonFile = None) -> None:
     """Press at the extremes of every quantity of a scene, and check every frame that is called converged.
 
     More than 500 presses: contrast to 1e8, moduli from 100 Pa to 100 GPa, nu from 0 to 0.4999, depth to 90 %, friction
     to 10, sizes from 1 mm to 10 m, all probes, thin and thick, every tier; bubbles, rods.
     Each is converged, not resolved by its mesh, marked with a reason, refused, over its limit, crashed, or wrong in
     silence by an independent check. Exit code 3 if a cell is one of the last three.
+
+    Args:
+        out: Folder of the results; a run that was interrupted, or ended by its budget, continues there.
+        budget (TIME): Begin no new cell after this time, e.g. 90s, 10m, 2h; default: make all cells.
+        limit: Limit of a frame's processor time [s].
+        seed: Of the random cells and of the order.
+        kind: Only this kind, solid, bubble or rod; may be given again.
+        cell (KEY): Only the cell with this key; may be given again.
     """
     import vsfsim
     from measurements.stability import design, judge
@@ -159,16 +162,16 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
         raise typer.Exit(3)
 
 
-@app.command()
-def record(dataset: Annotated[Path, typer.Argument(metavar="PATH", help="Folder of a dataset that a task reads; with "
-                                                                        "--again also its record.")],
-           task: Annotated[str | None, typer.Option(help="Name of the task; default: every one that reads a dataset of "
-                                                         "this folder's name.")] = None,
-           again: Annotated[bool, typer.Option("--again", help="The dataset was made on another machine: write into "
-                                                               "the record of --task how many touches differ. Results "
-                                                               "on data that differ no more are ranked.")] = False
-           ) -> None:
-    """Write the record of a dataset beside the tasks that it belongs to."""
+@command(app)
+def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
+    """Write the record of a dataset beside the tasks that it belongs to.
+
+    Args:
+        dataset (PATH): Folder of a dataset that a task reads; with --again also its record.
+        task: Name of the task; default: every one that reads a dataset of this folder's name.
+        again: The dataset was made on another machine: write into the record of --task how many touches differ.
+            Results on data that differ no more are ranked.
+    """
     from vsfsim.bench.admission import fingerprint
     from vsfsim.bench.admission.admit import again as differing
     from vsfsim.bench.task import load_task, open_dataset
