@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vsfsim.core import signed_distance
+from vsfsim.core import shape as shapes
 from vsfsim.core.chain import Chain
 from vsfsim.core.dome import Dome
 from vsfsim.core.shape import Capsule, MeshFile, ProbeShape
@@ -54,7 +54,7 @@ def _mark(out: np.ndarray, points: np.ndarray, probe: ProbeShape, poses: np.ndar
     """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
     capsules, most of them far from the object in every frame, and most points are far from any path."""
     assert not isinstance(probe, MeshFile | Chain), SIMPLE
-    ball = 1.001 * (signed_distance.reach(probe) + 2.0 * reach)
+    ball = 1.001 * (shapes.reach(probe) + 2.0 * reach)
     at = poses[:, :3, 3]
     low, high = at.min(axis=0, initial=np.inf) - ball, at.max(axis=0, initial=-np.inf) + ball
     inside = np.flatnonzero(~out & ((points >= low) & (points <= high)).all(axis=1))
@@ -75,7 +75,7 @@ def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
     if isinstance(probe, Dome):
         return _from_dome(local, probe)
     assert not isinstance(probe, MeshFile | Chain), SIMPLE
-    return signed_distance.distance(probe, local)
+    return shapes.distance(probe, local)
 
 
 def _from_dome(local: np.ndarray, dome: Dome) -> np.ndarray:

@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from vsfsim.core import signed_distance
+from vsfsim.core import shape as shapes
 from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.shape import Box, Sphere
 from vsfsim.core.table import Finite, Rows, typed, value
 
 Modulus = Annotated[float, msgspec.Meta(ge=1.0, le=1e13, description=(
@@ -51,11 +50,11 @@ class Inclusion:
         """Signed distance (...,) [m] of ``points`` (..., 3) [m], negative inside (box: Chebyshev inside)."""
         n = np.asarray(self.numbers)
         if self.kind == "sphere":
-            return signed_distance.distance(Sphere(n[3]), points - n[:3])
+            return shapes.distance(shapes.Sphere(n[3]), points - n[:3])
         if self.kind == "box":
             low, high = np.minimum(n[:3], n[3:]), np.maximum(n[:3], n[3:])
-            return signed_distance.distance(Box(tuple(high - low)), points - 0.5 * (low + high))
-        return signed_distance.segment_distance(points, n[:3], n[3:6]) - n[6]
+            return shapes.distance(shapes.Box(tuple(high - low)), points - 0.5 * (low + high))
+        return shapes.segment_distance(points, n[:3], n[3:6]) - n[6]
 
 
 @dataclass(frozen=True)

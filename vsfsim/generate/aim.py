@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.core import signed_distance
+from vsfsim.core import shape as shapes
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
 from vsfsim.core.scene_tables.dataset import STEEPEST
@@ -82,7 +82,7 @@ def _advance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray
     for _ in range(500):
         local = (points - pose[:3, 3] - gone * axis) @ pose[:3, :3]
         gap = float((sdf.distance(probe, local) if isinstance(probe, MeshFile)
-                     else signed_distance.distance(probe, local, fillet=fillet)).min())  # type: ignore[arg-type]
+                     else shapes.distance(probe, local, fillet=fillet)).min())  # type: ignore[arg-type]
         if gap < 1e-6 or gone > 2.0:
             break
         gone += gap

@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.core import signed_distance
+from vsfsim.core import shape as shapes
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
@@ -160,7 +160,7 @@ def _reach(probe: ProbeShape) -> tuple[float, float]:
             thin = math.inf
         case _:
             raise VsfError("the particle model moves particles with a simple probe, a bubble's dome or an arm.")
-    return signed_distance.reach(probe), thin
+    return shapes.reach(probe), thin
 
 
 def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ continuous: a press on a mesh cannot resolve a sharper edge. All but the plane a
 box, the skeleton: of a sphere a point, of a capsule a segment. A triangle mesh is baked into a grid
 (`distance_grid`), a C2 spline whose derivatives are the normal and the curvature. A set of shapes is one struct in the
 kernels (`bodies`).
-The functions for the host are `vsfsim.core.signed_distance`, and here with meshes.
+The functions for the host are `vsfsim.core.shape`, and here with meshes.
 """
 
 import functools
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.core import signed_distance
+from vsfsim.core import shape as shapes
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 
 ROUNDED, CYLINDER, PLANE, MESH = range(4)
@@ -59,21 +59,21 @@ def distance(shape: ProbeShape, points: np.ndarray) -> np.ndarray:
     ``gap``."""
     if isinstance(shape, MeshFile):
         return grid(shape).distance(points)
-    return signed_distance.distance(shape, points, fillet=float(encode(shape)[1][3]))
+    return shapes.distance(shape, points, fillet=float(encode(shape)[1][3]))
 
 
 def reach(shape: ProbeShape) -> float:
     """Radius of the smallest ball about the probe's origin that holds it [m]; infinite for a plane."""
     if isinstance(shape, MeshFile):
         return float(np.linalg.norm(grid(shape).vertices, axis=1).max())
-    return signed_distance.reach(shape)
+    return shapes.reach(shape)
 
 
 def support(shape: ProbeShape, direction: np.ndarray) -> float:
     """How far the probe extends from its origin along a unit ``direction`` (3,) of its own frame [m]."""
     if isinstance(shape, MeshFile):
         return float((grid(shape).vertices @ np.asarray(direction, float)).max())
-    return signed_distance.support(shape, direction)
+    return shapes.support(shape, direction)
 
 
 @functools.cache
