@@ -66,15 +66,6 @@ def test_open_iterate_blind(built):
         dataset.names("trian")
 
 
-def test_a_picture_is_that_of_the_view_and_checked_like_it(made):
-    dataset = Dataset.open(made)
-    picture = dataset.picture(NAMES[0])
-    assert picture.dtype == np.uint8 and np.array_equal(picture, dataset.load(NAMES[0]).view.rgb)
-    (made / f"{NAMES[0]}.h5").write_bytes(b"rot")
-    with pytest.raises(DatasetError, match="was changed after it was written"):
-        dataset.picture(NAMES[0])
-
-
 def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(built, tmp_path):
     script = tmp_path / "run.py"
     script.write_text(textwrap.dedent(f"""

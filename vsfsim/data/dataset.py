@@ -16,7 +16,7 @@ import numpy as np
 from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.system.interactive import html_table
 from vsfsim.data.disk import write_atomic
-from vsfsim.data.hdf5 import fault_of, read_picture, read_shown, read_view
+from vsfsim.data.hdf5 import fault_of, read_shown, read_view
 from vsfsim.data.manifest import (
     MANIFEST,
     PART_MANIFEST,
@@ -140,14 +140,6 @@ class Dataset:
         path = self._checked_file(name)
         view, places = read_shown(path)
         return self._as_listed(view, path, name), places
-
-    def picture(self, name: str) -> np.ndarray:
-        """The colour image of one object view (H, W, 3) uint8; nothing else of it is read.
-
-        Raises:
-            DatasetError: as `load`.
-        """
-        return read_picture(self._checked_file(name))
 
     def _as_listed(self, view: ObjectView, path: Path, name: str) -> ObjectView:
         (entry,) = (e for e in self.entries if e.name == name)

@@ -127,18 +127,10 @@ def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
     Raises:
         DatasetError: as `read_view`.
     """
+    (field,) = (f for f in FIELDS if f.path == "truth/probe_points")
     with _opened(path) as file:
-        return file.view(blind=True), file.field("truth/probe_points")
-
-
-def read_picture(path: Path) -> np.ndarray:
-    """The colour image of an object file (H, W, 3) uint8; no other number of it is read.
-
-    Raises:
-        DatasetError: as `read_view`.
-    """
-    with _opened(path) as file:
-        return file.field("view/rgb")
+        places = check_array(field, _array(file.items[field.path], field), f"{path} {field.path}", {})
+        return file.view(blind=True), places
 
 
 def examine(path: Path) -> tuple[ObjectView | None, list[str]]:
@@ -193,11 +185,6 @@ class _File:
                 raise DatasetError(f"{self.path} touches/{k:03d}/press is {touch.press}, but attribute 'probe' has "
                                    f"{len(probes)} shapes. The file is damaged; delete it and generate it again.")
         return view
-
-    def field(self, name: str) -> np.ndarray:
-        """One field of the view or the truth, e.g. "truth/probe_points"; no other is read."""
-        (field,) = (f for f in FIELDS if f.path == name)
-        return check_array(field, _array(self.items[name], field), f"{self.path} {name}", {})
 
     def _group(self, name: str, kind: str, *, recorded: bool = False) -> dict[str, Any]:
         """The fields of a group by their names in the schema, None where there is none."""

@@ -250,6 +250,6 @@ def _picture(task: Task, name: str) -> tuple[str, str] | None:
     try:
         dataset = Dataset.open(task.dataset.path()).blind()
         view = next(entry.name for entry in dataset.entries if object_of(entry.name) == name)
-        return png_uri(dataset.picture(view)), view
+        return png_uri(dataset[view].view.rgb), view
     except (DatasetError, StopIteration, OSError):
         return None
