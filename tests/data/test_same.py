@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.data.same import CLOSE, difference
+from vsfsim.data.verify import CLOSE, difference
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ def verify(folder: Path, against: Path | None = None, json: JsonFile = None) -> 
         against (FOLDER): The same dataset, made elsewhere: count touches that are bit-equal, equal to 1e-3, and other.
     """
     if against is not None:
-        from vsfsim.data.same import compare
+        from vsfsim.data.verify import compare
 
         with Progress("verify") as progress:
             alike = compare(folder, against, progress)

@@ -20,7 +20,7 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.lerobot import frame_rows
-from vsfsim.data.same import compare
+from vsfsim.data.verify import compare
 from vsfsim.data.writer import DatasetWriter
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import file_sha256
-from vsfsim.data.formats.tables import arrow, columns_of, write_table
+from vsfsim.data.formats.export import arrow, columns_of, write_table
 from vsfsim.data.manifest import MANIFEST
 
 INDEX = "touches.parquet"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.formats.tables import arrow, columns_of, fixed, png, truth_columns, write_table
+from vsfsim.data.formats.export import arrow, columns_of, fixed, png, truth_columns, write_table
 from vsfsim.data.records import Touch
 
 FPS = 10

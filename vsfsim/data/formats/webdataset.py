@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.formats.tables import png
+from vsfsim.data.formats.export import png
 from vsfsim.data.records import Touch, Truth, values_of
 
 SIZE = 256 << 20
