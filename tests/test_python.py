@@ -183,8 +183,8 @@ def test_a_torch_view_works_with_workers(dataset, start, workers):
 
 def test_evaluate_is_the_command(toy, tmp_path, vsfsim_command):
     (tmp_path / "toy-v1.toml").write_text(TASK)
-    here = vsfsim.evaluate("gaussian", tmp_path / "toy-v1.toml", toy, out=tmp_path / "here.json", seeds=1)
-    out = vsfsim_command("evaluate", "--method", "gaussian", "--task", "toy-v1.toml", "--dataset",
+    here = vsfsim.evaluate("near-springs", tmp_path / "toy-v1.toml", toy, out=tmp_path / "here.json", seeds=1)
+    out = vsfsim_command("evaluate", "--method", "near-springs", "--task", "toy-v1.toml", "--dataset",
                          toy, "--json", "-", "--seeds", 1, cwd=tmp_path)
     told = json.loads(out.stdout)
     assert {metric: {shot: score.mean for shot, score in by_shot.items()} for metric, by_shot in here.scores.items()} \
@@ -198,12 +198,12 @@ def test_evaluate_is_the_command(toy, tmp_path, vsfsim_command):
 
 
 def test_a_class_is_evaluated_by_its_name_or_refused(toy, tmp_path):
-    from vsfsim.baselines.gaussian import GaussianAverage
+    from vsfsim.baselines.near_springs import NearSprings
 
     (tmp_path / "toy-v1.toml").write_text(TASK)
     data = vsfsim.load(toy)
-    result = vsfsim.evaluate(GaussianAverage, tmp_path / "toy-v1.toml", data, seeds=1)
-    assert result.method == "vsfsim.baselines.gaussian:GaussianAverage" and result.seeds == (0,)
+    result = vsfsim.evaluate(NearSprings, tmp_path / "toy-v1.toml", data, seeds=1)
+    assert result.method == "vsfsim.baselines.near_springs:NearSprings" and result.seeds == (0,)
 
     class Mine:
         pass

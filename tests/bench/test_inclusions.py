@@ -40,7 +40,7 @@ def dataset(write_dataset):
 
 
 def of(task_text, primary):
-    text = task_text.replace('scene = "mock", seed = 0', 'scene = "mock", seed = 3')
+    text = task_text.replace("seed = 0, objects", "seed = 3, objects").replace("[0, 1, 5]", "[0, 5]")
     return parse_task(text.replace('primary = "rmse"', f'primary = "{primary}"'), "toy-v1.toml")
 
 

@@ -76,8 +76,7 @@ def test_a_missing_dataset_names_the_command_that_makes_it(task, tmp_path):
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
-    ("folder = \"toy\", scene = \"mock\", seed = 0", "folder = \"toy\", scene = \"mock\", seed = 1",
-     "seed is 0, not 1"),
+    ("seed = 0, objects", "seed = 1, objects", "seed is 0, not 1"),
     ("tier = \"vsf\"", "tier = \"fem\"", "tier is 'vsf', not 'fem'"),
     ("tier = \"vsf\"", "tier = \"vsf\", scene_sha256 = \"00\"", "sha256 of the scene text"),
     ("tier = \"vsf\"", "tier = \"vsf\", sha256 = \"00\"", "sha256 of the content"),

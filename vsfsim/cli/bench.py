@@ -114,7 +114,7 @@ def evaluate(task: TaskName, machines: Machines,
     reads, answer = wanted.observation.name, wanted.metric.answer.value
     if every:
         chosen = catalogue.choices(reads, str(given.get("device", "")), answer,
-                                 chosen=wanted.protocol.support == "chosen")
+                                   chosen=wanted.protocol.support == "chosen")
         rows = [row for row in chosen if preset in ("", row.preset)]
         rows += ceiling_rows(wanted, open_dataset(wanted, dataset)) if not preset else []
         folder = out or Path("results") / wanted.name
@@ -125,7 +125,7 @@ def evaluate(task: TaskName, machines: Machines,
         paths = {result_path(out, wanted.name, row.stem): catalogue.Choice(
             row.method, row.preset, {**row.parameters, **given}) for row in rows}
     made, show, tables = [], str(json) != "-", not every and fan == HERE
-    with Progress("evaluate" if len(paths) > 1 else f"evaluate {rows[0].method}") as progress:
+    with Progress(" ".join(["evaluate", *names])) as progress:
         for one in evaluate_all(wanted, paths, dataset=dataset, again=tables, seeds=seeds, workers=workers,
                                 timeout=timeout, memory=memory, sandbox=sandbox, processes=processes, keep=keep,
                                 fan=fan, progress=progress):

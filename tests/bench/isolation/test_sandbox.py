@@ -25,8 +25,7 @@ container = pytest.mark.skipif(not CONTAINERS, reason="no namespaces here")
 
 @pytest.fixture(scope="module")
 def honest(task, toy_dataset):
-    return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False,
-                    sandbox="process").scores
+    return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, sandbox="process").scores
 
 
 def gone(pid):
