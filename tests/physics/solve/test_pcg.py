@@ -3,12 +3,12 @@
 import numpy as np
 import torch
 
-from vsfsim.physics.solve import graphs
+from vsfsim.physics.solve import krylov
 from vsfsim.physics.solve.krylov import conjugate_gradients
 
 
 def repeat(step, running, *, most, few, deadline):
-    """As `graphs.repeat`: in blocks, so that some repetitions are more than needed."""
+    """As `krylov.repeat`: in blocks, so that some repetitions are more than needed."""
     done = 0
     while done < most and int(running.sum()) > few:
         block = min(4, most - done)
@@ -30,7 +30,7 @@ def system(columns=9, size=60):
 
 def test_repeated_blocks_find_what_single_iterations_find(monkeypatch):
     matrices, inverse, right = system()
-    monkeypatch.setattr(graphs, "repeat", repeat)
+    monkeypatch.setattr(krylov, "repeat", repeat)
     found = []
     for resident in (False, True):
         seen = []

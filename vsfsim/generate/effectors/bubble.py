@@ -37,7 +37,7 @@ from vsfsim.generate.solid import Subject
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import SHARE, BubbleModel, build_bubble, wishes
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.pair.response import SENSOR_NODES
+from vsfsim.physics.contact.pair.contact import SENSOR_NODES
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.membrane import TriangleMesh
 from vsfsim.physics.runtime import compile_kernels

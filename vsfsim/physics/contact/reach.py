@@ -46,7 +46,7 @@ class Gaps:
 
 
 def plan(gaps: Gaps, model: Model, poses: np.ndarray, cuts: int, *, local: bool, by_place: bool,
-         sprung: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+         sprung: bool) -> tuple[np.ndarray, np.ndarray]:
     """What rigid bodies can reach of an object's boundary on their way.
 
     Args:
@@ -59,12 +59,10 @@ def plan(gaps: Gaps, model: Model, poses: np.ndarray, cuts: int, *, local: bool,
         by_place: whether by what the object lacks where it is touched.
 
     Returns:
-        Least gaps at the first poses (B,) [m], whether each boundary face may come into contact (B, f) bool, and
-        the number of parts along its edge (B, f).
+        Whether each boundary face may come into contact (B, f) bool, and the number of parts along its edge (B, f).
     """
     mesh, surface = model.mesh, model.mesh.surface_nodes()
     rest = torch.as_tensor(mesh.points[surface], device=gaps.device)[:, None]
-    first = gaps.nearest(poses[:1], rest).amin(dim=0).cpu().numpy()
     each = np.stack([gaps.nearest(poses, rest, body=k).cpu().numpy() for k in range(len(gaps.bodies))])
 
     def reachable(gap: np.ndarray) -> np.ndarray:
@@ -85,4 +83,4 @@ def plan(gaps: Gaps, model: Model, poses: np.ndarray, cuts: int, *, local: bool,
                 radius = np.inf  # the mesh of a smooth body: faces are cut where it is found between the points
             wanted = solid_cuts(radius, edge, local=local, by_place=by_place)
             out = np.maximum(out, np.where(reachable(gap), wanted, 1))
-    return first, within, out
+    return within, out

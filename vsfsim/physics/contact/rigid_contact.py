@@ -55,8 +55,6 @@ class RigidContact(Contact):
 
     patches: list[Patch]
     """The patch of each touch (B)."""
-    first_gap: np.ndarray
-    """Least gap of the object at rest at the first poses (B,) [m]."""
     gap: torch.Tensor
     """Gap of each Gauss point (B, 6 f) [m]."""
     body: torch.Tensor
@@ -85,8 +83,8 @@ class RigidContact(Contact):
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros(poses.shape[1], dtype=torch.float64, device=device)
         self._gaps = Gaps(bodies, device)
-        self.first_gap, reachable, self._cuts = plan(self._gaps, model, poses, cuts, local=local,
-                                                     by_place=self._by_place, sprung=mount is not None)
+        reachable, self._cuts = plan(self._gaps, model, poses, cuts, local=local, by_place=self._by_place,
+                                     sprung=mount is not None)
         self._area = model.mesh.face_area()
         self._core = wp.array([min(CORE * inner_radius(s), 1.0) for s in bodies.shapes], dtype=real, device=device)
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]

@@ -119,7 +119,7 @@ class Block:
         moved = wp.array(at.reshape(-1, 1), dtype=real, device="cpu")
         stored = wp.zeros((count, self.state_size, 1), dtype=real, device="cpu")
         if state is not None:
-            stored.assign(state[:, :, None])
+            stored = wp.array(state.reshape(count, -1, 1), dtype=real, device="cpu")
         elif own.tangent is not None:
             wp.launch(own.tangent, dim=(count, 1), inputs=[alone, index, 0, moved, stored], device="cpu")
         out = wp.empty((count, 3 * width, 3 * width), dtype=real, device="cpu")

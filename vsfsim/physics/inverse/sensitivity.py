@@ -24,8 +24,8 @@ from vsfsim.core.shape import ProbeShape
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.newton import newton_direction
 from vsfsim.physics.solve.touches import Known, Solver
 
 _TOLERANCE, _ITERATIONS = 1e-4, 400  # of the back-solve's conjugate gradients [-]

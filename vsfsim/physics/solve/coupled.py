@@ -16,8 +16,7 @@ import torch
 import warp as wp
 
 from vsfsim.core.errors import SceneError
-from vsfsim.physics.contact.pair.contact import PairContact
-from vsfsim.physics.contact.pair.response import SENSOR_NODES
+from vsfsim.physics.contact.pair.contact import SENSOR_NODES, PairContact
 from vsfsim.physics.contact.pair.sides import farthest, scale
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.model import Model

@@ -276,8 +276,7 @@ class Elasticity:
             for first in range(0, len(block), _TOGETHER):
                 rows = slice(first, first + _TOGETHER)
                 nodes = block.nodes[rows].astype(np.int64)
-                matrix = block.part(rows, nodes).matrices(
-                    at, np.ascontiguousarray(state.numpy()[rows, :, touch]))
+                matrix = block.part(rows, nodes).matrices(at, state.numpy()[rows, :, touch])
                 places = order.find(nodes[:, :, None], nodes[:, None, :])
                 wp.launch(self.kernels.add_blocks, dim=len(nodes), device="cpu", inputs=[
                     wp.array(places, dtype=wp.int32, device="cpu"), wp.array(matrix, dtype=real, device="cpu"),
