@@ -29,7 +29,7 @@ def test_a_full_folder_of_temporary_files_and_a_name_too_long_are_no_bugs(monkey
         raise error
 
     monkeypatch.setattr(cli.typer.main, "get_command", lambda app: type("Command", (), {
-        "commands": {"press": None}, "__call__": lambda self: fail()})())
+        "commands": {"press": None}, "__call__": lambda self, **_: fail()})())
     monkeypatch.setattr(sys, "argv", ["vsfsim", "press"])
     monkeypatch.setenv("TMPDIR", "/full")
     with pytest.raises(SystemExit) as stop:

@@ -62,7 +62,7 @@ def main() -> None:
     try:
         if not word.startswith("-") and word not in command.commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, command.commands)}")
-        command()
+        command(prog_name="vsfsim")
     except Interrupted as stop:
         print(f"\n{stop}", file=sys.stderr)
         sys.exit(143 if isinstance(stop.__cause__, Terminated) else 130)
