@@ -192,9 +192,8 @@ from pathlib import Path
 data = written("toy")
 asked = [(key, action) for q in questions(load_task("toy-v1.toml"), data) for key, action in zip(q.keys, q.actions)]
 np.savez("p.npz", **{key: np.zeros((len(action.time), action.size)) for key, action in asked})
-disk_cache.write(Path("cache/x.npz"), a=np.ones(3))
-with disk_cache.locked(Path("cache/x.npz")):
-    assert disk_cache.read(Path("cache/x.npz"))["a"].sum() == 3.0
+for factor in (1.0, 2.0):
+    assert disk_cache.kept(Path("cache/x.npz"), lambda: {"a": np.full(3, factor)})["a"].sum() == 3.0
 for words in (["verify", "toy"], ["score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros"],
               ["leaderboard", "--task", "toy-v1.toml"]):
     sys.argv = ["vsfsim", *words]

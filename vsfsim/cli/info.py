@@ -96,7 +96,7 @@ def renderers() -> Group:
 
 
 def caches() -> Group:
-    """Folders that may be deleted: compiled kernels, meshes and bubbles."""
+    """Folders that may be deleted: compiled kernels and meshes."""
     def meshes() -> Found:
         from vsfsim.physics.disk_cache import folder
 

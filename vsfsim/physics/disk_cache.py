@@ -1,4 +1,4 @@
-"""Results that take long, kept on disk under a hash of what they were made from: read by whoever asks next, made by one
+"""Results that take long, kept on disk under a hash of what they were made from: read by who asks next, made by one
 worker while the others wait."""
 
 from __future__ import annotations
@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,20 +19,30 @@ def folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "vsfsim"
 
 
-@contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the lock that belongs to a cache file. The system drops it with the process, so a killed worker leaves none
-    behind."""
+def kept(path: Path, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays of a cache file, or else those that ``make`` gives, which are kept there, whole or not at all.
+
+    The system drops the lock of a file with its process, so that a killed worker leaves none behind. A folder that
+    cannot be written, or a file system without locks, only costs double work.
+    """
     with contextlib.ExitStack() as stack:
-        # a folder that cannot be written, or a file system without locks, only costs double work
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             stack.enter_context(FileLock(path.with_suffix(".lock")))
-        yield
+        found = _read(path)
+        if found is None:
+            found = make()
+            with contextlib.suppress(OSError), tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part") as file:
+                np.savez(file, **found)  # type: ignore[arg-type]
+                file.flush()
+                os.link(file.name, path)  # unlike a rename, it leaves the file of whoever came first
+            # without locks another worker may have been first; every worker then uses its file
+            found = _read(path) or found
+        return found
 
 
-def read(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of a cache file, or None if there is none; a damaged one is removed."""
+def _read(path: Path) -> dict[str, np.ndarray] | None:
+    """The arrays of a file, or None if there is none; a damaged one is removed."""
     try:
         with np.load(path, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
@@ -42,20 +52,3 @@ def read(path: Path) -> dict[str, np.ndarray] | None:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
         return None
-
-
-def write(path: Path, **arrays: np.ndarray) -> None:
-    """Keep ``arrays`` in a cache file, whole or not at all; the file of whoever came first stays."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    except OSError:
-        return  # a cache that cannot be written only costs time
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)
-        os.link(name, path)  # unlike a rename, it leaves the file of whoever came first
-    except OSError:
-        pass
-    finally:
-        os.unlink(name)

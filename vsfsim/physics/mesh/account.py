@@ -27,7 +27,7 @@ TOLD = 0.02
 """Relative difference above which a filling is said to depart from its scan [-]."""
 REFUSED = 0.10
 """Relative difference above which a filling is refused [-]."""
-_SAMPLES = 80  # of the body's volume along the longest edge of its box, where parts overlap
+_SAMPLES = 50  # of the body's volume along the longest edge of its box, where parts overlap
 _POINTS = 20_000  # of a surface whose distance is measured, at most
 
 

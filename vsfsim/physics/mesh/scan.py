@@ -84,22 +84,20 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
     """
     path = Path(shape.path)
     key = digest(shape, resolution, _RECIPE)
-    folder = disk_cache.folder() if cache is None else Path(cache)
-    stored = folder / f"tets-{key[:32]}.npz"
-    with disk_cache.locked(stored):
-        found = disk_cache.read(stored)
-        if found is None:
-            surface = read_surface(shape)
-            vertices, tets, shift, more = fill(surface, resolution, path)
-            found = {"vertices": vertices, "tets": tets, "surface": surface.vertices - shift, "faces": surface.faces,
-                     "colour": np.zeros(0) if surface.colour is None else surface.colour,
-                     "notes": np.array([*surface.notes, *more], dtype=np.str_)}
-            disk_cache.write(stored, **found)
-            # On a file system without locks another worker may have been first; every worker then uses its file.
-            found = disk_cache.read(stored) or found
+
+    def make() -> dict[str, np.ndarray]:
+        surface = read_surface(shape)
+        vertices, tets, shift, more = fill(surface, resolution, path)
+        return {"vertices": vertices, "tets": tets, "surface": surface.vertices - shift, "faces": surface.faces,
+                "colour": np.zeros(0) if surface.colour is None else surface.colour,
+                "notes": np.array([*surface.notes, *more], dtype=np.str_)}
+
+    found = disk_cache.kept((disk_cache.folder() if cache is None else Path(cache)) / f"tets-{key[:32]}.npz", make)
     vertices, tets, colour = (found[name] for name in ("vertices", "tets", "colour"))
+    # to a nanometre: processors differ in the last bits
+    bits = np.round(1e9 * vertices).astype("<i8").tobytes() + tets.astype("<i8").tobytes()
     notes = [*map(str, found["notes"]),
-             f"The filled mesh of {len(tets)} tetrahedra has sha256 {_digest(vertices, tets)}."]
+             f"The filled mesh of {len(tets)} tetrahedra has sha256 {hashlib.sha256(bits).hexdigest()}."]
     linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     look = Appearance(linear[None], ("plain",), np.ones(1), np.zeros(1)) if len(colour) else None
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes), appearance=look,
@@ -154,12 +152,12 @@ def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Fi
             tried.append(_filling(surface, volume, pull_to_features(vertices, tets, corners, edges, CELL * size), tets,
                                   [note] * (part < 1.0), resolution, path))
         except MeshError as error:
+            if surface.parts > 1 and not surface.overlap:
+                raise  # of separate bodies
             problem = problem or error
             continue
         if _misses(tried[-1]) <= TOLD:
             return tried[-1]
-    if not tried and problem is not None and surface.parts > 1:
-        raise problem  # of separate bodies
     if not tried or min(map(_misses, tried)) > _ENOUGH:
         try:
             tried.append(_filling(surface, volume, *ftetwild(surface, resolution, path), [
@@ -265,8 +263,3 @@ def features(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
                for axis in axes]
     wanted = np.isin(order, [*highest, *corners])
     return v[order[wanted]], v[sharp]
-
-
-def _digest(vertices: np.ndarray, tets: np.ndarray) -> str:
-    """sha256 of corners to a nanometre and tetrahedra, hexadecimal; processors differ in the last bits."""
-    return hashlib.sha256(np.round(1e9 * vertices).astype("<i8").tobytes() + tets.astype("<i8").tobytes()).hexdigest()
