@@ -182,19 +182,16 @@ class Result:
             what = f"it has no {error}" if isinstance(error, KeyError) else plain(error, longest=300)
             raise TaskError(f"result {path} is malformed: {what}. Evaluate the method again.") from error
 
+    @functools.cached_property
     def rows(self) -> list[dict[str, Any]]:
         """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.result_file.beside_zero`). They
         are made once, and are not the caller's to change."""
-        return self._rows
-
-    @functools.cached_property
-    def _rows(self) -> list[dict[str, Any]]:
         row = OBSERVATIONS.get(self.observation)
         return beside_zero(as_rows(self.queries), self.readings, 1 if row is None else row.size)
 
     def computed(self) -> dict[str, dict[str, Score]]:
         """The scores, computed again from `queries` and `answers`; what `scores` says is not looked at."""
-        out = scores_of(Answer.READINGS, self.rows(), self.shots, self.seeds)
+        out = scores_of(Answer.READINGS, self.rows, self.shots, self.seeds)
         for answer in Answer:
             if answer.value in self.answers:
                 out |= scores_of(answer, as_rows(self.answers[answer.value]), self.shots, self.seeds)

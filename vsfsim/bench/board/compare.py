@@ -54,7 +54,7 @@ def by_object(result: Any, metric: str, shot: str) -> dict[str, float]:
     pairs: Iterable[tuple[str, float]]
     if metric == "rmse_ratio":
         by_run: dict[int, list[dict]] = {}
-        for row in result.rows():
+        for row in result.rows:
             if row["shot"] == shot:
                 by_run.setdefault(row["seed"], []).append(row)
         found = [object_ratios(rows) or {} for rows in by_run.values()]

@@ -74,7 +74,7 @@ def by_kind(result: Result, task: Task) -> dict[str, dict[str, float]]:
     names = [json.dumps(probe_table(press.probe)) + (" from the side" if press.required_touches.level else "")
              for press in scene.presses]
     sums: dict[str, dict[str, np.ndarray]] = {}
-    for row in result.rows():
+    for row in result.rows:
         of = sums.setdefault(names[scene.required_touches.kind(row["touch"])], {})
         of[row["shot"]] = of.get(row["shot"], np.zeros(2)) + [row["sse"], row["ss"] or 0.0]
     return {name: {shot: math.sqrt(error / zero) if zero > 0.0 else math.nan for shot, (error, zero) in of.items()}
@@ -98,7 +98,7 @@ def _touches(result: Result, shot: str, curves: Curves | None) -> list[dict[str,
     comes nearest to the prediction [-]. The last two are NaN where they are not known."""
     errors: dict[tuple[str, int], dict[str, list[float]]] = {}
     zero: dict[str, dict[tuple[str, int], float]] = {}
-    for row in result.rows():
+    for row in result.rows:
         key = row["object"], row["touch"]
         errors.setdefault(key, {}).setdefault(row["shot"], []).append(math.sqrt(row["sse"] / row["n"]))
         if row["ss"] is not None:
