@@ -279,15 +279,10 @@ PLANTED = [
      "bench imports physics"),
     ("vsfsim/physics/mesh/discretise.py", "import vsfsim.scenes.shoe", "physics imports scenes"),
     ("vsfsim/bench/task.py", "def f():\n    import warp as wp", "bench imports warp"),
-    ("vsfsim/physics/model.py", "from vsfsim.data.records import View", "physics imports data"),
-    ("vsfsim/vsf/dynamics.py", "from vsfsim.sensing.camera import render", "vsf imports sensing"),
     ("vsfsim/cli/main.py", "from vsfsim.bench.task import load_task", "cli imports bench"),
-    ("vsfsim/cli/main.py", "import warp", "cli imports warp"),
     ("vsfsim/__init__.py", "from vsfsim.bench.task import Task", "top imports bench"),
     ("vsfsim/data/dataset.py", "def f():\n    import torch", "data imports torch"),
-    ("scenes/shoe.py", "from vsfsim.physics.contact import sdf", "scenes imports physics"),
     ("baselines/x.py", "from vsfsim.generate.run import generate", "baselines imports generate"),
-    ("baselines/x.py", "import requests", "baselines imports requests"),
 ]
 """File, text and the violation that must be found in it."""
 

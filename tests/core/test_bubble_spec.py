@@ -38,10 +38,8 @@ def test_every_key_is_read():
     ('kind = "bubble"\nsemi_axes = [0.04, 0.05]', "the first not the smaller"),
     ('kind = "bubble"\nsemi_axes = [0.5, 0.04]', "at most ten times"),
     ('kind = "bubble"\nnodes = 99', "whole number from 100 to 20000"),
-    ('kind = "bubble"\nnodes = 20001', "whole number from 100 to 20000"),
     ('kind = "bubble"\npre_stretch = 0.9', "pre_stretch is 0.9"), ('kind = "bubble"\ngamma = 0.9', "gamma is 0.9"),
     ('kind = "bubble"\nsealed = 1', "it must be true"), ('kind = "bubble"\nthickness = 0.01', "thickness is 0.01"),
-    ('kind = "bubble"\ngauge_pressure = 0', "gauge_pressure is 0"),
     ('kind = "bubble"\nyoung_modulus = nan', "young_modulus is nan"),
 ])
 def test_mistakes_are_refused(sensor, message):

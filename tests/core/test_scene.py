@@ -97,16 +97,12 @@ def test_shipped_scenes_load(name):
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ("name =", "nmae =", "full.toml: unknown key 'nmae'. Did you mean 'name'?"),
-    ("[object]", "[objct]", "full.toml: unknown key 'objct'. Did you mean 'object'?"),
     ("pose =", "pos =", "full.toml [object]: unknown key 'pos'. Did you mean 'pose'?"),
     ("base =", "bse =", "full.toml [object] young_modulus: unknown key 'bse'. Did you mean 'base'?"),
     ("shape = { capsule", "shpe = { capsule", "full.toml [probe]: unknown key 'shpe'. Did you mean 'shape'?"),
-    ("retract =", "retrct =", "full.toml [press]: unknown key 'retrct'. Did you mean 'retract'?"),
     ("free =", "fre =", "full.toml [touches] frames: unknown key 'fre'. Did you mean 'free'?"),
     ("capsule =", "capsul =", "full.toml [probe]: unknown shape 'capsul'. Did you mean 'capsule'?"),
-    ("depth =", "dept =", "full.toml [touches]: unknown key 'dept'. Did you mean 'depth'?"),
     ("width =", "widht =", "full.toml [camera]: unknown key 'widht'. Did you mean 'width'?"),
-    ("views =", "view =", "full.toml [dataset]: unknown key 'view'. Did you mean 'views'?"),
     ('"appearance"]', '"apearance"]', "needs[1] is 'apearance'. Did you mean 'appearance'?"),
     ('["normal-force", "appearance"]', '"bulging"', "needs is 'bulging'; it must be a list of words from normal-force"),
     ("gravity = [0.0, 0.0, -9.81]", "gravity = 9.81", "gravity is 9.81; it must be 3 numbers."),
@@ -116,11 +112,9 @@ def test_shipped_scenes_load(name):
     ("poisson_ratio = 0.3", "poisson_ratio = 0.5", "poisson_ratio is 0.5; it must be a number from 0 to 0.4999."),
     ("density = 400", "density = -1", "density is -1; it must be a number from 0.001 to 30000 kg/m^3."),
     ("resolution = 0.02", "resolution = 0", "resolution is 0; it must be a number from 1e-05 to 1 m."),
-    ("friction = 0.2", "friction = -0.2", "friction is -0.2"),
     ("appearance = { tint = 0.5 }", "appearance = 3", "appearance is 3; it must be a table."),
     ("to = [0, 0, 0.09]", "to = [0, 0, 0.1]", "[press]: from and to are both [0.0, 0.0, 0.1]; the probe must move."),
     ("frames = 5", "frames = 2.5", "[press]: frames is 2.5; it must be a whole number from 1 to 10000."),
-    ("hold = 2", "hold = -1", "hold is -1"),
     ("depth = 0.004", "depth = 4", "depth is 4; it must be a number from 1e-05 to 0.5 m."),
     ("fov = 0.7", "fov = 45", "[camera]: fov is 45; it must be a number from 0.05 to 2.8 rad."),
     ("train = 4", "train = 3", "[dataset]: splits add up to 5, but there are 6 objects; make them equal."),
@@ -177,7 +171,6 @@ def test_the_same_seed_draws_the_same_scene_and_zero_is_one():
 
 @pytest.mark.parametrize(("value", "message"), [
     ("{ uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"),
-    ("{ uniform = [1e5, 1e20] }", "young_modulus is 1e+20"),
     ("{ choice = [1e5, { uniform = [-2e5, 1e5] }] }", "young_modulus is -200000.0"),
     ("{ uniform = [1e5] }", "give two finite numbers [low, high]"),
     ("{ uniform = 1e5 }", "give a list, e.g. { uniform = [0.1, 0.2] }"),
@@ -246,7 +239,6 @@ def test_paths():
 @pytest.mark.parametrize(("text", "message"), [
     ("path = [[0, 0, 0.07], [0, 0]]", "[press]: path[1] is [0, 0]; it must be 3 numbers."),
     ("path = [[0, 0, 0.07]]", "[press]: path is [[0, 0, 0.07]]; it must be 2 to 10000 points"),
-    ("path = 3", "path is 3; it must be 2 to 10000 points"),
     ("path = [[0, 0, 0.07], [0, 0, 0.07]]", "path[0] and path[1] are both [0.0, 0.0, 0.07]; the probe must move."),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nto = [0, 0, 0]", "there is a path, and from or to; give either path"),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nframes = [1, 2]", "frames has 2 numbers, but the path has 1 parts"),
