@@ -9,10 +9,10 @@ touch, see `lanes`. The module `guard` decides where the arm is in a frame and w
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.contact_search import carry_unloaded
+from vsfsim.physics.rods.kernels.contact_search import carry_unloaded, copy_state
 from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.fibre import POINTS, end_force, fibre_patch, pressed, rubbed, segment_strain
-from vsfsim.physics.rods.kernels.guard import HOPELESS, copy_nodes, frame_target, guard_frame, place_capsules
+from vsfsim.physics.rods.kernels.guard import HOPELESS, frame_target, guard_frame, place_capsules
 from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync, time_is_up
 from vsfsim.physics.rods.kernels.newton import equilibrate
 from vsfsim.physics.rods.kernels.segment import (
@@ -105,7 +105,7 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
                 w.nodes.strained[b, i] = on
                 w.nodes.active[b, i] = wp.where(i == 0, 1, on)
             sync()
-        copy_nodes(me, w.now, w.saved)
+        copy_state(w, me, 0, w.now, w.saved)
         carry_unloaded(tree, w, me)
         through = int(0)
         for pair in range(me.lane, w.count[side, b] / POINTS, me.lanes):
@@ -120,7 +120,7 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
         ) == 0:
             kept = 0
         else:
-            copy_nodes(me, w.saved, w.now)
+            copy_state(w, me, 0, w.saved, w.now)
     if kept == 1:
         for i in range(me.lane, me.n, me.lanes):
             w.nodes.active[b, i] = wp.where(i == 0, 1, 0)
@@ -271,7 +271,7 @@ def advance(
                 if to > WHOLE:
                     to = ONE
                 place_capsules(touch, w, me, here, goal, p.part, to)
-                copy_nodes(me, w.now, w.start)
+                copy_state(w, me, 0, w.now, w.start)
                 reason = int(Reason.WRONG_SIDE)
                 its = int(0)
                 if capsules_cross(tree, touch, w, me) == 0:
@@ -282,7 +282,7 @@ def advance(
                     reason != Reason.NONE and p.stride > real(1.5) * base * SHORTEST
                     and (p.used < work or reason == Reason.WRONG_SIDE)
                 ):
-                    copy_nodes(me, w.start, w.now)
+                    copy_state(w, me, 0, w.start, w.now)
                     p.stride = real(0.25) * p.stride
                     if reason == Reason.NOT_FINITE and (p.stride < base * SHORTEST or p.used >= work):
                         skipped = 1  # the state before this stride is kept

@@ -9,9 +9,22 @@ import warp as wp
 from vsfsim.physics.rods.kernels.fibre import POINTS, fibre_patch
 from vsfsim.physics.rods.kernels.lanes import lane_count, lanes_before, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ZERO, real, vec3
-from vsfsim.physics.rods.structs import Contact, Memory, Stick, Thread, Touches, Trees, Work
+from vsfsim.physics.rods.structs import Contact, Memory, State, Stick, Thread, Touches, Trees, Work
 
 KEYS = wp.constant(4096)  # stride of the keys of contacts; the fibres of a segment have fewer points
+
+
+@wp.func
+def copy_state(w: Work, me: Thread, count: int, a: State, b: State):
+    """Copies the state ``a`` of the ``count`` active nodes to ``b``; 0 for all nodes."""
+    last = wp.where(count > 0, count, me.n)
+    for r in range(me.lane, last, me.lanes):
+        i = r
+        if count > 0:
+            i = w.nodes.order[me.b, r]
+        b.x[me.b, i] = a.x[me.b, i]
+        b.q[me.b, i] = a.q[me.b, i]
+    sync()
 
 
 @wp.func

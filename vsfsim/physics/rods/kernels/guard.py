@@ -17,9 +17,10 @@ that exceeds its force.
 
 import warp as wp
 
+from vsfsim.physics.rods.kernels.contact_search import copy_state
 from vsfsim.physics.rods.kernels.lanes import lane_max, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
-from vsfsim.physics.rods.structs import Phase, State, Thread, Touches, Work
+from vsfsim.physics.rods.structs import Phase, Thread, Touches, Work
 from vsfsim.physics.solve.frames import Reason
 
 SLOWER = wp.constant(wp.float64(0.25))  # factor on the pace when the limit was exceeded
@@ -81,15 +82,6 @@ def place_capsules(touch: Touches, w: Work, me: Thread, before: real, goal: real
 
 
 @wp.func
-def copy_nodes(me: Thread, a: State, b: State):
-    """Copies the state ``a`` of all nodes to ``b``."""
-    for i in range(me.lane, me.n, me.lanes):
-        b.x[me.b, i] = a.x[me.b, i]
-        b.q[me.b, i] = a.q[me.b, i]
-    sync()
-
-
-@wp.func
 def frame_target(touch: Touches, w: Work, me: Thread, t: int):
     """Position of frame ``t``. A creeping arm turns back here when the way, or the number of frames for it, is used
     up."""
@@ -122,7 +114,7 @@ def frame_target(touch: Touches, w: Work, me: Thread, t: int):
 def save_equilibrium(w: Work, me: Thread, side: int):
     """Stores the present equilibrium."""
     b = me.b
-    copy_nodes(me, w.now, w.kept.nodes)
+    copy_state(w, me, 0, w.now, w.kept.nodes)
     for i in range(me.lane, me.n, me.lanes):
         w.kept.strained[b, i] = w.nodes.strained[b, i]
         w.kept.plastic[b, i] = w.nodes.plastic[b, i]
@@ -138,7 +130,7 @@ def save_equilibrium(w: Work, me: Thread, side: int):
 def restore_equilibrium(w: Work, me: Thread, side: int):
     """Returns to the stored equilibrium: nodes, strained and yielded segments, and contacts."""
     b = me.b
-    copy_nodes(me, w.kept.nodes, w.now)
+    copy_state(w, me, 0, w.kept.nodes, w.now)
     for i in range(me.lane, me.n, me.lanes):
         w.nodes.strained[b, i] = w.kept.strained[b, i]
         w.nodes.plastic[b, i] = w.kept.plastic[b, i]

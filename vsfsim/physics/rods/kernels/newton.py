@@ -11,12 +11,12 @@ from vsfsim.physics.rods.kernels.assembly import (
     unbalanced_force,
     update_contacts,
 )
-from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unloaded, list_contacts
+from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unloaded, copy_state, list_contacts
 from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.elimination import solve
 from vsfsim.physics.rods.kernels.lanes import lane_max, lane_sum, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, energy, quat, real, spatial, strain, vec3
-from vsfsim.physics.rods.structs import State, Thread, Touches, Trees, Work
+from vsfsim.physics.rods.structs import Thread, Touches, Trees, Work
 from vsfsim.physics.solve.frames import Reason
 
 MARGIN = wp.constant(wp.float64(0.006))  # distance from a capsule at which a fibre is listed as a contact [m]
@@ -161,16 +161,6 @@ def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha
 
 
 @wp.func
-def copy_active(w: Work, me: Thread, count: int, a: State, b: State):
-    """Copies the state ``a`` of the active nodes to ``b``."""
-    for r in range(1 + me.lane, count, me.lanes):
-        i = w.nodes.order[me.b, r]
-        b.x[me.b, i] = a.x[me.b, i]
-        b.q[me.b, i] = a.q[me.b, i]
-    sync()
-
-
-@wp.func
 def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, levels: int, side: int, geometric: real,
                 coulomb: int, sets: int):
     """Newton's step with the contacts that it closes itself: their set is predicted until it no longer changes, at most
@@ -258,7 +248,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if tried > 0 and not rest < (ONE - SHRINK * part) * before:
                 # The residual norm has not decreased enough: return to the state before, try a smaller length, and
                 # finally the symmetric tangent.
-                copy_active(w, me, count, w.saved, w.now)
+                copy_state(w, me, count, w.saved, w.now)
                 if tried < TRIES:
                     tried = tried + 1
                     part = real(0.35) * part
@@ -307,7 +297,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                     tried = 1
                     part = ONE
                     leap = 1
-                    copy_active(w, me, count, w.now, w.saved)
+                    copy_state(w, me, count, w.now, w.saved)
                 else:
                     plain = 1
                     same = 1
@@ -366,7 +356,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                 plain = CAREFUL
                 same = 1
                 continue
-            copy_active(w, me, count, w.trial, w.now)
+            copy_state(w, me, count, w.trial, w.now)
             continue
         if found == 0:
             small = small + 1
@@ -377,7 +367,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
         small = 0
         if alpha * way > HALF * MOVE:
             spent = spent - 1  # limited by the clearance: a branch that springs back may take many such steps
-        copy_active(w, me, count, w.trial, w.now)
+        copy_state(w, me, count, w.trial, w.now)
         moved = moved + alpha * way
     carry_unloaded(tree, w, me)
     return reason, used, residual, count
