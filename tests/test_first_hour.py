@@ -2,6 +2,7 @@
 what works on a system without POSIX."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,12 +25,13 @@ def test_python_m_is_the_command_and_h_is_help():
     ("vsfsim press inde", "indent-homogeneous"),
     ("vsfsim leaderboard --task fewshot-shoes-v2-pu", "fewshot-shoes-v2-punyo-mini-v2"),
 ])
-def test_a_shell_completes_commands_and_names(typed, found, vsfsim, monkeypatch, tmp_path):
+def test_a_shell_completes_commands_and_names(typed, found):
     """As bash asks for it (the script of `vsfsim --show-completion bash`)."""
-    for name, value in (("_VSFSIM_COMPLETE", "complete_bash"), ("COMP_WORDS", typed),
-                        ("COMP_CWORD", str(len(typed.split()) - 1))):
-        monkeypatch.setenv(name, value)
-    assert found in vsfsim(cwd=tmp_path).stdout.split()
+    env = {**os.environ, "_VSFSIM_COMPLETE": "complete_bash", "COMP_WORDS": typed,
+           "COMP_CWORD": str(len(typed.split()) - 1)}
+    code = "import sys; sys.argv[0] = 'vsfsim'\nfrom vsfsim.cli.main import main; main()"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    assert found in out.stdout.split(), out.stdout + out.stderr
 
 
 def test_info_says_what_is_there_and_what_to_do(vsfsim, tmp_path, monkeypatch):

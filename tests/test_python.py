@@ -184,8 +184,8 @@ def test_a_torch_view_works_with_workers(dataset, start, workers):
 def test_evaluate_is_the_command(toy, tmp_path, vsfsim_command):
     (tmp_path / "toy-v1.toml").write_text(TASK)
     here = vsfsim.evaluate("near-springs", tmp_path / "toy-v1.toml", toy, out=tmp_path / "here.json", seeds=1)
-    out = vsfsim_command("evaluate", "--method", "near-springs", "--task", "toy-v1.toml", "--dataset",
-                         toy, "--json", "-", "--seeds", 1, cwd=tmp_path)
+    out = vsfsim_command("evaluate", "--method", "near-springs", "--task", "toy-v1.toml",
+                         "--dataset", toy, "--json", "-", "--seeds", 1, cwd=tmp_path)
     told = json.loads(out.stdout)
     assert {metric: {shot: score.mean for shot, score in by_shot.items()} for metric, by_shot in here.scores.items()} \
         == {metric: {shot: score["mean"] for shot, score in by_shot.items()}

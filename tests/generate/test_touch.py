@@ -204,6 +204,6 @@ def test_a_corner_of_a_box_meets_a_tilted_plane_where_geometry_says():
     pose = np.eye(4)
     pose[2, 3] = 0.07
     for mesh.faces, way in ((solid, 0.048), (np.roll(solid, 1, axis=1), 0.048), (sheet, 0.048038)):
-        found = clearance(SimpleNamespace(mesh=mesh, element_size=0.02), Box((0.04, 0.04, 0.04)), pose,
-                          np.array([0.0, 0.0, -1.0]), samples=np.array([[0.0, 0.0, -100.0]]))
+        found = clearance(SimpleNamespace(mesh=mesh, element_size=0.02), Box((0.04, 0.04, 0.04)),
+                          pose, np.array([0.0, 0.0, -1.0]), samples=np.array([[0.0, 0.0, -100.0]]))
         assert found == pytest.approx(way, abs=3e-6 if mesh.faces is sheet else 1e-9)

@@ -101,9 +101,10 @@ def test_same_seed_same_shoe_and_other_seed_another() -> None:
     assert np.array_equal(make(5, style="boot", resolution=0.012).young_modulus, one.young_modulus)
 
 
-def test_moduli_follow_their_classes() -> None:
-    drawn = np.array([make(seed, style=style, resolution=0.03).young_modulus for style in STYLES for seed in range(10)])
+def test_moduli_follow_their_classes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.array_equal(make(9).young_modulus, make(9, resolution=0.02).young_modulus)
+    monkeypatch.setattr(shoe, "improve_rank", lambda vertices, hexes, rank: rank)  # of the mesh alone
+    drawn = np.array([make(seed, style=style, resolution=0.03).young_modulus for style in STYLES for seed in range(20)])
     e = dict(zip(REGIONS, drawn.T))
     assert (e["sole"] >= 1e6).all() and (e["sole"] <= 1e7).all()
     assert (e["tongue"] >= 1e4).all() and (e["tongue"] <= 5e5).all()

@@ -57,8 +57,8 @@ def fork(rings: int, step: float) -> Solid:
                 low = first + k * len(disc) + np.array([a, b, c])
                 tets += prism(low, low + len(disc), np.array([a, b, c]))
     together = np.concatenate(points)
-    _, kept, number = np.unique(np.rint(together / 1e-8).astype(np.int64), axis=0, return_index=True,
-                                return_inverse=True)
+    _, kept, number = np.unique(np.rint(together / 1e-8).astype(np.int64), axis=0,
+                                return_index=True, return_inverse=True)
     cells = number.ravel()[np.array(tets)]
     corners = together[kept][cells]
     flipped = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
@@ -94,8 +94,8 @@ def beams(cut: int, travel: np.ndarray):
 def fork_of_beams(cut: int) -> tuple[np.ndarray, list[int]]:
     """Nodes (3 cut + 1, 3) [m] and parents; the ends of the branches are the nodes 2 cut and 3 cut."""
     nodes, parent = [np.zeros(3)], [-1]
-    for axis, start, length, at in [(-AXES[0], np.zeros(3), TRUNK, 0), (AXES[1], JOINT, BRANCH, cut),
-                                    (AXES[2], JOINT, BRANCH, cut)]:
+    for axis, start, length, at in [(-AXES[0], np.zeros(3), TRUNK, 0),
+                                    (AXES[1], JOINT, BRANCH, cut), (AXES[2], JOINT, BRANCH, cut)]:
         for k in range(1, cut + 1):
             nodes.append(start + k / cut * length * axis)
             parent.append(at if k == 1 else len(nodes) - 2)
@@ -104,8 +104,8 @@ def fork_of_beams(cut: int) -> tuple[np.ndarray, list[int]]:
 
 def solid(rings: int, step: float, travel: np.ndarray):
     body = fork(rings, step)
-    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6,
-                        where="fork")
+    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom",
+                        bottom_tolerance=1e-6, where="fork")
     options = dataclasses.replace(tiers.options("fem"), newton=120, cg_frame=20_000, seconds=600.0)
     solver = Solver(model, Capsule(0.02, 0.04), options=options)
     frames = solver.run(push(travel)[:, :, 0], keep=True)
@@ -126,8 +126,8 @@ def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
     # mm the capsule has two equilibria on them, 0.534 and 0.544 N, and the frames before decide which one it comes to
     ratio = (force[4:, 0] - force[3, 0]) / (theirs[4:, 0] - theirs[3, 0]) - 1
     moved, they_moved = (1e3 * (e[-1] - e[3]) for e in (ends, their_ends))
-    print(f"force from 10 to 15 and 20 mm, beams over {many} tetrahedra: {np.round(ratio, 4)}; {force[-1, 0]:.4f} "
-          f"and {theirs[-1, 0]:.4f} N in all")
+    print(f"force from 10 to 15 and 20 mm, beams over {many} tetrahedra: {np.round(ratio, 4)}; "
+          f"{force[-1, 0]:.4f} and {theirs[-1, 0]:.4f} N in all")
     print("ends, mm, beams:", np.round(moved, 3).tolist(), "tetrahedra:", np.round(they_moved, 3).tolist())
     # a hexagon of the circle's area is 0.8 % stiffer in bending; the fork of beams is a point, that of tetrahedra a
     # body of about a radius, 4 % of a branch
@@ -146,8 +146,8 @@ def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
 def tip_compliance(rings: int, step: float) -> np.ndarray:
     """Displacement of both ends per force on the first one's section, small strain, no contact (2, 3, 3) [m/N]."""
     body = fork(rings, step)
-    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6,
-                        where="fork")
+    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom",
+                        bottom_tolerance=1e-6, where="fork")
     points, sections = model.mesh.points, []
     for axis in AXES[1:]:
         faces = model.mesh.faces[((points - JOINT) @ axis > BRANCH - 1e-6)[model.mesh.faces].all(axis=1)]
@@ -157,8 +157,8 @@ def tip_compliance(rings: int, step: float) -> np.ndarray:
         np.add.at(share, faces[:, 3:], np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None] / 6.0)
         sections.append(share / share.sum())
     free = np.flatnonzero(model.free)
-    factor = splu(model.factor.stiffness[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-                  options={"SymmetricMode": True})
+    factor = splu(model.factor.stiffness[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A",
+                  diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     out = np.zeros((2, 3, 3))
     for k in range(3):
         load, moved = np.zeros((len(points), 3)), np.zeros(3 * len(points))
@@ -187,5 +187,5 @@ def test_the_compliance_of_a_fork_converges_to_that_of_beams_but_for_the_joints_
     # go on to the middle line's fork: tetrahedra are stiffer by up to 2.5 %
     assert (np.abs(ratio[2] - 1.0) < 0.025).all()
     # the meshes settle, and the coarse one of the press above is stiffer by 1 % than the finest
-    assert (np.abs(ratio[2] - ratio[1]) < 0.35 * np.abs(ratio[1]
-                                                        - ratio[0])).all() and (ratio[2] - ratio[0] > 0.003).all()
+    assert (np.abs(ratio[2] - ratio[1])
+            < 0.35 * np.abs(ratio[1] - ratio[0])).all() and (ratio[2] - ratio[0] > 0.003).all()

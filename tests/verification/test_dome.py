@@ -24,8 +24,9 @@ def test_a_dome_of_one_millimetre_is_reissners_shallow_shell(line, device):
     cap = np.column_stack([flat[:, :2] / np.maximum(arc, 1e-12)[:, None] * ring[0][:, None], ring[1]])
     solid = Solid(cap, tets, np.zeros(len(tets), int), ("dome",))
     rim = cap[np.abs(flat[:, :2]).max(axis=1) > 0.5 * length - 1e-9, 2].max()
-    model = build_model(solid, np.full(gauss_points(solid).shape[:2], young_modulus), poisson_ratio=NU,
-                        fixed=(-1.0, -1.0, -1.0, 1.0, 1.0, float(rim) + 1e-6), bottom_tolerance=1e-9, where="test")
+    model = build_model(solid, np.full(gauss_points(solid).shape[:2], young_modulus),
+                        poisson_ratio=NU, fixed=(-1.0, -1.0, -1.0, 1.0, 1.0, float(rim) + 1e-6),
+                        bottom_tolerance=1e-9, where="test")
     ball = Sphere(0.005)
     depth = np.array([2e-5, 5e-5, 1e-4])
     frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-4, seconds=1e9)).run(

@@ -66,8 +66,8 @@ def distorted(cells, seed=0):
 
 def loaded(solid, modulus, nu, deformation_gradient):
     """A model of ``solid``, held at its base, under the load that belongs to a field that is zero there."""
-    model = build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom", bottom_tolerance=1e-9,
-                        where="test")
+    model = build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom",
+                        bottom_tolerance=1e-9, where="test")
     return dataclasses.replace(model, load=load_of(model.mesh, deformation_gradient, modulus, nu))
 
 

@@ -45,8 +45,8 @@ def test_flat_plate_carries_the_pressure_times_its_area(line, device, nodes, dep
     moved = [model.mesh.points + u[:, 0].reshape(-1, 3) for u in solver.history]
     measured = np.array([contact_radius(x, z - x[:, 2]) for x, z in zip(moved, plane, strict=True)])
     excess = (measured - carried) / model.element_size
-    print(f"flat plate, {nodes} nodes: radius of F/p {1e3 * carried} mm, of the contact {1e3 * measured} mm; "
-          f"{excess.mean():.3f} +- {excess.std(ddof=1):.3f} of an edge")
+    print(f"flat plate, {nodes} nodes: radius of F/p {1e3 * carried} mm, of the contact "
+          f"{1e3 * measured} mm; {excess.mean():.3f} +- {excess.std(ddof=1):.3f} of an edge")
     # The last node in contact lies up to half an edge inside the edge of the contact, so the nodes beside it have
     # smaller gaps than a smooth sheet, and the extrapolated radius is too large: by 0.10 of an edge with a standard
     # deviation of 0.04, on meshes of 1,100, 1,493 and 1,900 nodes at 18 depths of 1 to 8 mm (means of five depths:

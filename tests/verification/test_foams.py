@@ -35,8 +35,8 @@ def principal_stresses(foam, axial, side):
 
 def uniaxial(foam, strains):
     """Nominal pressure [Pa] and lateral stretch of uniaxial stress at these strains."""
-    side = np.array([brentq(lambda a, s=1.0 - e: principal_stresses(foam, s, a)[1], 0.8, 2.0, xtol=1e-15)
-                     for e in strains])
+    side = np.array([brentq(lambda a, s=1.0 - e: principal_stresses(foam, s, a)[1], 0.8, 2.0,
+                            xtol=1e-15) for e in strains])
     return np.array([-principal_stresses(foam, 1.0 - e, a)[0] for e, a in zip(strains, side, strict=True)]), side
 
 

@@ -33,8 +33,8 @@ def run(name, tier, device, frames=10):
     # up to 2.2 % of an element is the indentation that the mesh is too coarse for, see `local_indentation`
     limit = 0.03 if tiers.TIERS[tier].local_indentation else 0.015
     assert result.audit["penetration"].max() < limit * result.more["element_size"]
-    print(f"{name} {tier}: {result.more['tets']} tets, {result.more['seconds'].mean():.2f} s a frame, forces "
-          f"{np.round(result.force[:, 2], 3)}")
+    print(f"{name} {tier}: {result.more['tets']} tets, {result.more['seconds'].mean():.2f} s a "
+          f"frame, forces {np.round(result.force[:, 2], 3)}")
     return result.force[:, 2]
 
 
@@ -116,11 +116,10 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
 def test_fifteen_millimetres_into_the_homogeneous_block(line, device, tier, tolerance):
     scene = load_scene(find_scene("indent-homogeneous")).sample(0)
     model = tiers.build(scene, tier, focus=np.array([[0.0, 0.0, 0.045]]))
-    frames = Solver(model, scene.probe, device=device,
-                    options=tiers.options(tier)).run(line([[0, 0, 0.07 - d] for d in (0.005, 0.010, 0.015)],
-                                                          scene.probe),
-                                                     start=line([[0, 0, 0.07]], scene.probe)[0])
-    print(f"{tier}: {frames.force[:, 0, 2]} N, {frames.force[-1, 0, 2] / S1_DEEP - 1:+.2%}, {len(model.mesh.tets)} "
-          f"tets, {frames.seconds.mean():.1f} s a frame")
+    frames = Solver(model, scene.probe, device=device, options=tiers.options(tier)).run(
+        line([[0, 0, 0.07 - d] for d in (0.005, 0.010, 0.015)], scene.probe),
+        start=line([[0, 0, 0.07]], scene.probe)[0])
+    print(f"{tier}: {frames.force[:, 0, 2]} N, {frames.force[-1, 0, 2] / S1_DEEP - 1:+.2%}, "
+          f"{len(model.mesh.tets)} tets, {frames.seconds.mean():.1f} s a frame")
     assert frames.converged.all() and frames.min_det_f.min() > 0.5
     assert frames.force[-1, 0, 2] == pytest.approx(S1_DEEP, rel=tolerance)

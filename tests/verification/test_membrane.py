@@ -236,8 +236,8 @@ def test_sealed_sphere_under_another_ambient_pressure(balls, ambient, gamma, dev
 
 def sealed(sheet, mesh, start, ambient, gamma, device):
     n = mesh.points.size
-    air = gas.block(mesh.faces, mesh.points, pressure=start.pressure + AMBIENT - ambient, volume=start.volume,
-                    gamma=gamma, ambient=ambient)
+    air = gas.block(mesh.faces, mesh.points, pressure=start.pressure + AMBIENT - ambient,
+                    volume=start.volume, gamma=gamma, ambient=ambient)
     free = sheet.free
     model = Model(mesh, (*sheet.blocks, air), np.ones(1), free, np.zeros(n), np.ones(1), None, 1.0, None)
     elements = Elasticity(model, device=device)

@@ -41,8 +41,8 @@ class Elastica:
             normal, _, angle = unknown
             # friction on the surface, RADIUS from the middle line, bends the rod where it acts
             bend = RADIUS * self.friction * normal / EI
-            return np.array([a[0], a[1], a[2], b[0] - x - distance * np.cos(angle), b[1] - z + distance * np.sin(angle),
-                             b[2] - angle, b[3] - bend])
+            return np.array([a[0], a[1], a[2], b[0] - x - distance * np.cos(angle),
+                             b[1] - z + distance * np.sin(angle), b[2] - angle, b[3] - bend])
 
         if self.last is None:
             t, side = np.linspace(0.0, 1.0, 41), x + distance
@@ -58,8 +58,8 @@ class Elastica:
 def slide(press: float) -> np.ndarray:
     """Poses: pressed sideways in ten frames, then along the rod by 80 mm, a millimetre a frame, and back."""
     way = np.linspace(0.0, 0.08, 81)[1:]
-    poses = crossing(np.concatenate([np.linspace(0.0, press, 11), np.full(160, press)]), height=0.22,
-                     start=-(CAPSULE + RADIUS))
+    poses = crossing(np.concatenate([np.linspace(0.0, press, 11), np.full(160, press)]),
+                     height=0.22, start=-(CAPSULE + RADIUS))
     poses[11:, 0, 0, 2, 3] += np.concatenate([way, way[::-1] - way[0]])
     return poses
 

@@ -78,8 +78,8 @@ def test_an_irregular_mesh_at_random_places(device):
     rng, low, high = np.random.default_rng(1), solid.vertices.min(axis=0), solid.vertices.max(axis=0)
     free = (solid.vertices > low + 1e-9) & (solid.vertices < high - 1e-9)
     moved = solid.vertices + free * rng.uniform(-0.0025, 0.0025, solid.vertices.shape)
-    model = build_model(dataclasses.replace(solid, vertices=moved), modulus, poisson_ratio=0.45, fixed="bottom",
-                        bottom_tolerance=1e-6, where="test")
+    model = build_model(dataclasses.replace(solid, vertices=moved), modulus, poisson_ratio=0.45,
+                        fixed="bottom", bottom_tolerance=1e-6, where="test")
     depths, curve = np.array([0.0005, 0.001]), references.load("s1")
     exact = np.interp(depths, curve["depth_m"], curve["force_N"])[:, None]
     at, found = rng.uniform(-0.015, 0.015, (12, 2)), {}

@@ -112,9 +112,9 @@ def test_a_rod_that_sags_by_five_times_its_thickness_is_the_elastica(line, devic
     frames = solver.run(line(np.full((1, 3), 10.0), Sphere(0.01)), keep=True)
     end = np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9
     place = (model.mesh.points + np.asarray(solver.history[0]).reshape(-1, 3))[end].mean(axis=0)
-    print(f"elastica {load}: tip {place[[0, 2]] - [0, RADIUS]} against {tip}; {frames.seconds[0]:.1f} s, "
-          f"{frames.iterations[0, 0]} iterations, "
-          f"converged {frames.converged[0, 0]}")
+    print(f"elastica {load}: tip {place[[0, 2]] - [0, RADIUS]} against {tip}; "
+          f"{frames.seconds[0]:.1f} s, {frames.iterations[0, 0]} iterations, converged "
+          f"{frames.converged[0, 0]}")
     assert frames.converged.all()
     # the mesh takes 0.5 % (above), the thickness (r / l)^2
     assert place[[0, 2]] - [0.0, RADIUS] == pytest.approx(tip, abs=0.01 * np.abs(tip[1]))

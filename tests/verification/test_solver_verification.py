@@ -95,8 +95,8 @@ def test_two_layers_are_springs_in_series(block, line, device, resolution, contr
 
     def left_over(pressure, depth):
         """Depth that is not the shortening of the two layers [m]."""
-        return depth - sum(0.02 * brentq(lambda x, e=e: stress(x, e) - pressure, 0.0, 0.99, xtol=1e-16)
-                           for e in (soft, stiff))
+        return depth - sum(0.02 * brentq(lambda x, e=e: stress(x, e) - pressure, 0.0, 0.99,
+                                         xtol=1e-16) for e in (soft, stiff))
 
     for t, depth in enumerate((0.001, 0.015)):
         exact = brentq(left_over, 0.0, stress(0.98, soft), args=(depth - frames.penetration[t, 0],),
@@ -118,8 +118,8 @@ def beam(block, line, device, resolution, *, nu, length=0.2, side=0.02, gravity=
     long, thick = round(length / resolution), round(side / resolution)
     ticks = (np.linspace(-0.5, 0.5, long + 1) * length, np.linspace(-0.5, 0.5, thick + 1) * side,
              np.linspace(0.0, side, thick + 1))
-    model = block((length, side, side), resolution, ticks=ticks, young_modulus=young_modulus, poisson_ratio=nu,
-                  density=density, gravity=(0, 0, gravity),
+    model = block((length, side, side), resolution, ticks=ticks, young_modulus=young_modulus,
+                  poisson_ratio=nu, density=density, gravity=(0, 0, gravity),
                   fixed=(-0.5 * length - 1e-6, -1, -1, -0.5 * length + 1e-6, 1, 1))
     solver = Solver(model, Sphere(0.01), device=device, options=options)
     frames = solver.run(far_away(line, Sphere(0.01)), keep=True)
@@ -154,8 +154,8 @@ def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
 
     factor = float(lame(1.0, nu)[1] + 2 * lame(1.0, nu)[0])
     # u' = rho g (H - z) / M(z): twice the energy is the work of the weight
-    exact = 0.02**2 * quad(lambda z: (density * g * (height - z)) ** 2 / (2 * factor * modulus(z)), 0.0, height,
-                           epsabs=0, epsrel=1e-12)[0]
+    exact = 0.02**2 * quad(lambda z: (density * g * (height - z)) ** 2 / (2 * factor * modulus(z)),
+                           0.0, height, epsabs=0, epsrel=1e-12)[0]
     errors = []
     for cells in (2, 4, 8):
         model = block((0.02, 0.02, height), height / cells, young_modulus=lambda x: modulus(x[..., 2]),

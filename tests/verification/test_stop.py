@@ -27,8 +27,9 @@ from vsfsim.physics.solve.touches import Solver
 def test_energy_force_and_tangent_against_the_closed_form(device):
     points = np.array([[0.0, 0.0, 0.006], [0.01, 0.0, 0.005], [0.0, 0.01, 0.007], [0.01, 0.01, 0.005]])
     mesh = TriangleMesh.of(points, np.array([[0, 1, 2], [1, 3, 2]], np.int32), np.arange(4))
-    model = Model(mesh, (stop.block(np.arange(3), 3, points, 7000.0),), np.ones(1), np.ones(12), np.zeros(12),
-                  np.ones(1), Solid(np.zeros((0, 3)), np.zeros((0, 4), int), np.zeros(0, int), ("sheet",)), 0.01, None)
+    model = Model(mesh, (stop.block(np.arange(3), 3, points, 7000.0),), np.ones(1), np.ones(12),
+                  np.zeros(12), np.ones(1), Solid(np.zeros((0, 3)), np.zeros((0, 4), int),
+                                                  np.zeros(0, int), ("sheet",)), 0.01, None)
     body, down = Body(model, device), np.array([0.0011, 0.0003, 0.0015])
     # the plate itself moves by a millimetre
     u = np.column_stack([np.full(4, 0.004), np.full(4, -0.003), np.append(0.001 - down, 0.001)]).ravel()
@@ -114,7 +115,7 @@ def test_a_flat_drum_is_pressed_into_its_chamber(tmp_path):
     push = solved.wrench()[:, 2]
     assert solved.frames.converged.all() and (push[1:] < push[:-1]).all() and push[-1] < -0.1
     assert -0.0033 < solved.in_mount()[0][-1, :, 2].min() < -0.003
-    for case in ({"chamber": 0.002, **ball}, {"chamber": 0.01, "shape": "plane = true", "more": "", "start": 0.001,
-                                              "stop": -0.002}):
+    for case in ({"chamber": 0.002, **ball}, {"chamber": 0.01, "shape": "plane = true", "more": "",
+                                              "start": 0.001, "stop": -0.002}):
         with pytest.raises(SceneError, match="behind the plane of the sensor's rim or the floor of its chamber"):
             press(**case)

@@ -33,13 +33,13 @@ def test_presses_take_every_reference_in_turn_and_are_the_same_every_time():
 
 
 def row(error, *, told=0.05, marked=False, unsure=0.0, kinds=("box",)):
-    return {"number": 0, "frame": 0, "error": error, "told": told, "marked": marked, "unsure": unsure,
-            "kinds": list(kinds)}
+    return {"number": 0, "frame": 0, "error": error, "told": told, "marked": marked,
+            "unsure": unsure, "kinds": list(kinds)}
 
 
 def test_marks_errors_and_what_is_told_are_counted():
-    rows = [row(0.01), row(0.04), row(0.2), row(0.105, unsure=0.01), row(0.9, marked=True), row(0.0, unsure=2 * SURE),
-            {"number": 1, "why": "it died", "refused": False}]
+    rows = [row(0.01), row(0.04), row(0.2), row(0.105, unsure=0.01), row(0.9, marked=True),
+            row(0.0, unsure=2 * SURE), {"number": 1, "why": "it died", "refused": False}]
     found = report(rows, {"cells": 2}).record()
     every = found["shares"][0]
     assert every["frames"] == 5 and every["marked"] == pytest.approx(0.2)
