@@ -29,14 +29,14 @@ class Store:
     def __init__(self, where: str | Path):
         import fsspec  # takes a tenth of a second
 
-        self.where, self._path = str(where).rstrip("/"), None if is_url(where) else Path(where)
+        self._path = None if is_url(where) else Path(where)
+        self.where = str(self._path or where).rstrip("/")
         try:
-            self._files, root = fsspec.core.url_to_fs(self.where) if self._path is None else (
+            self._files, self._root = fsspec.core.url_to_fs(self.where) if self._path is None else (
                 fsspec.filesystem("file"), os.path.abspath(where))
         except (ImportError, ValueError) as error:
             raise DatasetError(f"the address '{where}' cannot be used: {error}. Install the extra 'cloud' (pip install "
                                f"\"vsfsim[cloud]\") for s3://, and the package that fsspec names for others.") from None
-        self._root = root.rstrip("/")
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file, so that a reader sees the old one or the new one whole."""
