@@ -29,8 +29,8 @@ from vsfsim.core.solid import Appearance, Law
 
 Colour = tuple[float, float, float]
 
-_TONGUE = Foam((27e3,), (10.0,), (0.0,),
-               "estimate for polyurethane foam of 30 to 60 kg/m^3: mu 15 to 40 kPa, alpha 10 to 20")
+# an estimate for polyurethane foam of 30 to 60 kg/m^3: mu 15 to 40 kPa, alpha 10 to 20
+_TONGUE = Foam((27e3,), (10.0,), (0.0,))
 
 
 @dataclass(frozen=True)
