@@ -26,7 +26,7 @@ def tet(pointwise):
     return make
 
 
-FOAM = Foam((0.7 * E, 0.1 * E), (3.0, -1.5), (0.4, 0.1), "test")
+FOAM = Foam((0.7 * E, 0.1 * E), (3.0, -1.5), (0.4, 0.1))
 """A foam of two terms whose stiffness changes moderately with strain."""
 
 
