@@ -32,11 +32,12 @@ class Store:
         self._path = None if is_url(where) else Path(where)
         self.where = str(self._path or where).rstrip("/")
         try:
-            self._files, self._root = fsspec.core.url_to_fs(self.where) if self._path is None else (
+            found: tuple = fsspec.core.url_to_fs(self.where) if self._path is None else (
                 fsspec.filesystem("file"), os.path.abspath(where))
         except (ImportError, ValueError) as error:
             raise DatasetError(f"the address '{where}' cannot be used: {error}. Install the extra 'cloud' (pip install "
                                f"\"vsfsim[cloud]\") for s3://, and the package that fsspec names for others.") from None
+        self._files, self._root = found
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file, so that a reader sees the old one or the new one whole."""
@@ -59,8 +60,6 @@ class Store:
             try:  # a hard link fails if the name is taken, also between machines that share the folder
                 os.link(self._path / whole, path)
                 return True
-            except FileExistsError:
-                raise
             except OSError:  # a file system without hard links: the first rename that finds no file wins
                 if not path.exists():
                     os.replace(self._path / whole, path)

@@ -237,8 +237,8 @@ def chain_of(arm: Arm) -> Chain:
     joints = tuple(int(arm.model.body_jntadr[i]) if arm.model.body_jntnum[i] else -1 for i in ids)
     capsules = tuple(ChainCapsule(int(link), c.start, c.stop, c.radius)
                      for link, c in zip(arm.capsule_links, arm.capsules, strict=True))
-    return Chain(tuple(tuple(map(float, row)) for row in base[:3]), tuple(positions), tuple(quaternions), joints,
-                 capsules)
+    return Chain(tuple(tuple(map(float, row)) for row in base[:3]),  # type: ignore[arg-type]
+                 tuple(positions), tuple(quaternions), joints, capsules)  # type: ignore[arg-type]
 
 
 def checked_poses(poses: np.ndarray, what: str) -> np.ndarray:
