@@ -52,9 +52,9 @@ def posix_queue(do):
     return library.mq_open(f"/{NOTE}".encode(), os.O_RDWR | (os.O_CREAT if do == "leave" else 0), 0o666, None) >= 0
 
 
-def keyring(ring):
+def keyring(ring, table=0):
     def way(do):
-        calls = {"x86_64": (248, 250), "aarch64": (217, 219)}[os.uname().machine]
+        calls = [k + table for k in {"x86_64": (248, 250), "aarch64": (217, 219)}[os.uname().machine]]
         if do == "leave":
             return LIBC.syscall(calls[0], b"user", NOTE.encode(), b"x", 1, ring) >= 0
         return LIBC.syscall(calls[1], 10, ring, b"user", NOTE.encode(), 0) >= 0  # KEYCTL_SEARCH
@@ -161,12 +161,14 @@ WAYS = {
     "the package's bytecode": file(lambda: os.path.join(vsfsim.__path__[0], "__pycache__")),
     "own folder": file(lambda: os.path.dirname(__file__)), "Python": file(lambda: sys.prefix),
     "every mount": every_mount, "kernels": kernels, "POSIX memory": posix_memory,
-    "System V memory": systemv("shmget", 16),
-    "System V queue": systemv("msgget"), "POSIX queue": posix_queue, "user's keyring": keyring(-4),
-    "session's keyring": keyring(-3), "abstract socket": daemon(socket.AF_UNIX, f"\0{NOTE}"),
-    "loopback": daemon(socket.AF_INET, ("127.0.0.1", 48654)), "class attribute": attribute(Constant),
-    "imported module": attribute(socket), "descriptors": descriptors, "printed": printed,
-    "other processes": other_processes, "system settings": system_settings,
+    "System V memory": systemv("shmget", 16), "System V queue": systemv("msgget"), "POSIX queue": posix_queue,
+    "user's keyring": keyring(-4), "session's keyring": keyring(-3), "x32's keyring": keyring(-3, 1 << 30),
+    "abstract socket": daemon(socket.AF_UNIX, f"\0{NOTE}"), "class attribute": attribute(Constant),
+    "loopback": daemon(socket.AF_INET, ("127.0.0.1", 48654)), "imported module": attribute(socket),
+    "descriptors": descriptors, "printed": printed, "system settings": system_settings,
+    "other processes": other_processes,
+    "input's time": lambda do: os.utime("/proc/self/fd/0") is None and do == "take",
+    "socket to the host": lambda do: socket.socket(socket.AF_VSOCK).fileno() and do == "take",
 }
 
 

@@ -72,7 +72,11 @@ def test_a_file_that_is_edited_while_the_method_is_evaluated_is_refused(author, 
 
 def test_a_result_says_what_decided_it(author, tmp_path):
     (tmp_path / "w.txt").write_text("5.0")
-    found = author(weights=str(tmp_path / "w.txt"), learns=f"open({str(tmp_path / 'table.csv')!r}).read()")
+    opens = f"""import contextlib
+        for name in ({str(tmp_path / 'table.csv')!r}, '/sys/kernel/uevent_seqnum', '/' + 'x' * 300):
+            with contextlib.suppress(OSError):
+                open(name).read()"""  # no file has so long a name
+    found = author(weights=str(tmp_path / "w.txt"), learns=opens)
     assert set(found.contents) == {"the method", "the harness", str(tmp_path / "w.txt"), "table.csv"}
     assert type(found).load(tmp_path / "r.json").contents == found.contents
     assert contents_of("mine:Mine", found.parameters, opened=found.contents) == found.contents

@@ -78,11 +78,12 @@ def test_prints_go_to_a_log_beside_the_result_which_is_no_file_of_the_users(task
 @pytest.mark.parametrize(("name", "message"), [
     ("Sleeps", r"predict for .* took longer than 5 s; --timeout is 5 s a call"),
     ("Allocates", r"Error in predict for .*may allocate 2 GiB \(--memory\)"),
-    ("Exits", "the method raised SystemExit in predict for mock-0001-v0, 5-shot, seed 0"),
-    ("Dies", r"the method's process ended in predict for .*\(exit code 0\)"),
-    ("Segfaults", r"the method's process ended in predict for .*\(Segmentation fault\)"),
-    ("AnswersText", r"prediction for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
-    ("AnswersHuge", r"is 1e\+308 in frame 0; .* no reading is over 1e\+12"),
+    ("Answers sys.exit(0)", "the method raised SystemExit in predict for mock-0001-v0, 5-shot, seed 0"),
+    ("Answers os._exit(0)", r"the method's process ended in predict for .*\(exit code 0\)"),
+    ("Answers os.kill(os.getpid(), 11)", r"the method's process ended in predict for .*\(Segmentation fault\)"),
+    ("Answers [np.full((12, 1), '1.5')] * 4", r"for touch \d+ of .* is no array of real numbers: its dtype is <U3"),
+    ("Answers [np.ma.masked_all((12, 1))] * 4", r"for touch \d+ of .* is nan in frame 0"),
+    ("Answers [np.full((12, 1), 1e308)] * 4", r"is 1e\+308 in frame 0; .* no reading is over 1e\+12"),
     ("StiffnessIsAList", "must return an Estimate with a mean and a std; it returned list"),
     ("Forges", "the method's process gave no answer in predict for"),
     ("Unsaved", r"handed to its trials: it cannot be pickled .* save\(\) and load\(\)"),
@@ -95,8 +96,9 @@ def test_prints_go_to_a_log_beside_the_result_which_is_no_file_of_the_users(task
     ("PrintsMuch", r"has printed more than 64 MiB, the last of it in predict for mock-0001-v0"),  # fills their log
 ])
 def test_a_method_that_breaks_is_a_mistake_in_the_input(trial, name, message):
+    name, _, code = name.partition(" ")
     with pytest.raises(MethodError, match=message):
-        trial(name)
+        trial(name, CODE=code)
 
 
 def test_the_contract_is_tested_first(task, toy_dataset):

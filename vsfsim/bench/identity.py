@@ -41,8 +41,8 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
     named = named_files(dict(parameters), folder)
     seen = {path.resolve() for path in (*named.values(), *files_of(name, folder).values())}
     for text in opened:
-        path = Path(folder, text).resolve()
-        if path not in seen and path.is_file():
+        path = Path(folder, text)
+        if os.path.isfile(path) and (path := path.resolve()) not in seen:  # of no file is even a name too long
             named[str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)] = path
     return out | {text: file_sha256(path) for text, path in named.items()}
 

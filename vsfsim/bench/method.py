@@ -280,13 +280,13 @@ def checked_choice(index: Any, offered: int) -> int:
 def _real(prediction: Any, name: str) -> np.ndarray:
     """``prediction`` as float64, if it is made of real numbers."""
     try:
-        array = np.asarray(prediction)
+        array = np.asarray(np.ma.filled(prediction, np.nan))  # what is masked is no number
         if array.dtype.kind not in "fiub" and not (array.dtype.kind == "O" and array.size):
             raise TypeError(f"its dtype is {array.dtype}")
         return np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise MethodError(f"prediction for {name} is no array of real numbers: {plain(error)}. Answer with floats, "
-                          f"(T, d).") from error
+        raise MethodError(f"prediction for {name} is no array of real numbers: {plain(error).rstrip('.')}. Answer "
+                          f"with floats, (T, d).") from error
 
 
 def check_support(support: Sequence[Reading]) -> None:

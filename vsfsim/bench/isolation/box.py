@@ -14,6 +14,7 @@ import contextlib
 import ctypes
 import os
 import platform
+import struct
 import sys
 import tempfile
 from typing import Any
@@ -23,9 +24,11 @@ _BIND, _REC, _PRIVATE, _DETACH = 4096, 16384, 1 << 18, 2
 _MOUNT_SETATTR, _RECURSIVE, _RDONLY, _NOSUID = 442, 0x8000, 1, 2
 _DUMPABLE, _SECCOMP, _NO_NEW_PRIVILEGES = 4, 22, 38
 _NOBODY = 65534
-_KEYS = {"x86_64": (0xC000003E, (248, 249, 250)), "aarch64": (0xC00000B7, (217, 218, 219))}
-"""Of a machine, the number of its system calls' table, and add_key, request_key and keyctl in it: the kernel's keyrings
-are in no namespace of root's."""
+_CALLS = {"x86_64": (0xC000003E, 41, (248, 249, 250)), "aarch64": (0xC00000B7, 198, (217, 218, 219))}
+# Of a machine, the number of its system calls' table, and in it socket, and add_key, request_key and keyctl: the
+# kernel's keyrings are in no namespace of root's, and sockets to the host of a virtual machine (AF_VSOCK) in none.
+_VSOCK, _X32 = 40, 0x40000000
+# The family of these sockets, and the least number of a call of x86_64's second table.
 
 
 def leave() -> None:
@@ -116,22 +119,18 @@ def _lose_privileges(libc: ctypes.CDLL) -> None:
             os.setresuid(_NOBODY, _NOBODY, _NOBODY)
             libc.prctl(_DUMPABLE, 1, 0, 0, 0)
     _check(libc.capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()), "capset")
-    if platform.machine() in _KEYS:
-        table, calls = _KEYS[platform.machine()]
-        # load the table's number; if it is another one, refuse; load the call's number; compare; refuse (EPERM); allow
-        steps = [(0x20, 0, 0, 4), (0x15, 0, len(calls) + 1, table), (0x20, 0, 0, 0),
-                 *((0x15, len(calls) - 1 - k, int(k == len(calls) - 1), call) for k, call in enumerate(calls)),
-                 (0x06, 0, 0, 0x50001), (0x06, 0, 0, 0x7FFF0000)]
-        _check(_filter(libc, steps), "seccomp")
-
-
-def _filter(libc: ctypes.CDLL, steps: list[tuple[int, int, int, int]]) -> int:
-    """A filter of system calls from steps (code, jump if true, jump if false, operand), see seccomp(2)."""
-    content = b"".join(code.to_bytes(2, sys.byteorder) + bytes((yes, no)) + operand.to_bytes(4, sys.byteorder)
-                       for code, yes, no, operand in steps)
-    buffer = ctypes.create_string_buffer(content, len(content))
-    program = (ctypes.c_uint64 * 2)(len(steps), ctypes.addressof(buffer))
-    return libc.prctl(_SECCOMP, 2, program, 0, 0)
+    if platform.machine() in _CALLS:
+        table, socket, keys = _CALLS[platform.machine()]
+        # load the table's number; if it is another one, refuse; load the call's number; compare; of a socket, load its
+        # family and compare; allow; refuse (EPERM)
+        steps = [(0x20, 0, 0, 4), (0x15, 0, len(keys) + 6, table), (0x20, 0, 0, 0),
+                 (0x35, len(keys) + 4, 0, _X32),
+                 *((0x15, len(keys) + 3 - k, 0, call) for k, call in enumerate(keys)),
+                 (0x15, 0, 2, socket), (0x20, 0, 0, 16), (0x15, 1, 0, _VSOCK),
+                 (0x06, 0, 0, 0x7FFF0000), (0x06, 0, 0, 0x50001)]
+        buffer = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))  # see seccomp(2)
+        program = (ctypes.c_uint64 * 2)(len(steps), ctypes.addressof(buffer))
+        _check(libc.prctl(_SECCOMP, 2, program, 0, 0), "seccomp")
 
 
 def _set(path: str, on: int, off: int, flags: int = 0) -> None:

@@ -32,6 +32,7 @@ from vsfsim.bench.method import (
 )
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
+from vsfsim.core.plain_text import plain
 
 OPTIONAL = ("predict_std", "stiffness", "locate", "choose")
 """Functions of a method that the scorer asks for where they exist."""
@@ -49,8 +50,9 @@ def main(line: Connection) -> None:
             except BaseException as error:  # a method may raise anything, SystemExit included
                 traceback.print_exc()
                 reply = _failure(error)
-            sys.stdout.flush()
-            sys.stderr.flush()
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(Exception):  # a method may have closed or replaced it
+                    stream.flush()
             line.send_bytes(encoded(reply))
 
 
@@ -197,4 +199,4 @@ def _numbers(value: Any, what: str) -> np.ndarray:
 
 def _failure(error: BaseException) -> Reply:
     kind = "missing" if isinstance(error, MissingPackage) else "refused" if isinstance(error, VsfsimError) else "raised"
-    return Reply({"error": kind, "type": type(error).__name__, "text": str(error)})
+    return Reply({"error": kind, "type": plain(type(error).__name__), "text": plain(error)})

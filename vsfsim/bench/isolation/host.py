@@ -128,6 +128,8 @@ def _begin(given: dict[str, Any]) -> None:
             os.chdir(given["folder"])
         else:
             box.enter({**given["box"], "root": given["folder"]})
+            os.close(0)
+            os.open("/dev/null", os.O_RDONLY)  # in the container it is read-only; the one from outside keeps a time
         os.environ.update(given["environment"])
         child.private_caches(Path.cwd(), given["cache"])
         limits.apply(given["memory"], given["box"] is not None)
@@ -136,7 +138,6 @@ def _begin(given: dict[str, Any]) -> None:
     except BaseException as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
     finally:
-        sys.stdout.flush()
         os._exit(0)
 
 

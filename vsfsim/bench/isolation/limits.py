@@ -149,8 +149,10 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], h
               *filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))]
     apart = {"/", os.path.expanduser("~"), "/tmp", "/home", *(path for path in _SYSTEM if os.path.islink(path))}
     paths = {form(path) for path in map(str, wanted) for form in (os.path.realpath, os.path.abspath)} - apart
+    # in a wheel they lie inside the package
+    shipped = [Path(vsfsim.__path__[0], name) for name in ("leaderboard", "scenes", "tasks")]
     devices = {path for pattern in _DEVICES for path in glob.glob(pattern)}
     return {"shown": sorted({path for path in paths if os.path.exists(path)
                              and not path.startswith(("/proc", "/dev"))} | devices),
             "links": [(path, os.readlink(path)) for path in _SYSTEM if os.path.islink(path)],
-            "hidden": [os.path.realpath(path) for path in hidden if path.is_dir()]}
+            "hidden": [os.path.realpath(path) for path in (*hidden, *shipped) if path.is_dir()]}

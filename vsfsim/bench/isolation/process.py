@@ -148,19 +148,18 @@ class MethodHost:
             MethodError: it is unknown, or breaks its contract; with every clause that it breaks.
         """
         with self._process(self.hides, {}) as process:
-            head = process.find(self.name).head
+            head, limit = process.find(self.name).head, self.isolation.timeout
             try:
-                said = Description(plain(head["entry"]), dict(head["parameters"]), bool(head["seeded"]),
-                                   *package_of(self.name))
+                parameters = dict(json.loads(json.dumps(head["parameters"], allow_nan=False)))
+                said = Description(plain(head["entry"]), parameters, bool(head["seeded"]), *package_of(self.name))
+                found = process.ask("check", self.name, "the check of its contract",
+                                    limit=limit and _CALLS * limit).head["failed"] if check else []
+                failed = "; ".join(f"{plain(clause)}: {plain(detail)}" for clause, detail in found)
             except (KeyError, TypeError, ValueError) as error:
                 raise MethodError(f"the process of {self.name} described itself with something unreadable.") from error
-            limit = self.isolation.timeout
-            failed = [] if not check else process.ask(
-                "check", self.name, "the check of its contract", limit=limit and _CALLS * limit).head["failed"]
         if failed:
-            raise MethodError(f"{self.name} does not keep the contract of a method: "
-                              + "; ".join(f"{plain(clause)}: {plain(detail)}" for clause, detail in failed)
-                              + f" `vsfsim check {self.name}` tests all of it.")
+            raise MethodError(f"{self.name} does not keep the contract of a method: {failed} `vsfsim check "
+                              f"{self.name}` tests all of it.")
         return said
 
     def learn(self, specimens: Sequence[Specimen], *, seed: int | None,
@@ -178,8 +177,9 @@ class MethodHost:
             reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
         # a container's own files are no one else's, whatever lies here at their paths
         shown = ["/"] if self.isolation.sandbox == "process" else self._places["shown"]
-        opened = tuple(name for name in map(str, reply.head.get("opened", ()))
-                       if not name.startswith("/proc/") and not name.endswith(".pyc")
+        said = reply.head.get("opened")
+        opened = tuple(name for name in map(str, said if isinstance(said, list) else ())
+                       if not name.startswith(("/proc/", "/sys/")) and not name.endswith(".pyc")
                        and any(Path(name).is_relative_to(path) for path in shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened, process.seconds["meta_fit"],
                        seed, given)
@@ -191,8 +191,7 @@ class MethodHost:
         Args:
             learned: by the method. view: of the object. support: the touches that were made. where: for messages.
         """
-        hide = self.hides or learned.on_host
-        with self._process(hide, learned.environment) as process:
+        with self._process(self.hides or learned.on_host, learned.environment) as process:
             process.find()
             process.ask("restore", (learned.seed, learned.state), "the copy of what it learned")
             process.ask("object", (view, list(support)), where)
@@ -214,9 +213,8 @@ class MethodHost:
     def _start(self, hide: bool, environment: Mapping[str, str]) -> Process:
         boxed = self.isolation.sandbox != "process"
         (line, theirs), (end, watcher) = socket.socketpair(), socket.socketpair()
-        given = {"box": self._places if boxed else None, "folder": str(self._folder), "most": LARGEST_LOG,
-                 "memory": self.isolation.memory, "cache": kernels(),
-                 "environment": dict(environment)}
+        given = {"box": self._places if boxed else None, "folder": str(self._folder), "cache": kernels(),
+                 "most": LARGEST_LOG, "memory": self.isolation.memory, "environment": dict(environment)}
         try:
             with self._lock, open(self.log, "ab") as log:
                 control = self._host(hide)
@@ -315,10 +313,8 @@ class Process:
         if kind is None:
             return reply
         text = plain(reply.head.get("text", ""))
-        if kind == "missing":
-            raise MissingPackage(text)
-        if kind == "refused":
-            raise MethodError(text)
+        if kind in ("missing", "refused"):
+            raise (MissingPackage if kind == "missing" else MethodError)(text)
         failure = MethodError(f"the method raised {plain(reply.head.get('type', 'an error'))} in {what}: "
                               f"{text.rstrip('.')}.{self._notes(reply.head.get('type'))} --debug shows where.")
         failure.add_note(self._host.tail())
