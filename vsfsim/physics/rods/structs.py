@@ -183,27 +183,18 @@ Segments = struct(
     contact_count="int32 BN  number of its contacts; first a bit for each capsule that is near")
 
 # The linear system of a Newton step, in 6-vectors and 6 x 6 blocks of (position, spin) at the nodes [N, N m, m, rad]. A
-# segment contributes to two nodes: what ends in `_child` belongs to the node of its own number, what ends in `_parent`
-# to that node's parent. The elastic gradient, and the child's block of `elastic`, are first the segment's at its child,
-# then the node's.
+# segment contributes to two nodes, the child, which has its number, and that node's parent. `gradient` is first the
+# segment's at its child, then the node's; `hessian` is first of the elastic energy, then with the contacts.
 System = struct(
     "System",
     gradient="spatial_vectord BN  of the potential",
-    contact_gradient_child="spatial_vectord BN  of the segment's contact energy at the child",
-    contact_gradient_parent="spatial_vectord BN  at the parent",
-    elastic_gradient="spatial_vectord BN  of the elastic energy less the dead load",
-    elastic_gradient_parent="spatial_vectord BN  of the segment's elastic energy at its parent",
-    elastic="Blocks BN  second derivative of the elastic energy",
-    contact_block_child="spatial_matrixd BN  second derivative of the segment's contact energy",
-    contact_block_parent="spatial_matrixd BN  at the parent",
-    contact_rhs_child="spatial_vectord BN  minus the gradient of the contacts in the step's model",
-    contact_rhs_parent="spatial_vectord BN  at the parent",
+    gradient_parent="spatial_vectord BN  of the segment's potential at its parent",
+    hessian="Blocks BN  second derivative of the segment's potential",
     diagonal="spatial_matrixd BN  diagonal block of the system",
     child_parent="spatial_matrixd BN  rows of the node and columns of its parent",
     parent_child="spatial_matrixd BN  rows of the parent, columns of the node (if unsymmetric)",
-    rhs="spatial_vectord BN  right-hand side",
     eliminated_coupling="spatial_matrixd BN  inverse diagonal block times `child_parent`, eliminated",
-    eliminated_rhs="spatial_vectord BN  inverse diagonal block times `rhs`, eliminated",
+    eliminated_gradient="spatial_vectord BN  inverse diagonal block times minus `gradient`, eliminated",
     step="spatial_vectord BN  the Newton step: displacement and spin")
 
 # What the end of a segment has of a contact.
@@ -227,7 +218,6 @@ Contact = struct(
     fibre="int32 -  number of the fibre in `Trees`",
     node="int32 -  segment of the fibre, counted within the plant",
     capsule="int32 -  number of the capsule",
-    in_step="int32 -  1 where the contact takes part in the model of the step",
     place="float64 -  place of the point along the segment, 0 to 1 [-]",
     stiffness="float64 -  penalty of the point [N/m]",
     gap_start="float64 -  gap of the patch at the start of the stride, 0 where closed [m]",

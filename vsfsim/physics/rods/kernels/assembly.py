@@ -43,9 +43,8 @@ from vsfsim.physics.rods.kernels.segment import (
     real,
     spatial,
 )
-from vsfsim.physics.rods.structs import Contact, End, State, Stick, Thread, Touches, Trees, Work
+from vsfsim.physics.rods.structs import Contact, State, Stick, Thread, Touches, Trees, Work
 
-vec6 = wp.spatial_vectord
 # the blocks of a segment, by the nodes of their rows and columns
 CHILD, PARENT, CHILD_PARENT, PARENT_CHILD = (wp.constant(k) for k in range(4))
 
@@ -71,7 +70,6 @@ def update_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, side: int)
             at = pressed(tree, touch, me, at, w.now, w.capsules)
             force = normal_force(wp.max(-at.gap.value, ZERO), at.stiffness)
             at.friction_limit = touch.friction[b] * force
-            at.in_step = wp.where(at.gap.value < ZERO, 1, 0)
             total = total + force
             if at.friction_limit > ZERO:
                 y0, _arm_p, _arm_c = material_point(tree, me, at.node, at.fibre, at.place, w.start)
@@ -117,7 +115,8 @@ def contact_energy(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, 
 
 @wp.func
 def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric: real):
-    """The gradient, and the blocks of the elastic energy. Returns the number of slipping points."""
+    """The gradient at each node, and the second derivative of each segment's elastic energy. Returns the number of
+    slipping points."""
     b = me.b
     o = me.o
     slipping = int(0)
@@ -129,61 +128,50 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
         mu = moment(s, kphi, wire, w.nodes.plastic[b, i])
         f, mc, mp = gradient(s, tree.kd[o + i], mu)
         w.segments.strain[b, i] = s
-        w.system.elastic_gradient[b, i] = spatial(f - tree.load[o + i], mc)
-        w.system.elastic_gradient_parent[b, i] = spatial(-f, mp)
         bend = moment_tangent(s, kphi, wire, w.nodes.plastic[b, i])
-        w.system.elastic[b, i] = hessian(s, tree.kd[o + i], mu, bend, geometric)
-        on = vec6()
-        up = vec6()
+        w.system.hessian[b, i] = hessian(s, tree.kd[o + i], mu, bend, geometric)
+        on = spatial(f - tree.load[o + i], mc)
+        up = spatial(-f, mp)
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             at = w.contacts[side, b, c]
-            if at.in_step == 1:
+            if at.gap.value < ZERO:
                 up = up + end_force(at, at.parent)
                 on = on + end_force(at, at.child)
                 if at.friction_limit > ZERO and at.stiffness * wp.length(at.slip) > at.friction_limit:
                     slipping = slipping + 1
-        w.system.contact_gradient_child[b, i] = on
-        w.system.contact_gradient_parent[b, i] = up
+        w.system.gradient[b, i] = on
+        w.system.gradient_parent[b, i] = up
     sync()
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        elastic = w.system.elastic_gradient[b, i]
-        g = w.system.contact_gradient_child[b, i]
-        own = w.system.elastic[b, i].child
+        g = w.system.gradient[b, i]
         kid = tree.child[o + i]
         while kid >= 0:
             if w.nodes.active[b, kid] == 1:
-                elastic = elastic + w.system.elastic_gradient_parent[b, kid]
-                g = g + w.system.contact_gradient_parent[b, kid]
-                own = own + w.system.elastic[b, kid].parent
+                g = g + w.system.gradient_parent[b, kid]
             kid = tree.next[o + kid]
-        w.system.elastic_gradient[b, i] = elastic
-        w.system.gradient[b, i] = elastic + g
-        w.system.elastic[b, i].child = own
+        w.system.gradient[b, i] = g
     sync()
     return lane_count(slipping)
 
 
 @wp.func
 def contact_hessians(touch: Touches, w: Work, me: Thread, side: int, geometric: real, coulomb: int):
-    """Second derivatives of the contacts. An open contact is a plane with the penalty's stiffness. With ``coulomb`` the
-    friction limit follows the normal force."""
+    """Second derivatives of the contacts that press. With ``coulomb`` the friction limit follows the normal force."""
     b = me.b
     for c in range(me.lane, w.count[side, b], me.lanes):
         at = w.contacts[side, b, c]
-        n = at.gap.normal
-        at.normal_hessian = at.stiffness * wp.outer(n, n)
-        at.friction_hessian = mat33()
-        at.coulomb_hessian = mat33()
         if at.gap.value < ZERO:
+            n = at.gap.normal
             at.normal_hessian = normal_hessian(at.gap, at.stiffness, geometric)
+            at.coulomb_hessian = mat33()
             if at.friction_limit > ZERO:
                 size = wp.length(at.slip)
                 at.friction_hessian = friction_hessian(at.slip, n, at.stiffness, at.friction_limit)
                 if coulomb == 1 and at.stiffness * size > at.friction_limit:
                     bend = touch.friction[b] * normal_stiffness(-at.gap.value, at.stiffness) / size
                     at.coulomb_hessian = -bend * wp.outer(at.slip, n)
-        w.contacts[side, b, c] = at
+            w.contacts[side, b, c] = at
     sync()
 
 
@@ -196,7 +184,7 @@ def end_of(at: Contact, parent: bool):
 
 @wp.func
 def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric: real, coulomb: int):
-    """Blocks and right-hand side of the step, from the elastic energy and the contacts that take part."""
+    """The matrix of the step, from the elastic energy and the contacts that press."""
     b = me.b
     o = me.o
     # one item for each of the four blocks of a segment: there are few segments with contacts and many lanes
@@ -206,14 +194,17 @@ def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geome
         if w.segments.contact_count[b, i] == 0 or (block == PARENT_CHILD and coulomb == 0):
             continue
         own = mat66()
+        if block == CHILD:
+            own = w.system.hessian[b, i].child
+        if block == PARENT:
+            own = w.system.hessian[b, i].parent
         if block == CHILD_PARENT:
-            own = w.system.elastic[b, i].mixed
+            own = w.system.hessian[b, i].mixed
         if block == PARENT_CHILD:
-            own = wp.transpose(w.system.elastic[b, i].mixed)
-        right = vec6()
+            own = wp.transpose(w.system.hessian[b, i].mixed)
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             at = w.contacts[side, b, c]
-            if at.in_step == 1:
+            if at.gap.value < ZERO:
                 row = end_of(at, block == PARENT or block == PARENT_CHILD)
                 column = end_of(at, block == PARENT or block == CHILD_PARENT)
                 share = row.share * column.share
@@ -222,17 +213,13 @@ def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geome
                     own = plus_point(own, at.friction_hessian, row.surface, column.surface, share)
                     if coulomb == 1:
                         own = plus_point(own, at.coulomb_hessian, row.surface, column.arm, share)
-                if block == CHILD or block == PARENT:
-                    right = right - end_force(at, row)
-                    if geometric > ZERO and at.gap.value < ZERO:
-                        own = plus_spin(own, turn_hessian(at.normal_gradient, row.arm), row.share)
-                        own = plus_spin(own, turn_hessian(at.friction_gradient, row.surface), row.share)
+                if geometric > ZERO and (block == CHILD or block == PARENT):
+                    own = plus_spin(own, turn_hessian(at.normal_gradient, row.arm), row.share)
+                    own = plus_spin(own, turn_hessian(at.friction_gradient, row.surface), row.share)
         if block == CHILD:
-            w.system.contact_block_child[b, i] = own
-            w.system.contact_rhs_child[b, i] = right
+            w.system.hessian[b, i].child = own
         if block == PARENT:
-            w.system.contact_block_parent[b, i] = own
-            w.system.contact_rhs_parent[b, i] = right
+            w.system.hessian[b, i].parent = own
         if block == CHILD_PARENT:
             w.system.child_parent[b, i] = own
         if block == PARENT_CHILD:
@@ -240,48 +227,18 @@ def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geome
     sync()
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
-        diagonal = w.system.elastic[b, i].child
-        right = -w.system.elastic_gradient[b, i]
-        if w.segments.contact_count[b, i] > 0:
-            diagonal = diagonal + w.system.contact_block_child[b, i]
-            right = right + w.system.contact_rhs_child[b, i]
-        else:
-            w.system.child_parent[b, i] = w.system.elastic[b, i].mixed
+        diagonal = w.system.hessian[b, i].child
+        if w.segments.contact_count[b, i] == 0:
+            w.system.child_parent[b, i] = w.system.hessian[b, i].mixed
             if coulomb == 1:
-                w.system.parent_child[b, i] = wp.transpose(w.system.elastic[b, i].mixed)
+                w.system.parent_child[b, i] = wp.transpose(w.system.hessian[b, i].mixed)
         kid = tree.child[o + i]
         while kid >= 0:
-            if w.nodes.active[b, kid] == 1 and w.segments.contact_count[b, kid] > 0:
-                diagonal = diagonal + w.system.contact_block_parent[b, kid]
-                right = right + w.system.contact_rhs_parent[b, kid]
+            if w.nodes.active[b, kid] == 1:
+                diagonal = diagonal + w.system.hessian[b, kid].parent
             kid = tree.next[o + kid]
         w.system.diagonal[b, i] = diagonal
-        w.system.rhs[b, i] = right
     sync()
-
-
-@wp.func
-def carried(end: End, step: vec6):
-    """What a point moves by the ``step`` of the node at one end [m]."""
-    return end.share * (wp.spatial_top(step) + wp.cross(wp.spatial_bottom(step), end.arm))
-
-
-@wp.func
-def predict_contacts(tree: Trees, w: Work, me: Thread, side: int):
-    """Predicts from the step which contacts will press, and takes these into the model of the step. Returns the number
-    of contacts that changed."""
-    b = me.b
-    changed = int(0)
-    for c in range(me.lane, w.count[side, b], me.lanes):
-        at = w.contacts[side, b, c]
-        i = at.node
-        way = carried(at.parent, w.system.step[b, tree.parent[me.o + i]]) + carried(at.child, w.system.step[b, i])
-        on = wp.where(-at.gap.value - wp.dot(at.gap.normal, way) > ZERO, 1, 0)
-        if on != at.in_step:
-            w.contacts[side, b, c].in_step = on
-            changed = changed + 1
-    sync()
-    return lane_count(changed)
 
 
 @wp.func

@@ -21,9 +21,9 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
     auto exchange = [](double& one, double& other) { const double kept = one; one = other; other = kept; };
     {
         auto& block = *wp::address(diagonal, b, i);
-        auto& side = *wp::address(right, b, i);
+        auto& g = *wp::address(gradient, b, i);
         for (int r = 0; r < 6; ++r) {
-            v[r] = side[r];
+            v[r] = -g[r];
             for (int c = 0; c < 6; ++c)
                 d[r][c] = block.data[r][c];
         }
@@ -110,7 +110,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
 """)
 def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32),
               diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
-              across: wp.array2d(dtype=mat66), right: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66),
+              across: wp.array2d(dtype=mat66), gradient: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66),
               held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
     """Eliminates node ``i``, whose children are eliminated already: applies the inverse of its block to the column.
 
@@ -162,8 +162,8 @@ def solve(tree: Trees, w: Work, me: Thread, levels: int, coulomb: int):
             for a in range(w.nodes.level[b, d] + begin, w.nodes.level[b, d + 1], by):
                 i = w.nodes.order[b, a]
                 fine = eliminate(tree.child, tree.next, w.nodes.active, w.system.diagonal, w.system.child_parent,
-                                 w.system.parent_child, w.system.rhs, w.system.eliminated_coupling,
-                                 w.system.eliminated_rhs, b, me.o, i, column, 1 - coulomb)
+                                 w.system.parent_child, w.system.gradient, w.system.eliminated_coupling,
+                                 w.system.eliminated_gradient, b, me.o, i, column, 1 - coulomb)
                 if fine == 0:
                     lost = lost + 1
         sync()
@@ -176,6 +176,6 @@ def solve(tree: Trees, w: Work, me: Thread, levels: int, coulomb: int):
         for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
             i = w.nodes.order[b, a]
             p = tree.parent[me.o + i]
-            substitute(w.system.eliminated_coupling, w.system.eliminated_rhs, w.system.step, b, p, i)
+            substitute(w.system.eliminated_coupling, w.system.eliminated_gradient, w.system.step, b, p, i)
         sync()
     return 1
