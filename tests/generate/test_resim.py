@@ -40,7 +40,7 @@ TASK = """
 name = "sprung-v1"
 description = "Predict a probe on a spring."
 dataset = { folder = "sprung", scene = "sprung", seed = 0, objects = 3, views = 1, touches = 5, tier = "linear" }
-protocol = { folds = 3, shots = [0, 1], draws = 2, trainings = 1, query = 3, seed = 0, unresolved = "scored" }
+protocol = { folds = 3, shots = [0, 1], draws = 1, trainings = 1, query = 3, seed = 0, unresolved = "scored" }
 observation = { kind = "normal-force" }
 noise = { force_std = 0.15, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
 metrics = { primary = "rmse_ratio", ranking_shot = 1 }
