@@ -67,7 +67,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         works here.
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished trainings are kept beside it until
         all are done, and what the method prints goes to a file beside it, RESULT.json.log.
-        preset: "paper" or "tuned", settings of a method that ships; "" for none.
+        preset: "paper", "exact" or "tuned", settings of a method that ships; "" for none.
         keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view`
         draws; "" writes none.
         check: test the method's contract on mock objects first.

@@ -79,7 +79,7 @@ class Choice:
     method: str
     """Name of the method."""
     preset: str
-    """"paper" or "tuned"; "" for none."""
+    """One of `PRESETS`; "" for none."""
     parameters: Mapping[str, Any]
     """Of its constructor, over its defaults."""
 
