@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import copy
 import dataclasses
 import pickle
 from collections.abc import Callable, Mapping, Sequence
@@ -59,7 +57,7 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
 
     Args:
         name: an installed method, or module:attribute. parameters: of its constructor.
-        brief: only the clauses that a few adaptations of one instance can test; `vsfsim evaluate` tests these first.
+        brief: let it learn only once, and leave out `_LONGER`; `vsfsim evaluate` tests this first.
 
     Returns:
         One finding a clause; the method conforms if none of them failed.
@@ -70,13 +68,9 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
     factory = find_method(name)
     values = parameters_of(factory, parameters or {})
     build_method(factory, values)
-    contract, out = _Contract(factory, values, brief), list[Finding]()
-    for clause, test, in_brief in _CLAUSES:
-        if in_brief or not brief:
-            out.append(_try(clause, test, contract))
-        if brief and out[-1].outcome == "failed":
-            break  # the next clause would fail for the same reason
-    return tuple(out)
+    contract = _Contract(factory, values, brief)
+    return tuple(_try(clause, test, contract) for clause, test in _CLAUSES.items()
+                 if not (brief and clause in _LONGER))
 
 
 def report(name: str, findings: Sequence[Finding]) -> str:
@@ -112,7 +106,7 @@ def _try(clause: str, test: Callable[[_Contract], str | None], contract: _Contra
 
 class _Contract:
     """The mock objects, and the clauses that are tested on them, a function each: it raises if the method breaks the
-    clause, and may return what was observed."""
+    clause, and may return what was observed. A clause begins with a copy of what was learned, as a trial does."""
 
     def __init__(self, factory: type, values: Mapping[str, Any], brief: bool):
         task = parse_task(MOCK_TASK, "mock task")
@@ -122,8 +116,11 @@ class _Contract:
         self.specimens = tuple(specimen(mock_view(i, split="train"), task) for i in range(2))
         self.view, self.readings, self.clean = frozen_view(test.view), recording.readings, recording.clean
         self.support, self.actions = self.readings[:5], [reading.action for reading in self.readings[5:]]
+        self.gap = [self.spoiled(reading, 4, valid=False) for reading in self.support]
         self.other = record(mock_view(3, stiffness=4.0), task).readings
         self._learned: Method | None = None
+        self._state: Any = None
+        self._adapted = list[Method]()
         self._untouched = self._arrays()
 
     # ------------------------------------------------------------------ what the clauses use
@@ -133,13 +130,13 @@ class _Contract:
         method.meta_fit(self.specimens)
         return method
 
-    def fitted(self) -> Method:
-        """A copy of one instance that learned, where it can be copied; learning can take minutes."""
+    def learned(self) -> Method:
         self._learned = self._learned or self.learn()
-        try:
-            return self._learned if self.brief else copy.deepcopy(self._learned)
-        except Exception:  # of what a method holds, anything may refuse to be copied
-            return self.learn()
+        return self._learned
+
+    def copy(self) -> Method:
+        self._state = self._state or packed(self.learned())
+        return unpacked(self._state, lambda: build_method(self.factory, self.values))
 
     def answer(self, method: Method, support: Sequence[Reading]) -> list[np.ndarray]:
         method.adapt(self.view, list(support))
@@ -149,95 +146,85 @@ class _Contract:
         return checked_prediction(getattr(method, function)(self.actions), self.actions,
                                   [f"mock touch {i} ({function})" for i in range(5, 8)])
 
-    def gap(self) -> list[Reading]:
-        """The support without the reading of one frame."""
-        return [self.spoiled(reading, 4, valid=False) for reading in self.support]
-
     def spoiled(self, reading: Reading, frame: int, *, valid: bool) -> Reading:
+        """A reading without the value of one frame."""
         value, known = np.array(reading.value), np.array(reading.valid)
         value[frame], known[frame] = np.nan, valid
         return dataclasses.replace(reading, value=frozen(value), valid=frozen(known))
 
-    def scored(self, support: Sequence[Reading]) -> str:
-        method = self.fitted()
-        answer = self.answer(method, support)
-        checked_prediction(method.predict([]), [], [])
-        for extra in (self.stiffness, self.spread, self.choice) if self.brief else ():
-            with contextlib.suppress(_NotOffered):
-                extra(method)
-        mine, zero = (rmse([touch_errors(p, y, r.valid) for p, y, r in zip(
-            given, self.clean[5:], self.readings[5:], strict=True)]) for given in (
-                answer, [np.zeros_like(y) for y in answer]))
-        return f"rmse {mine:.3f} N (always answering 0: {zero:.3f} N)"
-
-    def adapted(self, test: Callable[[Method], None]) -> None:
-        """Test an optional function without a touch and after some."""
-        method = self.fitted()
-        for support in ((), self.support):
-            method.adapt(self.view, list(support))
-            test(method)
+    def optional(self, name: str) -> list[Callable[..., Any]]:
+        """A function that a method may leave out, of those that predicted after no touch and after some."""
+        if not hasattr(self.learned(), name):
+            raise _NotOffered(f"no {name}()")
+        return [getattr(method, name) for method in self._adapted]
 
     def _arrays(self) -> bytes:
         return pickle.dumps((self.specimens, self.view, self.readings, self.other), protocol=4)
 
     # ------------------------------------------------------------------ clauses
 
-    def learns(self) -> None:
-        self.fitted()
+    def scored(self, support: Sequence[Reading]) -> str:
+        method = self.copy()
+        answer = self.answer(method, support)
+        checked_prediction(method.predict([]), [], [])
+        self._adapted.append(method)
+        mine, zero = (rmse([touch_errors(p, y, r.valid) for p, y, r in zip(
+            given, self.clean[5:], self.readings[5:], strict=True)]) for given in (
+                answer, [np.zeros_like(y) for y in answer]))
+        return f"rmse {mine:.3f} N (always answering 0: {zero:.3f} N)"
+
+    def handed_on(self) -> None:
+        _agree(self.answer(self.copy(), self.support), self.answer(self.learned(), self.support),
+               "a copy of what it learned answers differently from the one that learned. What it learned must belong "
+               "to the object.")
 
     def deterministic(self) -> None:
-        one, other = self.fitted(), self.fitted() if self.brief else self.learn()
-        _agree(self.answer(one, self.gap()), self.answer(other, self.gap()),
+        other = self.copy() if self.brief else self.learn()
+        _agree(self.answer(self.copy(), self.gap), self.answer(other, self.gap),
                "the same touches gave another answer the second time. Draw random numbers from a generator with a "
                "fixed seed, or take a constructor argument `seed`, and begin every adapt with what meta_fit learned.")
+
+    def forgets(self) -> None:
+        method = self.copy()
+        method.adapt(self.view, list(self.other))
+        _agree(self.answer(self.copy(), self.support), self.answer(method, self.support), "after adapting to another "
+               "object first, the answer is another one. adapt must start from what meta_fit learned.")
+
+    def predicts_twice(self) -> None:
+        method = self.copy()
+        _agree(self.answer(method, self.support), self.prediction(method),
+               "the second call of predict answers differently. predict must not change the method.")
 
     def refuses_nan(self) -> None:
         support = [self.spoiled(self.support[0], 3, valid=True), *self.support[1:]]
         try:
-            self.fitted().adapt(self.view, support)
+            self.copy().adapt(self.view, support)
         except (VsfsimError, ValueError):
             return
         raise MethodError("a NaN in a frame marked valid was accepted by adapt. Raise MethodError (or ValueError) that "
                           "names the touch.")
 
-    def forgets(self) -> None:
-        straight, method = self.answer(self.fitted(), self.support), self.fitted()
-        method.adapt(self.view, list(self.other))
-        _agree(straight, self.answer(method, self.support), "after adapting to another object first, the answer is "
-               "another one. adapt must start from what meta_fit learned.")
+    def stiffness(self) -> None:
+        for function in self.optional("stiffness"):
+            estimate = function(np.array([[-0.02, 0.0, 0.03], [0.0, 0.0, 0.03], [0.02, 0.01, 0.03]]))
+            for key in ("mean", "std"):
+                given = getattr(estimate, key, None)
+                try:
+                    values = np.asarray(given, float)
+                except (TypeError, ValueError):
+                    values = np.zeros(0)
+                if given is None or values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
+                    raise MethodError(f"stiffness of 3 points has {key} {given!r}; it must return an Estimate with 3 "
+                                      f"finite numbers >= 0.")
 
-    def predicts_twice(self) -> None:
-        method = self.fitted()
-        _agree(self.answer(method, self.support), self.prediction(method),
-               "the second call of predict answers differently. predict must not change the method.")
-
-    def handed_on(self) -> None:
-        method = self.fitted()
-        again = unpacked(packed(method), lambda: build_method(self.factory, self.values))
-        _agree(self.answer(method, self.support), self.answer(again, self.support),
-               "a copy of what it learned answers differently from the one that learned. What it learned must belong "
-               "to the object.")
-
-    def stiffness(self, method: Method) -> None:
-        estimate = _optional(method, "stiffness")(np.array([[-0.02, 0.0, 0.03], [0.0, 0.0, 0.03], [0.02, 0.01, 0.03]]))
-        for key in ("mean", "std"):
-            given = getattr(estimate, key, None)
-            try:
-                values = np.asarray(given, float)
-            except (TypeError, ValueError):
-                values = np.zeros(0)
-            if given is None or values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
-                raise MethodError(f"stiffness of 3 points has {key} {given!r}; it must return an Estimate with 3 "
-                                  f"finite numbers >= 0.")
-
-    def spread(self, method: Method) -> None:
-        _optional(method, "predict_std")
-        if any((std < 0.0).any() for std in self.prediction(method, "predict_std")):
+    def spread(self) -> None:
+        self.optional("predict_std")
+        if any((std < 0.0).any() for method in self._adapted for std in self.prediction(method, "predict_std")):
             raise MethodError("predict_std gave a negative standard deviation; it must be 0 or greater.")
 
-    def choice(self, method: Method) -> None:
-        chosen = _optional(method, "choose")(self.view, list(self.support), self.actions)
-        checked_choice(chosen, len(self.actions))
+    def choice(self) -> None:
+        for function in self.optional("choose"):
+            checked_choice(function(self.view, list(self.support), self.actions), len(self.actions))
 
     def unchanged(self) -> None:
         if self._arrays() != self._untouched:
@@ -249,25 +236,20 @@ def _agree(one: Sequence[np.ndarray], other: Sequence[np.ndarray], complaint: st
         raise MethodError(complaint)
 
 
-def _optional(method: Method, name: str) -> Callable[..., Any]:
-    if not hasattr(method, name):
-        raise _NotOffered(f"no {name}()")
-    return getattr(method, name)
-
-
-_CLAUSES: tuple[tuple[str, Callable[[_Contract], str | None], bool], ...] = (
-    ("parameters are plain values", lambda c: plain_parameters(c.values), True),
-    ("meta_fit learns from training objects", _Contract.learns, True),
-    ("predicts before any touch (0-shot)", lambda c: c.scored([]), True),
-    ("copes with frames that have no reading", lambda c: c.scored(c.gap()), True),
-    ("is deterministic", _Contract.deterministic, True),
-    ("refuses a reading that is not a number", _Contract.refuses_nan, True),
-    ("adapts to touches and predicts (5-shot)", lambda c: c.scored(c.support), False),
-    ("adapt forgets the object before", _Contract.forgets, False),
-    ("predict can be called twice", _Contract.predicts_twice, False),
-    ("what it learned can be handed to a trial", _Contract.handed_on, False),
-    ("stiffness is finite and not negative", lambda c: c.adapted(c.stiffness), False),
-    ("predict_std is finite and not negative", lambda c: c.adapted(c.spread), False),
-    ("choose names one of the offered touches", lambda c: c.adapted(c.choice), False),
-    ("leaves its input alone", _Contract.unchanged, True))
-"""Each with its function, and whether a few adaptations of one instance can test it."""
+_CLAUSES: Mapping[str, Callable[[_Contract], Any]] = {
+    "parameters are plain values": lambda c: plain_parameters(c.values),
+    "meta_fit learns from training objects": lambda c: c.learned() and None,
+    "predicts before any touch (0-shot)": lambda c: c.scored([]),
+    "copes with frames that have no reading": lambda c: c.scored(c.gap),
+    "adapts to touches and predicts (5-shot)": lambda c: c.scored(c.support),
+    "is deterministic": _Contract.deterministic,
+    "refuses a reading that is not a number": _Contract.refuses_nan,
+    "what it learned can be handed to a trial": _Contract.handed_on,
+    "adapt forgets the object before": _Contract.forgets,
+    "predict can be called twice": _Contract.predicts_twice,
+    "stiffness is finite and not negative": _Contract.stiffness,
+    "predict_std is finite and not negative": _Contract.spread,
+    "choose names one of the offered touches": _Contract.choice,
+    "leaves its input alone": _Contract.unchanged}
+_LONGER = ("adapts to touches and predicts (5-shot)", "what it learned can be handed to a trial",
+           "adapt forgets the object before", "predict can be called twice")
