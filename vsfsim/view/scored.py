@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.curves import Curves
+from vsfsim.bench import curves
 from vsfsim.bench.metric_functions import scale_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
@@ -32,7 +32,7 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
         TaskError: the file is no result, or neither its dataset nor an estimate of the stiffness is there to show.
     """
     result = Result.load(path)
-    curves, dataset = Curves.beside(result, path), _dataset(result)
+    kept, dataset = curves.load(result, path), _dataset(result)
     maps = _maps(result)
     names = sorted({*(result.queries.get("object", ()) if dataset else ()), *maps})
     if not names:
@@ -41,16 +41,16 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
                         "$VSFSIM_DATASETS to the folder that has it.")
     shown = []
     for number, name in enumerate(names[:objects]):
-        shown.append(_object(name, dataset, curves, maps.get(name)))
+        shown.append(_object(name, dataset, kept, maps.get(name)))
         if progress is not None:
             progress(number + 1, min(len(names), objects), "object views")
     parts = ["true and estimated stiffness" if maps else "no estimate of the stiffness",
-             "predictions over readings" if curves and dataset else
+             "predictions over readings" if kept and dataset else
              "no predictions (evaluate --keep predictions keeps them)" if dataset else
              "no touches, because the dataset is not on this machine"]
     about: dict[str, Any] = {"map": ["stiffness under a small cone", "N/m"]} if maps else {}
-    if curves is not None:
-        about |= {"reading": f"{result.observation} [{result.unit}]", "shots": list(curves.shots)}
+    if kept is not None:
+        about |= {"reading": f"{result.observation} [{result.unit}]", "shots": list(result.shots)}
     return (f"{result.method} on {result.task}",
             f"{len(shown)} of {len(names)} object views: {', '.join(parts)}", shown, about)
 
@@ -81,29 +81,28 @@ def _maps(result: Result) -> dict[str, np.ndarray]:
     return out
 
 
-def _object(name: str, dataset: Dataset | None, curves: Curves | None, found: np.ndarray | None) -> dict[str, Any]:
+def _object(name: str, dataset: Dataset | None, kept: curves.Curves | None, found: np.ndarray | None
+            ) -> dict[str, Any]:
     view = None if dataset is None else dataset.load(name)
     one = of_view(view) if view is not None else {"name": name, "touches": [], "picture": None}
     if found is not None:
         one |= of_body(found[:, :3], found[:, 3], np.zeros(len(found), int))
         one |= {"estimate": quantised(np.log10(found[:, 4:])),
                 "about": f"{len(found)} probed places; the estimate is scaled by one factor"}
-    if view is not None and curves is not None:
-        asked = [k for k, view_name in enumerate(curves.objects) if view_name == name]
-        one["touches"] = [{**one["touches"][int(curves.touches[k])], **_curve(view, curves, k)} for k in asked]
+    if view is not None and kept is not None:
+        one["touches"] = [{**one["touches"][index], **_curve(view, index, *arrays)}
+                          for (of, index), arrays in kept.items() if of == name]
     return one
 
 
-def _curve(view: ObjectView, curves: Curves, k: int) -> dict[str, Any]:
+def _curve(view: ObjectView, index: int, truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     """Readings of a query touch in its recorded frames: true, and predicted by shot, means over runs. Of a reading of
     several numbers its norm."""
-    touch = view.touches[int(curves.touches[k])]
-    frames = slice(int(curves.start[k]), int(curves.start[k + 1]))
+    touch = view.touches[index]
     plan = np.arange(len(touch.time)) if touch.planned_frame is None else touch.planned_frame
 
     def told(values: np.ndarray) -> Any:
         size = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
         return rounded(np.where(plan >= 0, size[plan], np.nan), 4)
 
-    return {"number": int(curves.touches[k]), "reading": told(curves.truth[frames]),
-            "predicted": [told(by_run[:, frames].mean(axis=0)) for by_run in curves.predicted]}
+    return {"number": index, "reading": told(truth), "predicted": [told(by_run.mean(axis=0)) for by_run in predicted]}

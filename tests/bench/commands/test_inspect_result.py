@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from vsfsim.bench import curves
 from vsfsim.bench.commands.inspect_result import inspect_result
-from vsfsim.bench.curves import Curves, beside
+from vsfsim.bench.curves import beside
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result
@@ -25,14 +26,12 @@ def kept(task, toy_dataset, tmp_path_factory):
 
 
 def test_predictions_lie_beside_the_truth(kept, toy_views):
-    curves = Curves.beside(Result.load(kept), kept)
-    assert curves.shots == ("0", "1", "5", "all") and curves.seeds == (0, 1, 2)
-    assert (curves.predicted == 2.0).all() and beside(kept).stat().st_size < 20_000
-    for k, (name, touch) in enumerate(zip(curves.objects, curves.touches)):
+    found = curves.load(Result.load(kept), kept)
+    assert len(found) == 2 * 4 and beside(kept).stat().st_size < 20_000
+    for (name, touch), (truth, predicted) in found.items():
         made = next(view for view in toy_views if view.name == name).touches[touch]
-        frames = slice(curves.start[k], curves.start[k + 1])
-        np.testing.assert_allclose(curves.truth[frames, 0], -(made.force @ made.axis), rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(curves.time[frames], made.time, rtol=1e-6)
+        assert predicted.shape == (4, 3, len(made.time), 1) and (predicted == 2.0).all()
+        np.testing.assert_allclose(truth[:, 0], -(made.force @ made.axis), rtol=1e-6, atol=1e-6)
 
 
 def test_the_worst_object_and_touch_come_first(kept, task, toy_views):

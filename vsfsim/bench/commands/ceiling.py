@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench import curves
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.catalogue import Choice
-from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.method import Action, Reading
 from vsfsim.bench.metrics import Answer
@@ -106,7 +106,7 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
     result.save(out)
     shutil.rmtree(part, ignore_errors=True)
     if keep:
-        Curves.of(answers, task, dataset, result.seeds).save(beside(out))
+        curves.save(answers, task, dataset, result.seeds, out)
     return result
 
 

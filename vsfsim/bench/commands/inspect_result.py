@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from vsfsim.bench import curves
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.curves import Curves
 from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metric_functions import object_of
 from vsfsim.bench.metrics import METRICS
@@ -40,13 +40,13 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
         TaskError: the file is not a result, its predictions are of another one, or it has no such shot.
     """
     result = Result.load(path)
-    curves = Curves.beside(result, path)
+    kept = curves.load(result, path)
     metric, ranking = _asked(result)
     shot = shot or ranking
     if shot not in result.shots:
         raise TaskError(f"--shot is '{shot}'. {did_you_mean(shot, result.shots)}")
     objects = {label: by_object(result, metric, label) for label in result.shots}
-    touches = _touches(result, shot, curves)
+    touches = _touches(result, shot, kept)
     order = sorted(objects[shot], key=lambda name: objects[shot][name], reverse=not METRICS[metric].higher_is_better)
     kinds = by_kind(result, load_task(result.task)) if result.task in shelf.tasks() else {}
     page = filled("inspect.txt", scores=Markup(score_table(result, metric)), result=result, metric=metric, shot=shot,
@@ -56,7 +56,7 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
                   touches=[[t["view"], str(t["touch"]), *(_written(t["rmse"][label]) for label in result.shots),
                             _written(t["share"]), _written(t["gain"])] for t in touches[:MOST_LINES]],
                   presses=[[name, *(_written(of[label]) for label in result.shots)] for name, of in kinds.items()],
-                  drawn=curves is not None, path=str(path))
+                  drawn=kept is not None, path=str(path))
     return page, {"task": result.task, "method": result.method, "metric": metric, "shot": shot, "objects": objects,
                   "presses": kinds, "touches": touches}
 
@@ -92,7 +92,7 @@ def _asked(result: Result) -> tuple[str, str]:
     return ("rmse_ratio" if "rmse_ratio" in result.scores else "rmse"), result.shots[-2 if len(result.shots) > 1 else 0]
 
 
-def _touches(result: Result, shot: str, curves: Curves | None) -> list[dict[str, Any]]:
+def _touches(result: Result, shot: str, kept: curves.Curves | None) -> list[dict[str, Any]]:
     """The query touches, means over runs, the worst first: the root mean square error by shot [unit]; the share of it
     at ``shot`` of what predicting zero errs on the object's touches [-]; and the gain, the factor of the truth that
     comes nearest to the prediction [-]. The last two are NaN where they are not known."""
@@ -103,7 +103,10 @@ def _touches(result: Result, shot: str, curves: Curves | None) -> list[dict[str,
         errors.setdefault(key, {}).setdefault(row["shot"], []).append(math.sqrt(row["sse"] / row["n"]))
         if row["ss"] is not None:
             zero.setdefault(object_of(row["object"]), {})[key] = math.sqrt(row["ss"] / row["n"])
-    gains = _gains(curves, shot) if curves is not None else {}
+    gains = {}
+    for key, (truth, predicted) in (kept or {}).items():
+        size, mean = float(np.nansum(truth**2)), predicted[result.shots.index(shot)].mean(axis=0)
+        gains[key] = float(np.nansum(truth * mean)) / size if size > 0.0 else math.nan
     out = []
     for (view, touch), by_shot in errors.items():
         means = {label: math.fsum(v) / len(v) for label, v in by_shot.items()}
@@ -112,12 +115,3 @@ def _touches(result: Result, shot: str, curves: Curves | None) -> list[dict[str,
         out.append({"view": view, "touch": touch, "rmse": means, "gain": gains.get((view, touch), math.nan),
                     "share": means[shot] / level if level > 0.0 else math.nan})
     return sorted(out, key=lambda t: -(t["share"] if math.isfinite(t["share"]) else t["rmse"][shot]))
-
-
-def _gains(curves: Curves, shot: str) -> dict[tuple[str, int], float]:
-    mean, out = curves.predicted[curves.shots.index(shot)].mean(axis=0), {}
-    for view, touch, frames in curves.parts():
-        truth = curves.truth[frames]
-        size = float(np.nansum(truth**2))
-        out[view, touch] = float(np.nansum(truth * mean[frames])) / size if size > 0.0 else math.nan
-    return out

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench import curves
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.curves import Curves, beside
 from vsfsim.bench.identity import contents_of, versions_of
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import UNKNOWN, Description, MethodHost
@@ -85,7 +85,7 @@ class Evaluation:
     """Name of the settings, for the leaderboard; they are in ``parameters`` already."""
     keep: str = ""
     """"predictions": all of them are written beside the truth, into a file beside the result
-    (`vsfsim.bench.curves.Curves`)."""
+    (`vsfsim.bench.curves`)."""
     said: Description = UNKNOWN
     """What the method said of itself, once `look` was called."""
     contents: Mapping[str, str] = field(default_factory=dict)
@@ -250,7 +250,7 @@ class Evaluation:
         answers, done = self.answers()
         said, task, plain = self.said, self.task, not self.training.table()
         if self.keep:
-            Curves.of(answers, task, self.dataset, self.runs).save(beside(self.path))
+            curves.save(answers, task, self.dataset, self.runs, self.path)
         timing = {"meta_fit_s": sum(job.meta_fit_s for job in done), "fits": len(done),
                   "adapt_s": sum(a.adapt_s for a in answers), "predict_s": sum(a.predict_s for a in answers),
                   "adapts": sum(a.adapt_s > 0.0 for a in answers),
