@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from vsfsim.bench.method import Action, Reading, Surface
+from vsfsim.core.shape import ProbeShape
 from vsfsim.vsf.fields.line_integrals import DenseTouch, dome, oriented_areas
 
 Field = Callable[[np.ndarray], np.ndarray]
@@ -85,3 +87,23 @@ def layer_with_inclusion(*, soft: float = 2e8, stiff: float = 4e9, top: float = 
         return np.where(points[:, 2] > 0.0, 0.0, np.where(away < radius, stiff, soft))
 
     return field
+
+
+def two_halves(points: np.ndarray) -> np.ndarray:
+    """Stiffness density (k,) [N/m^4] of a half-space under z = 0 that is ten times as stiff where x > 0."""
+    return np.where(points[:, 2] > 0, 0.0, np.where(points[:, 0] > 0, 4e9, 4e8))
+
+
+def skin_readings(touches: list[DenseTouch], probe: ProbeShape, place: Callable[[np.ndarray], np.ndarray],
+                  *, top: float = 0.03) -> list[Reading]:
+    """The touches as a sensor with a skin reads them on a ground whose top is at z = ``top`` [m]: the force upwards,
+    and that on each vertex. ``place`` gives the sensor's origin (T, 3) [m] from its vertices (T, n, 3) [m]."""
+    out = []
+    for touch in touches:
+        vertices, frames = touch.vertices + [0.0, 0.0, top], len(touch.vertices)
+        poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (frames, 1, 1))  # +z out of the dome, towards the object
+        poses[:, :3, 3] = place(vertices)
+        action = Action(np.arange(float(frames)), poses, np.array([0.0, 0.0, -1.0]), probe, "normal-force", 1)
+        out.append(Reading(action, touch.force.sum(axis=1)[:, 2:], np.ones(frames, bool),
+                           Surface(vertices, touch.force)))
+    return out

@@ -8,7 +8,7 @@ import pytest
 
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.point_vsf import PointVsf
-from vsfsim.bench.check import MOCK_TASK, check, report
+from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.metric_functions import spearman
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -36,12 +36,6 @@ def error(method, view, recording, support, query=range(14, 20)):
     method.adapt(view.view, [recording.readings[i] for i in support])
     answer = method.predict([recording.readings[i].action for i in query])
     return float(np.sqrt(np.mean([np.mean((a - recording.clean[i]) ** 2) for a, i in zip(answer, query)])))
-
-
-@pytest.mark.parametrize("name", ["gaussian", "gaussian-zero", "point-vsf"])
-def test_the_baselines_conform(name):
-    findings = check(name)
-    assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
 
 
 @pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf])
@@ -92,21 +86,6 @@ def test_stiffness_finds_the_stiff_half(train, subject):
     assert (estimate.std < 1000.0 / 0.005**3).all()
 
 
-def test_refusals(train, subject):
-    view, recording = subject
-    with pytest.raises(MethodError, match="meta_fit or load first"):
-        GaussianAverage().adapt(view.view, [])
-    with pytest.raises(MethodError, match="prior cannot be estimated"):
-        GaussianAverage().meta_fit([])
-    with pytest.raises(MethodError, match="shows no object"):
-        PointVsf().adapt(dataclasses.replace(view.view, mask=np.zeros_like(view.view.mask)), [])
-    action = dataclasses.replace(recording.readings[0].action, observation="smell")
-    method = PointVsf()
-    method.adapt(view.view, [])
-    with pytest.raises(MethodError, match="no observation rows for 'smell'"):
-        method.predict([action])
-
-
 def test_the_filter_takes_frames_one_by_one_and_one_frame_as_the_batch_does(subject):
     """After one frame there is nothing to forget: both estimators say the same."""
     view, recording = subject[0].view, subject[1]
@@ -127,5 +106,3 @@ def test_the_filter_takes_frames_one_by_one_and_one_frame_as_the_batch_does(subj
     broken = dataclasses.replace(one, value=np.full_like(one.value, np.nan))
     with pytest.raises(MethodError, match="touch 2 of the support"):
         online.adapt(view, [*recording.readings[1:3], broken])
-    with pytest.raises(MethodError, match="batch, filter"):
-        PointVsf(estimator="kalman")

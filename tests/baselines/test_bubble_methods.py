@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from palpation import palpate
+from palpation import palpate, skin_readings, two_halves
 
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf
 from vsfsim.baselines.known_object import touched_points
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
-from vsfsim.bench.method import Action, Reading, Surface
+from vsfsim.bench.method import Reading, Surface
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.dome import Dome
 from vsfsim.vsf.fields.line_integrals import dome as cap
@@ -18,22 +18,14 @@ from vsfsim.vsf.fields.line_integrals import dome as cap
 QUICK = {"iterations": 120, "batch": 400, "samples": 6}
 
 
-def pressed(observation="pressure", touches=10):
-    """Touches of a dome on a ground that is ten times as stiff where x > 0."""
-    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=touches, frames=5,
-                     extent=(0.05, 0.04), rings=4, tilt=0.0)
+def pressed(touches):
+    """Touches of a dome on a ground that is ten times as stiff where x > 0, with the pressure that its base feels."""
+    ground = palpate(two_halves, touches=touches, frames=5, extent=(0.05, 0.04), rings=4, tilt=0.0)
     points, triangles = cap(rings=4)
     probe = Dome.of(points * [1.0, -1.0, -1.0] + [0.0, 0.0, 0.015], triangles)
-    readings = []
-    for t in ground:
-        vertices = t.vertices + [0.0, 0.0, 0.03]
-        poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (5, 1, 1))
-        poses[:, :3, 3] = vertices[:, 0] + [0.0, 0.0, 0.015]  # the apex is the first vertex, the rim 15 mm above it
-        action = Action(np.arange(5.0), poses, np.array([0.0, 0.0, -1.0]), probe, observation, 1)
-        total = t.force.sum(axis=1)[:, 2:]
-        readings.append(Reading(action, total / (7.18e-3 if observation == "pressure" else 1.0), np.ones(5, bool),
-                                Surface(vertices, t.force)))
-    return readings
+    felt = skin_readings(ground, probe, lambda vertices: vertices[:, 0] + [0.0, 0.0, 0.015])  # the apex is first
+    return [dataclasses.replace(one, action=dataclasses.replace(one.action, observation="pressure"),
+                                value=one.value / 7.18e-3) for one in felt]
 
 
 @pytest.mark.parametrize(("build", "skin", "least", "most"), [(PointVsf, False, 3.0, 15.0),

@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from vsfsim.bench.check import check, report
 from vsfsim.bench.method import build_method, find_method
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -44,6 +45,35 @@ def fitted(name, train, **more):
 def methods(world):
     """Every method, trained once."""
     return {name: fitted(name, world[0]) for name in METHODS}
+
+
+@pytest.mark.parametrize(("name", "given"), [*METHODS.items(), ("sbml", {"structure": "HE+SEG", "epochs": 1})])
+def test_it_conforms(name, given):
+    findings = check(name, parameters=given)
+    assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
+
+
+@pytest.mark.parametrize(("name", "given", "message"), [
+    ("imaml", {"features": "dino"}, "features are 'dino'"), ("imaml", {"precision": "half"}, "precision is 'half'"),
+    ("imaml", {"tasks_per_step": -1}, "tasks_per_step is -1"), ("sbml", {"structure": "HEE"}, "Did you mean 'HE"),
+    ("sbml", {"features": "xyzrgbd"}, "Did you mean 'xyzrgb'"), ("sbml", {"networks": 0}, "networks is 0"),
+    ("sbml", {"validation": 1.0}, "fraction"), ("neural-vsf", {"octaves": 0}, "octaves 0 must be at least 1"),
+    ("contact-points", {"share": 2}, "share is 2"), ("point-vsf", {"estimator": "kalman"}, "batch, filter"),
+    ("grid-vsf", {"device": "cuda:0"}, "grid-vsf: device is 'cuda:0', but it runs on the CPU only"),
+    ("grid-vsf", {"pose": "register"}, "Did you mean 'registration'"), ("fem-map-seen", {"size": 0.0}, "size is 0")])
+def test_a_setting_that_cannot_be_is_refused(name, given, message):
+    with pytest.raises(VsfsimError, match=message):
+        build_method(find_method(name), given)
+
+
+@pytest.mark.parametrize(("name", "nothing"), [
+    ("gaussian", "prior cannot be estimated"), ("sbml", "no training object"), ("imaml", "none has the two touches")])
+def test_what_learns_needs_objects_before_it_answers(name, nothing, world):
+    method = build_method(find_method(name), METHODS[name])
+    with pytest.raises(MethodError, match=r"meta_fit or load first|has learned nothing yet"):
+        method.adapt(world[1], [])
+    with pytest.raises(VsfsimError, match=nothing):
+        method.meta_fit([])
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -65,8 +65,3 @@ def test_touches_tell_the_moduli(task, tmp_path):
 def test_what_was_fitted_before_decides_no_bit():
     findings = check("fem-map-seen", parameters={"steps": 1}, brief=True)
     assert [(one.clause, one.detail) for one in findings if one.outcome == "failed"] == []
-
-
-def test_settings_must_be_positive():
-    with pytest.raises(MethodError, match="size is 0"):
-        FemMapSeen(size=0.0)

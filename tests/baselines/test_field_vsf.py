@@ -5,17 +5,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from palpation import palpate
+from palpation import palpate, skin_readings, two_halves
 from scipy import sparse
 
-from vsfsim.baselines.contact_points import ContactPoints
-from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
+from vsfsim.baselines.field_vsf import GridVsf
 from vsfsim.baselines.known_object import PoseSearch, locate
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
 from vsfsim.baselines.sensor_surface import dense_touch
-from vsfsim.bench.check import check
 from vsfsim.bench.inclusions import Inclusions
-from vsfsim.bench.method import Action, Reading, Surface
+from vsfsim.bench.method import Surface
 from vsfsim.bench.metric_functions import rotation_error, translation_error
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record
@@ -27,20 +25,11 @@ from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
 
-QUICK = {"iterations": 10, "batch": 200, "samples": 6}
-
 
 @pytest.fixture(scope="module")
 def seen():
     view = mock_view(0, touches=10)
     return view, record(view, load_task("fewshot-shoes-v3-mini-v1"))
-
-
-@pytest.mark.parametrize("name, values", [("grid-vsf", QUICK), ("neural-vsf", {**QUICK, "iterations": 2}),
-                                          ("contact-points", {})])
-def test_it_conforms(name, values):
-    failed = [f for f in check(name, parameters=values) if f.outcome == "failed"]
-    assert not failed, failed
 
 
 def test_the_grid_separates_stiff_from_soft_by_total_forces(seen):
@@ -59,15 +48,7 @@ def test_the_grid_separates_stiff_from_soft_by_total_forces(seen):
 def test_forces_on_a_surface_are_used_where_there_are_any():
     view = mock_view(0).view
     top = 0.03
-    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5,
-                      extent=(0.04, 0.04), rings=4)
-    readings = []
-    for t in touches:
-        vertices = t.vertices + [0.0, 0.0, top]
-        poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (5, 1, 1))  # +z out of the dome, towards the object
-        poses[:, :3, 3] = vertices.mean(axis=1)
-        action = Action(np.arange(5.0), poses, np.array([0.0, 0.0, -1.0]), Box((0.1, 0.1, 0.1)), "normal-force", 1)
-        readings.append(Reading(action, t.force.sum(axis=1)[:, 2:], np.ones(5, bool), Surface(vertices, t.force)))
+    readings = pressed(Box((0.1, 0.1, 0.1)), touches=10)
     # A box as the probe would be refused: the surface alone is looked at.
     method = GridVsf(iterations=60, batch=500, samples=16)
     method.adapt(view, readings)
@@ -81,23 +62,15 @@ def test_forces_on_a_surface_are_used_where_there_are_any():
     assert (np.cross(b - a, c - a)[:, 2] < 0.0).all(), "wound outwards, down to the object"
 
 
-def pressed(noise=0.0, touches=8):
+def pressed(probe, *, touches=8, noise=0.0):
     """Touches of a soft dome on a ground that is stiff where x > 0, as a sensor with a skin reads them, and their total
     force."""
-    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=touches, frames=5,
-                     extent=(0.04, 0.04), rings=4, noise=noise)
-    readings = []
-    for t in ground:
-        vertices = t.vertices + [0.0, 0.0, 0.03]
-        poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (5, 1, 1))
-        poses[:, :3, 3] = vertices.mean(axis=1)
-        action = Action(np.arange(5.0), poses, np.array([0.0, 0.0, -1.0]), Sphere(0.03), "normal-force", 1)
-        readings.append(Reading(action, t.force.sum(axis=1)[:, 2:], np.ones(5, bool), Surface(vertices, t.force)))
-    return readings
+    ground = palpate(two_halves, touches=touches, frames=5, extent=(0.04, 0.04), rings=4, noise=noise)
+    return skin_readings(ground, probe, lambda vertices: vertices.mean(axis=1))
 
 
 def test_surface_rows_are_equivalent_to_eq_3():
-    view, readings = mock_view(0).view, pressed(noise=0.002)
+    view, readings = mock_view(0).view, pressed(Sphere(0.03), noise=0.002)
     method = DenseVsf(skin_std=0.02)
     method.adapt(view, readings)
     left, right = (method.stiffness(np.array([[x, 0.0, 0.026]])).mean[0] for x in (-0.012, 0.012))
@@ -133,31 +106,6 @@ def test_surface_rows_are_equivalent_to_eq_3():
         method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices, half))])
 
 
-def test_failures_are_clear_or_have_a_defined_answer(seen):
-    view, recording = seen
-    silent = [dataclasses.replace(r, value=np.zeros_like(r.value)) for r in recording.readings[:3]]
-    broken = dataclasses.replace(recording.readings[0], value=np.full_like(recording.readings[0].value, np.nan))
-    for method in (GridVsf(**QUICK), NeuralVsf(**{**QUICK, "iterations": 2}), ContactPoints()):
-        method.adapt(view.view, silent)
-        assert not any(p.any() for p in method.predict([recording.readings[4].action]))
-        assert method.locate(*Inclusions((Inclusion("sphere", (0, 0, 0, 0.01), 1e6),), np.eye(3),
-                                     np.zeros(3)).known_object()[:2]).shape == (4, 4)
-        with pytest.raises(MethodError, match="touch 0 of the support has a reading that is not finite"):
-            method.adapt(view.view, [broken])
-    empty = dataclasses.replace(view.view, mask=np.zeros_like(view.view.mask))
-    with pytest.raises(MethodError, match="mask is empty"):
-        GridVsf(**QUICK).adapt(empty, [])
-    with pytest.raises(MethodError, match="needs 'normal-force'"):
-        action = dataclasses.replace(recording.readings[0].action, observation="force-magnitude")
-        GridVsf(**QUICK).adapt(view.view, [dataclasses.replace(recording.readings[0], action=action)])
-    with pytest.raises(MethodError, match="octaves 0 must be at least 1"):
-        NeuralVsf(octaves=0)
-    with pytest.raises(MethodError, match="share is 2"):
-        ContactPoints(share=2)
-    with pytest.raises(MethodError, match="grid-vsf: device is 'cuda:0', but it runs on the CPU only"):
-        GridVsf(device="cuda:0")
-
-
 @pytest.mark.parametrize("angle, over", [(0.7, False), (-2.1, True)])
 def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
     parts = tuple(Inclusion("capsule", (-0.025, -0.02, 0.02, x, y, 0.02, 0.008), 1e7) for x,
@@ -178,8 +126,6 @@ def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
     for given in (stiffness, under.astype(float)) if over else (stiffness,):
         found = locate(vertices, triangles, points, given, view, PoseSearch(refine=200, turned=True))
         assert translation_error(found, truth) < 4.0 and rotation_error(found, truth) < 8.0
-    with pytest.raises(MethodError, match=r"pose is 'register'\. Did you mean 'registration'"):
-        PoseSearch(pose="register")
     if not over:
         return
     # The papers' procedure has all six degrees of freedom: it fits the outside to a slab of stiff points from above and

@@ -13,8 +13,6 @@ from vsfsim.bench.metric_functions import (
     touch_uncertainty,
 )
 from vsfsim.bench.metrics import Answer, record_scores
-from vsfsim.bench.reached_points import distance
-from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 
 
 def stiffness_scores(mean, truth, std=None):
@@ -89,16 +87,3 @@ def test_stiffness_uncertainty_allows_the_same_scale_on_mean_and_std():
     assert first["stiffness_std_spearman"] > 0.5
     for none in (None, np.zeros(5)):
         assert stiffness_scores(mean, truth, none)["stiffness_nll"] is None
-
-
-@pytest.mark.parametrize(("probe", "point", "want"), [
-    (Sphere(0.01), [0, 0, 0.03], 0.02),
-    (Capsule(0.01, 0.04), [0.0, 0.03, 0.02], 0.02),
-    (Capsule(0.01, 0.04), [0.0, 0.0, 0.05], 0.02),
-    (Cylinder(0.01, 0.04), [0.0, 0.04, 0.06], 0.05),
-    (Cylinder(0.01, 0.04), [0.0, 0.0, 0.019], -0.001),
-    (Box((0.02, 0.02, 0.02)), [0.04, 0.05, 0.0], 0.05),
-    (Plane(), [5.0, 5.0, 0.1], 0.1),
-])
-def test_distance_to_probes(probe, point, want):
-    assert distance(np.array([point], float), probe)[0] == pytest.approx(want)

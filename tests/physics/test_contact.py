@@ -97,18 +97,3 @@ def test_a_plane_on_a_flat_top_meets_stiffness_times_penetration_times_area(mode
     assert force == pytest.approx([0.0, 0.0, -by_hand], rel=1e-12, abs=1e-12 * by_hand)
     assert float(contact.penetration(torch.tensor([0], device=device))) == pytest.approx(depth, rel=1e-9)
     assert energy(contact)[0] == pytest.approx(0.5 * by_hand * depth, rel=1e-9)
-
-
-def test_of_several_bodies_the_nearest_pushes_and_each_knows_its_force(model, device):
-    """Two balls far apart on the same top: the same as each alone, and the forces are told apart."""
-    poses = np.tile(np.eye(4), (1, 1, 2, 1, 1))
-    poses[0, 0, 0, :3, 3], poses[0, 0, 1, :3, 3] = [-0.012, 0.0, SIZE[2] + 0.0075], [0.012, 0.0, SIZE[2] + 0.0070]
-    both = touch(model, (Sphere(0.008), Sphere(0.008)), poses, device)
-    first = torch.tensor([0], device=device)
-    both.move(poses[0])
-    both.evaluate(first, torch.zeros_like(both.rest))
-    found = both.on_bodies(first)[0].cpu().numpy()
-    for k in range(2):
-        alone = states(model, Sphere(0.008), poses[0, 0, k], np.zeros((model.mesh.points.size, 1)), device)
-        assert found[k] == pytest.approx(-nodal(alone, 0).reshape(-1, 3).sum(axis=0), rel=1e-12)
-    assert found.sum(axis=0) == pytest.approx(-nodal(both, 0).reshape(-1, 3).sum(axis=0), rel=1e-12)

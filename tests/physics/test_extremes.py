@@ -68,14 +68,6 @@ def test_contrast_and_poissons_ratio(device, contrast, nu):
     assert frames.force[0, 0, 2] > 0.0 and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 
-def test_a_stiff_inclusion_becomes_a_rigid_one(device):
-    """The force has a limit as the contrast grows; an ill-conditioned solve would wander."""
-    force = [press(body(inclusion(c)), [0.1, 0.2], device).force[-1, 0, 2] for c in (1.0, 1e4, 1e6, 1e8)]
-    # the inclusion's own strain is 1e-4 of the body's; two equilibria to a tolerance of 1e-4 each
-    assert force[1] == pytest.approx(force[3], rel=1e-3) and force[2] == pytest.approx(force[3], rel=4e-4)
-    assert force[3] > 1.02 * force[0], "it is there to be felt"
-
-
 def test_nearly_incompressible(device):
     assert press(body(nu=0.4999), [0.05, 0.1], device).converged.all()
 
@@ -144,15 +136,6 @@ def test_a_crushed_element_is_marked(device):
     assert (frames.unbalanced_force[:3] == 0.0).all() and frames.unbalanced_force[3, 0, 2] > frames.force[2, 0, 2]
 
 
-def test_a_hard_frame_ends_at_its_limit(device):
-    """Frames that would take hundreds of iterations stop at the limit of each of their four steps at most, halves
-    included, and say so."""
-    frames = press(body(inclusion(1e8), nu=0.4999), [0.5, 0.8], device, newton_frame=10)
-    # the second frame begins from the state at rest again, and may stop with the probe past the surface's middle
-    assert (frames.iterations <= 4 * 10).all() and frames.reason[0, 0] == Reason.ITERATIONS
-    assert frames.reason[1, 0] in (Reason.ITERATIONS, Reason.WRONG_SIDE)
-
-
 # ------------------------------------------------------------------------------------------ meshes
 
 
@@ -183,17 +166,6 @@ def test_slivers(device):
 
 
 # ------------------------------------------------------------------------------------------ weight
-
-
-@pytest.mark.parametrize("young_modulus", [3e4, 3e2])
-def test_heavy_sagging(device, young_modulus):
-    """rho g h / E = 0.01 and 1: every frame converges, and the base carries all the weight, pressed or not."""
-    model = body(lambda x: np.full(x.shape[:-1], young_modulus), nu=0.45, density=1000.0, gravity=(0.0, 0.0, -9.81))
-    frames = press(model, [-0.5, 0.1], device)
-    assert frames.converged.all()
-    weight = 9.81 * 1000.0 * np.prod(SIZE)
-    # the tolerance of 1e-4 is of the sum of nodal forces, twice the weight with its signs
-    assert frames.reaction[:, 0, 2] - frames.force[:, 0, 2] == pytest.approx(weight, rel=1e-3)
 
 
 def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measurements.stability.design import design
-from measurements.stability.evidence import gather
 from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
@@ -89,19 +87,6 @@ def test_a_foundation_refuses_what_squeezes_out_sideways():
                              r"'linear' or above"):
         tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft), "vsf")
     assert tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft)) == "linear"
-
-
-@pytest.mark.parametrize(("key", "count"), [
-    pytest.param("acd3f9586c15", 3, marks=pytest.mark.slow), ("dbbb602deb2c", 8)])
-def test_frames_of_columns_arrive(key, count, tmp_path):
-    """A ball that sticks, whose friction limits went around for ever while each was damped by itself, so that three of
-    four frames converged; and a capsule under which the patch grows, which was lost where the forces began from none,
-    in the eighth frame of twelve. The ball sticks from where its stated path meets the object; on that path the fourth
-    frame is not found within 60 s of the processor, where the first three take 3 s, and is marked with that limit."""
-    frames = gather(next(c for c in design() if c.key == key), tmp_path, 60.0)
-    assert frames.converged[:count].all() and (np.diff(frames.push[:count]) > 0.0).all()
-    given_up = ~frames.converged
-    assert np.isnan(frames.push[given_up]).all() and all(frames.reasons[t] for t in np.flatnonzero(given_up))
 
 
 def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line):

@@ -29,10 +29,6 @@ def test_a_job_that_dies_and_one_that_does_not_end_leave_the_others(monkeypatch)
     assert found["waits"].late
 
 
-def test_with_no_budget_left_nothing_begins():
-    assert list(answers([1], double, workers=1, most=1.0, budget=-1.0)) == []
-
-
 def test_a_block_ends_at_its_processor_time_whatever_it_catches():
     with pytest.raises(Late), processor_time(0.1):
         while True:

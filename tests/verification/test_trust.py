@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import references
-from measurements.trust import SURE, ask, cell_of, judge, report
+from measurements.trust import ask, cell_of, judge
 from references.cells import CELLS, FRAMES
 from vsfsim.core.scene import parse_scene
 from vsfsim.physics.contact import sdf
@@ -30,24 +30,6 @@ def test_presses_take_every_reference_in_turn_and_are_the_same_every_time():
     assert {one.tier for one in found} == {"linear", "fem-coarse", "fem"}
     assert {one.way for one in found} == {"press", "slide", "scan"}
     assert not [one for one in found if one.tier == "linear" and cell_of(KNOWN[one.reference]).foam]
-
-
-def row(error, *, told=0.05, marked=False, unsure=0.0, kinds=("box",)):
-    return {"number": 0, "frame": 0, "error": error, "told": told, "marked": marked,
-            "unsure": unsure, "kinds": list(kinds)}
-
-
-def test_marks_errors_and_what_is_told_are_counted():
-    rows = [row(0.01), row(0.04), row(0.2), row(0.105, unsure=0.01), row(0.9, marked=True),
-            row(0.0, unsure=2 * SURE), {"number": 1, "why": "it died", "refused": False}]
-    found = report(rows, {"cells": 2}).record()
-    every = found["shares"][0]
-    assert every["frames"] == 5 and every["marked"] == pytest.approx(0.2)
-    assert (every["within_2"], every["within_5"], every["wrong"]) == (0.25, 0.5, 0.25), "of those without a mark"
-    assert [one["error"] for one in found["wrong"]] == [0.2]
-    told = {one["told"]: one for one in found["told"]}
-    assert told["all"]["frames"] == 4 and told["all"]["within"] == 0.5 and told["all"]["ratio"] > 3.0
-    assert found["others"] == [{"why": "it died", "number": 1}]
 
 
 def test_a_press_of_a_known_force_is_judged_frame_by_frame():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import camera_view, particles
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.features.interface import NEIGHBOURS, FeatureImage, Normaliser, project, projection
 from vsfsim.vsf.features.registry import particle_features
 
@@ -62,12 +61,3 @@ def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone()
     np.testing.assert_allclose(out[:, :2].std(axis=0), 1, rtol=1e-4)
     assert (out[:, 2] == 0.0).all()
     assert normalise(np.full((1, 3), 1e6, np.float32)).max() == 6.0
-
-
-def test_refusals(view):
-    with pytest.raises(VsfError, match=r"no features called 'locul'.*Did you mean 'local'"):
-        particle_features("locul", view, particles(), spacing=0.005)
-    with pytest.raises(VsfError, match="at least one world position"):
-        particle_features("local", view, np.zeros((0, 3)), spacing=0.005)
-    with pytest.raises(VsfError, match="mask is empty"):
-        particle_features("local", dataclasses.replace(view, mask=np.zeros_like(view.mask)), particles(), spacing=0.005)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 
 
@@ -61,15 +60,3 @@ def test_particles_that_no_frame_moves_keep_their_prior_and_springs_never_push()
     ours = DiagonalFilter.start(3, mean=5.0, var=100.0)
     ours.update(sparse.csr_matrix([[0.01, 0.0, 0.0]]), np.array([-4.0]), noise_std=0.01)
     assert ours.mean.tolist() == [0.0, 5.0, 5.0] and ours.var[1] == 100.0 and 0.0 < ours.var[0] < 100.0
-
-
-def test_refusals():
-    ours = DiagonalFilter.start(2, mean=0.0, var=1.0)
-    with pytest.raises(VsfError, match="W is 1 x 3 for 1 readings and 2 particles"):
-        ours.update(sparse.csr_matrix(np.ones((1, 3))), np.ones(1), noise_std=1.0)
-    with pytest.raises(VsfError, match="leave the frame out"):
-        ours.update(sparse.csr_matrix(np.ones((1, 2))), np.array([np.nan]), noise_std=1.0)
-    with pytest.raises(VsfError, match="greater than 0"):
-        DiagonalFilter.start(2, mean=0.0, var=0.0)
-    with pytest.raises(VsfError, match=r"shapes \(3,\) and \(\) for 2"):
-        DiagonalFilter.start(2, mean=np.ones(3), var=1.0)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.meta.calibration import Held, Level, blended, pattern_scale
 from vsfsim.vsf.meta.composition import GaussianPrior
 
@@ -52,11 +51,6 @@ def test_objects_count_alike_whatever_their_forces():
     # |2 - a|^2 / 2^2 + |1 - a|^2 / 1^2 is least at a = (1 / 2 + 1) / (1 / 4 + 1)
     assert level.network == pytest.approx(1.2)
     assert level.std == pytest.approx(np.sqrt(((2.0 / 1.2 - 1.0) ** 2 + (1.0 / 1.2 - 1.0) ** 2) / 2.0))
-
-
-def test_without_a_touched_particle_it_refuses():
-    with pytest.raises(VsfError, match="no training object has readings that a touched particle explains"):
-        Level.of([Held(np.ones(3), np.zeros((3, 3))), Held(np.zeros(3), np.ones((3, 3)))])
 
 
 def plain(mean, var):

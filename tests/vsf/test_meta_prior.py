@@ -6,7 +6,6 @@ import pytest
 import torch
 from scipy import sparse
 
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.composition import Composition
 from vsfsim.vsf.meta.prior import MetaPrior, MetaTask, Spread, score, train
@@ -77,15 +76,6 @@ def test_early_stopping_keeps_the_best_and_repeats():
                                                                       second.state_dict().values()))
 
 
-def test_refusals():
-    with pytest.raises(VsfError, match="output is 'relu6'"):
-        build(output="relu6")
-    with pytest.raises(VsfError, match="no touch of a training object"):
-        train(build(), [], [])
-    with pytest.raises(VsfError, match="training spread 0"):
-        MetaPrior(4, shared=False, spread=Spread(1.0, 0.0))
-
-
 def test_the_second_output_is_a_standard_deviation_or_a_variance():
     """Before training both are the spread of the training stiffnesses; afterwards a variance is not squared."""
     features, none = torch.zeros(4, 3), torch.zeros(0, 3)
@@ -100,5 +90,3 @@ def test_the_second_output_is_a_standard_deviation_or_a_variance():
     with torch.no_grad():
         assert float(std(features, none)[1][0]) == pytest.approx(9.0 * 25.0, rel=0.1)
         assert float(variance(features, none)[1][0]) == pytest.approx(3.0 * 25.0, rel=0.1)
-    with pytest.raises(VsfError, match="second is 'var'"):
-        MetaPrior(3, shared=False, spread=spread, second="var")

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from palpation import layer_with_inclusion, palpate
+from palpation import layer_with_inclusion, palpate, two_halves
 
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.fields.line_integrals import DenseTouch, TotalForces, TotalTouch, VertexForces, dome, oriented_areas
 from vsfsim.vsf.fields.neural import Fitting, density, fit, predict_totals
 
@@ -69,18 +68,6 @@ def test_the_same_seed_gives_the_same_field():
     assert all(torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values()))
 
 
-def test_refusals():
-    touch = straight()
-    with pytest.raises(VsfError, match="no touch with contact forces"):
-        fit("nerf", [], BOUNDS)
-    with pytest.raises(VsfError, match="all zero"):
-        fit("grid", [touch], BOUNDS, Fitting(iterations=1))
-    with pytest.raises(VsfError, match="touch 0 has"):
-        fit("grid", [DenseTouch(touch.vertices, touch.triangles, np.full_like(touch.force, np.nan))], BOUNDS)
-    with pytest.raises(VsfError, match="no field 'hash'"):
-        fit("hash", [touch], BOUNDS)
-
-
 def test_totals_are_the_sum_of_the_vertices_along_the_axis():
     field = layer_with_inclusion()
     (touch,) = palpate(field, touches=1, frames=6, extent=(0.05, 0.05), substeps=20)
@@ -98,8 +85,7 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
 
 
 def test_a_soft_and_a_stiff_half_are_separated_by_totals_alone():
-    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=16, frames=6,
-                      extent=(0.08, 0.08), rings=4)
+    touches = palpate(two_halves, touches=16, frames=6, extent=(0.08, 0.08), rings=4)
     totals = [TotalTouch(t.vertices, t.triangles, np.array([0, 0, -1.0]), t.force.sum(axis=1)[:, 2]) for t in touches]
     model = fit("grid", totals, BOUNDS, Fitting(iterations=120, batch=600, samples=16, rate=3e-2))
     left, right = (density(model, np.array([[x, y, -0.004] for y in (-0.02, 0.0, 0.02)])).mean() for x in (-0.03, 0.03))

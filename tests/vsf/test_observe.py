@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Sphere
 from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import dense_force_rows, normal_force_rows
@@ -93,15 +92,7 @@ def test_a_rigid_sphere_of_triangles_moves_particles_like_the_exact_sphere():
     assert np.abs(u1[at1] - u0[at0]).mean() < 5e-5
 
 
-def test_refusals():
-    moved = displaced()
+def test_nothing_sticks_where_there_is_nothing():
     base, triangles = plate(3)
-    for axis in (np.ones((3, 3)), np.array([0.0, 0.0, 2.0])):
-        with pytest.raises(VsfError, match=r"unit vector .*or one a frame"):
-            normal_force_rows(moved, 9, axis)
-    with pytest.raises(VsfError, match="must be finite"):
-        stick(np.full((1, 3), np.nan), base[None], triangles)
-    with pytest.raises(VsfError, match="name vertex 9"):
-        stick(np.zeros((1, 3)), base[None], triangles + 1)
     assert len(stick(np.zeros((0, 3)), base[None], triangles).particle) == 0
     assert stick(np.zeros((1, 3)), np.zeros((0, 9, 3)), triangles).pointer.tolist() == [0]

@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 
-from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
 from vsfsim.vsf.particles import particles_from_view
 
@@ -55,15 +54,3 @@ def test_order_and_draw_are_deterministic_and_uniform():
     assert len({tuple(p) for p in one}) == 500 and {tuple(p) for p in one} <= {tuple(p) for p in everything}
     # A uniform draw keeps the mean: 500 of them, standard error of z about 1.2 mm.
     assert np.abs(one.mean(axis=0) - everything.mean(axis=0)).max() < 0.006
-
-
-@pytest.mark.parametrize("change, words", [
-    ({"bounds": np.array([[0, 0, 0], [1, 1, -1.0]])}, "upper corner"),
-    ({"spacing": 0.0}, "spacing"),
-    ({"spacing": 1e-5}, "Is the spacing in metres"),
-    ({"max_particles": 0}, "max_particles"),
-])
-def test_bad_input_is_refused(change, words):
-    given = {"bounds": np.array([[0, 0, 0], [0.1, 0.1, 0.1]]), **change}
-    with pytest.raises(VsfError, match=words):
-        particles_from_view(from_above(), **given)

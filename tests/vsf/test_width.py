@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.meta.calibration import Missed, Width
 
 
@@ -38,10 +37,3 @@ def test_the_factors_behind_errors_are_found(true):
     for predicted, springs in ((0.0, 0.0), (1.0, 0.5), (2.0, 0.2), (7.0, 0.9)):
         assert found.std(np.array(predicted), np.array(springs)) == pytest.approx(
             float(true.std(np.array(predicted), np.array(springs))), rel=0.05)
-
-
-def test_without_a_missed_reading_it_refuses():
-    with pytest.raises(VsfError, match="no reading of a training object is missed"):
-        Width.of([Missed(np.zeros(3), np.ones(3), np.ones(3))])
-    with pytest.raises(VsfError, match="no reading of a training object is missed"):
-        Width.of([])

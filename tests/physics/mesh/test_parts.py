@@ -67,13 +67,6 @@ def test_what_the_mesh_does_not_hold_is_told_with_its_share(part, least, words):
     assert finer.parts < coarse
 
 
-def test_a_part_like_its_surroundings_and_one_outside_are_no_matter():
-    solid, _ = body("{ sphere = [0.0, 0.0, 0.012, 0.002], value = 1e4 }")
-    assert solid.parts == 0.0
-    solid, _ = body("{ sphere = [0.0, 0.0, 0.5, 0.002], value = 1e7 }")
-    assert solid.parts == 0.0
-
-
 def test_a_thin_skin_around_an_inclusion_is_told():
     """2 mm of a stiff ball around a soft core: the core is off by 11 %, the skin by more than half."""
     core = "{ sphere = [0.0, 0.0, 0.03, 0.028], value = 1e1 }"

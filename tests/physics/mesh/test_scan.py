@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -172,21 +170,3 @@ def test_thin_walls_survive_a_coarse_fill(tmp_path: Path) -> None:
     """A hollow ball with walls of 3 mm, elements of 20 mm."""
     mesh = hollow(0.003)
     check_filled(filled(mesh, tmp_path), float(mesh.volume), within=0.05)
-
-
-def test_workers_that_meet_fill_once(tmp_path: Path) -> None:
-    """Two processes ask for one mesh at the same moment: one fills, and both read its bits."""
-    ball().export(tmp_path / "scan.ply")
-    code = ("import sys; from pathlib import Path; from vsfsim.physics.mesh import scan; from vsfsim.core.shape import "
-            "MeshFile; fill = scan.fill_lattice\n"
-            "def counted(*a):\n    Path(sys.argv[1], f'filled-{__import__(\"os\").getpid()}').touch(); "
-            "return fill(*a)\n"
-            "scan.fill_lattice = counted\n"
-            "s = scan.fill_mesh_file(MeshFile(sys.argv[1] + '/scan.ply', None), resolution=0.02, "
-            "cache=Path(sys.argv[1], 'cache'))\n"
-            "import hashlib; print(hashlib.sha256(s.vertices.tobytes() + s.tets.tobytes()).hexdigest())")
-    workers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
-               for _ in range(2)]
-    printed = {worker.communicate(timeout=120)[0] for worker in workers}
-    assert all(worker.returncode == 0 for worker in workers) and len(printed) == 1
-    assert len(list(tmp_path.glob("filled-*"))) == 1

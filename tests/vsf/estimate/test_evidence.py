@@ -5,7 +5,6 @@ import pytest
 import torch
 from scipy import sparse, stats
 
-from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.evidence import ByParticles, Evidence
 
 torch.set_num_threads(1)
@@ -86,13 +85,3 @@ def test_no_contact_is_a_constant():
     evidence = Evidence.of(sparse.csr_matrix((5, 3)), np.ones(5), noise_std=2.0)
     value = evidence.nll(torch.zeros(0, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
     assert value.item() == pytest.approx(-stats.norm.logpdf(np.ones(5), 0, 2.0).sum())
-
-
-@pytest.mark.parametrize("change, words", [
-    ({"z": np.ones(4)}, "must fit"), ({"z": np.array([1, np.nan, 1])}, "finite"),
-                                           ({"noise_std": 0.0}, "noise_std greater than 0"),
-])
-def test_bad_input_is_refused(change, words):
-    given = {"w": sparse.csr_matrix(np.ones((3, 5))), "z": np.ones(3), "noise_std": 1.0, **change}
-    with pytest.raises(VsfError, match=words):
-        Evidence.of(given.pop("w"), given.pop("z"), **given)
