@@ -1,7 +1,7 @@
 """Every physical field says its unit and shape where it is declared (design.md, house rule 2).
 
 The HDF5 fields have their own test beside the schema, `tests/data/test_schema.py`; here are the dataclasses of the
-layers that hold physical quantities. A field is documented by the string literal below it.
+layers that hold physical quantities. A field is documented by the string literal below it, or by a comment beside it.
 """
 
 import ast
@@ -28,36 +28,35 @@ class Field(NamedTuple):
     kind: str
     """Its annotation, as source text."""
     doc: str
-    """The string literal below it on one line, or sentence, shape and unit of its row; empty if there is neither."""
+    """The string literal below it on one line, or the comment beside it, which `tests/data/test_schema.py` compares
+    with the schema; empty if there is neither."""
 
 
-def fields_of(node: ast.ClassDef) -> list[Field]:
-    """The public fields of a class, in order."""
+def fields_of(node: ast.ClassDef, lines: list[str]) -> list[Field]:
+    """The public fields of a class, in order; ``lines`` are those of its module."""
     out = []
     for statement, following in zip(node.body, [*node.body[1:], ast.Pass()], strict=True):
         if not isinstance(statement, ast.AnnAssign) or not isinstance(statement.target, ast.Name):
             continue
         literal = (following.value.value if isinstance(following, ast.Expr)
                    and isinstance(following.value, ast.Constant) else None)
-        rows = [call for call in ast.walk(statement.annotation) if isinstance(call, ast.Call) and len(call.args) == 4]
-        if rows:
-            _, dims, unit, sentence = (ast.literal_eval(value) for value in rows[0].args)
-            literal = f"{sentence} ({', '.join(dims.split())},) [{unit}]"
+        if not isinstance(literal, str):
+            literal = lines[statement.lineno - 1].partition("  # ")[2]
         if not statement.target.id.startswith("_"):
             out.append(Field(statement.target.id, ast.unparse(statement.annotation),
-                             " ".join(literal.split()) if isinstance(literal, str) else ""))
+                             " ".join(literal.split())))
     return out
 
 
 def undocumented(text: str) -> list[str]:
     """Fields of dataclasses in this module whose docstring names no shape (arrays) or no unit (numbers)."""
-    out = []
+    out, lines = [], text.splitlines()
     for node in ast.walk(ast.parse(text)):
         if not isinstance(node, ast.ClassDef) or not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
             continue
         # What the class says holds for all fields: "All (T, B).", "Lengths in metres."
         head = " ".join((ast.get_docstring(node) or "").split())
-        for field in fields_of(node):
+        for field in fields_of(node, lines):
             array, number = "ndarray" in field.kind, bool(re.search(r"\bfloat\b", field.kind))
             if not (array or number) or re.match(r"(dict|Mapping)\b", field.kind):  # a mapping documents its keys
                 continue

@@ -257,7 +257,7 @@ def replace_data(file, name, data):
     (lambda f: replace_data(f, "touches/000/residual", np.zeros(12, np.float32)),
      "dtype float32; the schema says float64"),
     (lambda f: f["touches/002/force"].__setitem__((3, 1), np.nan),
-     r"touches/002/force\[3, 1\] is not finite in a frame marked converged"),
+     r"touches/002/force\[3, 1\] is not finite in frame 3, which is marked converged"),
     (lambda f: f["touches/000/audit/force_balance"].__setitem__(7, 0.01),
      "touches/000 frame 7: force and reaction differ by 1.0e-02"),
     (lambda f: f.attrs.__setitem__("split", "other"), "says split = 'other'"),

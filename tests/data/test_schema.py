@@ -1,17 +1,21 @@
 """The schema, the files and the docs page say the same thing, units and all."""
 
+import dataclasses
+import inspect
 import json
 import re
 from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.data.hdf5 import write_view
 from vsfsim.data.manifest import make_manifest
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.schema import ATTRIBUTES, FIELDS, TEXT, schema_tables
+from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, Touch, Truth, View
+from vsfsim.data.schema import ATTRIBUTES, FIELDS, TABLES, TEXT, fields_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text()
 
@@ -50,13 +54,27 @@ def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
 
 
 def test_the_docs_page_ends_with_the_tables_of_all_fields():
-    tables = schema_tables()
-    for field in FIELDS:
-        assert f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} |" in tables
     # a | in a sentence would cut its row in two
-    assert {line.count("|") for line in tables.splitlines() if line.startswith("| `")} == {7}
-    command = "python -c 'from vsfsim.data.schema import schema_tables; print(schema_tables(), end=\"\")'"
-    assert PAGE.endswith(tables), f"put what this prints at the end of docs/dataset.md: {command}"
+    assert {line.count("|") for line in TABLES.splitlines() if line.startswith("| `")} == {7}
+    assert PAGE.endswith(TABLES), "put vsfsim/data/schema.md at the end of docs/dataset.md"
+
+
+@pytest.mark.parametrize(("record", "group"), [(View, "view"), (Touch, "touches/*"), (Truth, "truth")])
+def test_the_fields_of_a_record_are_the_rows_of_its_group(record, group):
+    """By name, by what may be None, and by shape and unit in the comment beside each."""
+    rows = {row.name: row for row in fields_of(group) if "/" not in row.name}
+    fields = {field.name: field for field in dataclasses.fields(record) if field.name not in ("audit", "channels")}
+    assert [*fields] == [*rows] and all((fields[name].default is None) != row.required for name, row in rows.items())
+    said = dict(re.findall(r"^    (\w+): .*  # (.*)$", inspect.getsource(record), re.MULTILINE))
+    for name, row in rows.items():
+        shape = f"({', '.join(row.dims)}{',' * (len(row.dims) == 1)}) " if row.dims else ""
+        assert said[name] == f"{shape}[{'-' if row.unit == '1' else row.unit}]", name
+
+
+def test_the_columns_of_the_audit_are_rows():
+    columns = {row.name.removeprefix("audit/"): row for row in FIELDS if row.name.startswith("audit/")}
+    assert {name for name, row in columns.items() if row.required} == {*AUDIT_COLUMNS} - {"min_det_f"}
+    assert {*AUDIT_COLUMNS, *CONTACT_COLUMNS, *MESH_COLUMNS} < columns.keys()
 
 
 def test_docs_page_lists_every_attribute_and_every_key_of_the_manifest():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
@@ -32,6 +32,7 @@ from vsfsim.data.schema import (
     first_bad,
 )
 
+Items: TypeAlias = Mapping[str, h5py.Group | h5py.Dataset]
 _COMPRESS_FROM = 4096  # bytes; below this a chunk's own bookkeeping costs more than it saves
 
 
@@ -52,6 +53,9 @@ def encode_view(object_view: ObjectView) -> bytes:
     if object_view.truth is None:
         raise DatasetError(f"object view '{object_view.name}' has no truth (it is blind); a dataset stores "
                            f"the truth too.")
+    if len(object_view.touches) > 1000:
+        raise DatasetError(f"object view '{object_view.name}' has {len(object_view.touches)} touches; a file holds "
+                           f"at most 1000. Use more views.")
     # In memory first: then every way a disk can fail is a plain OSError of one write.
     with h5py.File("object-view", "w", driver="core", backing_store=False, libver="v108", track_order=True) as file:
         values = {"format": FORMAT, "schema_version": SCHEMA_VERSION, "name": object_view.name,
@@ -60,40 +64,53 @@ def encode_view(object_view: ObjectView) -> bytes:
         for key in ATTRIBUTES:
             file.attrs[key] = values[key]
         recorded = not len(object_view.truth.points)
-        _write_group(file, "view", "view", object_view.view, object_view.name, None)
-        touches = file.create_group("touches", track_order=True)
-        if len(object_view.touches) > 1000:
-            raise DatasetError(f"object view '{object_view.name}' has {len(object_view.touches)} touches; a file holds "
-                               f"at most 1000. Use more views.")
-        for index, touch in enumerate(object_view.touches):
-            _write_group(touches, f"{index:03d}", "touches/*", touch, f"{object_view.name} touches/{index:03d}",
-                         touch.converged, recorded=recorded)
-        _write_group(file, "truth", "truth", object_view.truth, object_view.name, None)
+        for place, kind, record in _records(object_view):
+            if place != "view" and "touches" not in file:
+                file.create_group("touches", track_order=True)
+            group = file.create_group(place, track_order=True)
+            for field, array in _checked(record, fields_of(kind), f"{object_view.name} {place}", recorded):
+                _write_array(group, field, array)
         file.flush()
         return file.id.get_file_image()
 
 
-def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch | Truth, where: str,
-                 converged: np.ndarray | None, *, recorded: bool = False) -> None:
-    group = parent.create_group(name, track_order=True)
+def _records(object_view: ObjectView) -> Iterator[tuple[str, str, View | Touch | Truth]]:
+    """Path, group of the schema and record of every group of fields, in the order of the file."""
+    yield "view", "view", object_view.view
+    for index, touch in enumerate(object_view.touches):
+        yield f"touches/{index:03d}", "touches/*", touch
+    if object_view.truth is not None:
+        yield "truth", "truth", object_view.truth
+
+
+def _checked(record: View | Touch | Truth, rows: Sequence[Field], where: str,
+             recorded: bool) -> Iterator[tuple[Field, np.ndarray]]:
+    """The arrays of a record that a file holds, by their rows.
+
+    Args:
+        record: what is stored. rows: what it may hold. where: for messages. recorded: see `first_bad`.
+
+    Raises:
+        DatasetError: one is missing, has no row or does not fit it, or is not finite where it must be.
+    """
     lengths: dict[str, int] = {}
     values = values_of(record)
-    for odd in sorted(values.keys() - {field.name for field in fields_of(kind)}):
-        raise DatasetError(f"{where}: '{odd}' is not in the schema; add a row to vsfsim/data/schema.py or leave it "
+    for odd in sorted(values.keys() - {field.name for field in rows}):
+        raise DatasetError(f"{where}: '{odd}' is not in the schema; add a row to vsfsim/data/schema.md or leave it "
                            f"out.")
-    for field in fields_of(kind):
-        spot = f"{where} {field.name}"
+    for field in rows:
+        spot = f"{where}/{field.name}"
         if field.name not in values:
             if field.required:
                 raise DatasetError(f"{spot} is missing; the schema requires it.")
             continue
         array = check_array(field, values[field.name], spot, lengths)
-        bad = first_bad(field, array, converged, recorded=recorded)
+        bad = first_bad(field, array, getattr(record, "converged", None), recorded=recorded)
         if bad is not None:
-            frame = f" in frame {bad[0]}, which is marked converged" if field.masked else f" at index {bad}"
-            raise DatasetError(f"{spot} is not finite{frame}. Mark the frame as not converged, or mend the simulation; "
-                               f"it is never stored as data.")
-        _write_array(group, field, array)
+            frame = f" in frame {bad[0]}, which is marked converged" if field.masked else ""
+            raise DatasetError(f"{spot}{list(bad)} is not finite{frame}. Mark the frame as not converged, or mend the "
+                               f"simulation; it is never stored as data.")
+        yield field, array
 
 
 def _write_array(group: h5py.Group, field: Field, array: np.ndarray) -> None:
@@ -117,8 +134,8 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
     Raises:
         DatasetError: not an object file, another schema version, or a dataset that does not fit the schema.
     """
-    with _opened(Path(path)) as file:
-        return file.view(blind=blind)
+    with _opened(Path(path)) as (items, attributes):
+        return _view(items, attributes, Path(path), blind=blind)
 
 
 def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
@@ -128,124 +145,87 @@ def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
         DatasetError: as `read_view`.
     """
     (field,) = (f for f in FIELDS if f.path == "truth/probe_points")
-    with _opened(path) as file:
-        places = check_array(field, _array(file.items[field.path], field), f"{path} {field.path}", {})
-        return file.view(blind=True), places
+    with _opened(path) as (items, attributes):
+        places = check_array(field, _array(items[field.path], field), f"{path} {field.path}", {})
+        return _view(items, attributes, path, blind=True), places
 
 
 def examine(path: Path) -> tuple[ObjectView | None, list[str]]:
-    """Read an object file and look at all that `read_view` takes on trust: units, exact dtypes, fields that are not in
-    the schema, numbers that are not finite.
+    """Read an object file and compare all that `read_view` takes on trust with what is stored of its view: units, exact
+    dtypes, fields that are not in the schema, numbers that are not finite.
 
     Returns:
         The object view, and what is wrong; None with anything that is.
     """
     faults: list[str] = []
     try:
-        with _opened(path) as file:
-            file.faults = faults
-            view = file.view()
+        with _opened(path) as (items, attributes):
+            view = _view(items, attributes, path)
+            assert view.truth is not None
+            known = {"touches"}
+            for place, kind, record in _records(view):
+                rows = _rows_of(items[place], kind, f"{path} {place}")
+                for field, _ in _checked(record, rows, place, not len(view.truth.points)):
+                    spot = f"{place}/{field.name}"
+                    item = items[spot]
+                    known |= {place, spot.rpartition("/")[0], spot}
+                    for key, want in field.attributes.items():
+                        if item.attrs.get(key) != want:
+                            faults.append(f"{spot} has @{key} {item.attrs.get(key)!r}; the schema says {want!r}.")
+                    if field.dtype != TEXT and item.dtype != np.dtype(field.dtype):
+                        faults.append(f"{spot} has dtype {item.dtype}; the schema says {field.dtype}.")
+            faults += [f"{spot} is not in the schema." for spot in items if spot not in known]
     except DatasetError as error:
         faults.append(str(error))
     return (None if faults else view), faults
 
 
-class _File:
-    """An open object file, and every object of it by its path.
+def _view(items: Items, attributes: h5py.AttributeManager, path: Path, *, blind: bool = False) -> ObjectView:
+    """The object view of an open file; the truth of a blind one is not read."""
+    shown = View(**_fields(items, "view", "view", path))
+    touches = tuple(_touch(_fields(items, f"touches/{name}", "touches/*", path)) for name in sorted(items["touches"]))
+    truth = None if blind else Truth(**_fields(items, "truth", "truth", path))
+    probes = _probes(attributes["probe"], path)
+    for k, touch in enumerate(touches):
+        if not 0 <= (touch.press or 0) < len(probes):
+            raise DatasetError(f"{path} touches/{k:03d}/press is {touch.press}, but attribute 'probe' has "
+                               f"{len(probes)} shapes. The file is damaged; delete it and generate it again.")
+    return ObjectView(check_name(attributes["name"], f"{path} @name"),
+                      whole_number(attributes["object_index"], f"{path} @object_index"),
+                      whole_number(attributes["view_index"], f"{path} @view_index"),
+                      check_name(attributes["split"], f"{path} @split"), probes[0], shown, touches, truth, probes[1:])
 
-    Attributes:
-        faults: where what is wrong is collected; None to raise it.
-    """
 
-    def __init__(self, path: Path, file: h5py.File):
-        self.path, self.items, self.attrs = path, check_tree(file, path), file.attrs
-        self.faults: list[str] | None = None
-        self._known = {"view", "truth", "touches"}
-
-    def view(self, *, blind: bool = False) -> ObjectView:
-        """The object view; the truth of a blind one is not read."""
-        recorded = self.faults is not None and not len(self.items["truth/points"])
-        shown = self._group("view", "view")
-        touches = [self._group(f"touches/{name}", "touches/*", recorded=recorded)
-                   for name in sorted(self.items["touches"])]
-        truth = None if blind else self._group("truth", "truth")
-        if self.faults is not None:
-            self.faults += [f"{spot} is not in the schema." for spot in self.items if spot not in self._known]
-            if self.faults:
-                raise DatasetError(self.faults.pop())
-        attrs, probes = self.attrs, _probes(self.attrs["probe"], self.path)
-        view = ObjectView(check_name(attrs["name"], f"{self.path} @name"),
-                          whole_number(attrs["object_index"], f"{self.path} @object_index"),
-                          whole_number(attrs["view_index"], f"{self.path} @view_index"),
-                          check_name(attrs["split"], f"{self.path} @split"), probes[0], View(**shown),
-                          tuple(_touch(values) for values in touches), None if truth is None else Truth(**truth),
-                          probes[1:])
-        for k, touch in enumerate(view.touches):
-            if not 0 <= (touch.press or 0) < len(probes):
-                raise DatasetError(f"{self.path} touches/{k:03d}/press is {touch.press}, but attribute 'probe' has "
-                                   f"{len(probes)} shapes. The file is damaged; delete it and generate it again.")
-        return view
-
-    def _group(self, name: str, kind: str, *, recorded: bool = False) -> dict[str, Any]:
-        """The fields of a group by their names in the schema, None where there is none."""
-        if name not in self.items:
-            raise KeyError(f"there is no group '{name}'")
-        values: dict[str, Any] = {}
-        lengths: dict[str, int] = {}
-        rows = (*fields_of(kind), *further_fields(self.items[name], kind, f"{self.path} {name}"))
-        for field in rows:
-            spot = f"{name}/{field.name}"
-            self._known |= {name, f"{name}/{field.name.rpartition('/')[0]}", spot}
-            try:
-                values[field.name] = self._value(spot, field, lengths)
-            except DatasetError as error:
-                if self.faults is None:
-                    raise
-                self.faults.append(str(error))
-        for field in rows if self.faults is not None else ():
-            if values.get(field.name) is not None:
-                self._look(f"{name}/{field.name}", field, values, recorded)
-        return values
-
-    def _value(self, spot: str, field: Field, lengths: dict[str, int]) -> Any:
-        item, where = self.items.get(spot), f"{self.path} {spot}"
-        if item is None:
-            if field.required:
-                raise DatasetError(f"{where} is missing; the file is damaged or was not written by vsfsim.")
-            return None
-        if not isinstance(item, h5py.Dataset):
+def _fields(items: Items, place: str, kind: str, path: Path) -> dict[str, Any]:
+    """The fields of a group by their names in the schema, None where there is none."""
+    values: dict[str, Any] = {}
+    lengths: dict[str, int] = {}
+    if place not in items:
+        raise KeyError(f"there is no group '{place}'")
+    for field in _rows_of(items[place], kind, f"{path} {place}"):
+        item, where = items.get(f"{place}/{field.name}"), f"{path} {place}/{field.name}"
+        if item is None and field.required:
+            raise DatasetError(f"{where} is missing; the file is damaged or was not written by vsfsim.")
+        if isinstance(item, h5py.Group):
             raise DatasetError(f"{where} is a group; the schema has a dataset there.")
-        check_shape(field, item.shape, where, lengths)
-        array = check_array(field, _array(item, field), where, lengths)
-        return tuple(array) if field.dtype == TEXT else array
-
-    def _look(self, spot: str, field: Field, values: dict[str, Any], recorded: bool) -> None:
-        """Collect what is wrong with a field that has been read."""
-        assert self.faults is not None
-        item = self.items[spot]
-        for key, want in field.attributes.items():
-            if item.attrs.get(key) != want:
-                self.faults.append(f"{spot} has @{key} {item.attrs.get(key)!r}; the schema says {want!r}.")
-        if field.dtype == TEXT:
-            return
-        if item.dtype != np.dtype(field.dtype):
-            self.faults.append(f"{spot} has dtype {item.dtype}; the schema says {field.dtype}.")
-        bad = first_bad(field, values[field.name], values.get("converged"), recorded=recorded)
-        if bad is not None:
-            marked = " in a frame marked converged" if field.masked else ""
-            self.faults.append(f"{spot}{list(bad)} is not finite{marked}.")
+        if item is not None:
+            check_shape(field, item.shape, where, lengths)
+        array = None if item is None else check_array(field, _array(item, field), where, lengths)
+        values[field.name] = tuple(array) if array is not None and field.dtype == TEXT else array
+    return values
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[_File]:
-    """An object file, after all of it was checked; what h5py raises in the block means that the file is damaged."""
+def _opened(path: Path) -> Iterator[tuple[Items, h5py.AttributeManager]]:
+    """Every object of an object file by its path, after all of it was checked, and the file's attributes; what h5py
+    raises in the block means that the file is damaged."""
     if not path.is_file():
         raise DatasetError(f"{path} does not exist.")
     try:
         with h5py.File(path, "r") as file:
-            opened = _File(path, file)
+            items = check_tree(file, path)
             _check_attributes(file, path)
-            yield opened
+            yield items, file.attrs
     except _DAMAGE as error:
         raise DatasetError(f"{path} cannot be read: {plain(error)}. It is damaged; delete it and run the same `vsfsim "
                            f"generate` again, which makes only what is missing.") from error
@@ -312,18 +292,21 @@ def _touch(values: dict[str, Any]) -> Touch:
                     "press": None if press is None else int(press)})
 
 
-def further_fields(group: h5py.Group, kind: str, where: str) -> list[Field]:
-    """The channels of a touch that are not in the schema, by their own description.
+def _rows_of(group: h5py.Group, kind: str, where: str) -> list[Field]:
+    """The rows of a group of a file: those of the schema, and its channels that are not in the schema, by their own
+    description.
 
     Raises:
-        DatasetError: one does not describe itself.
+        DatasetError: a channel does not describe itself.
     """
+    rows = list(fields_of(kind))
     inside = group.get(CHANNELS[:-1]) if kind == "touches/*" else None
-    if not isinstance(inside, h5py.Group):
-        return []
-    known = {field.name for field in fields_of(kind)}
-    return [Field.of_channel(CHANNELS + name, str(getattr(item, "dtype", "")), item.attrs, f"{where}/{CHANNELS}{name}")
-            for name, item in inside.items() if CHANNELS + name not in known]
+    known = {field.name for field in rows}
+    for name, item in inside.items() if isinstance(inside, h5py.Group) else ():
+        if CHANNELS + name not in known:
+            rows.append(Field.of_channel(CHANNELS + name, str(getattr(item, "dtype", "")), item.attrs,
+                                         f"{where}/{CHANNELS}{name}"))
+    return rows
 
 
 def _array(dataset: h5py.Dataset, field: Field) -> np.ndarray:

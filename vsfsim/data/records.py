@@ -1,9 +1,9 @@
 """What a dataset holds, as Python objects: a view, its touches, and the truth behind them.
 
-Arrays are numpy; lengths are metres, forces newtons, in the world frame (z up) unless a field says otherwise. The row
-of a field says its shape, its unit and what it is; None, where a field may be, says that it was not recorded. The
-letters in the shapes: H, W image height and width; T frames of a touch; N nodes of the simulated
-object; M elements (or samples) of the truth; P probed surface points; n VSF particles.
+Arrays are numpy; lengths are metres, forces newtons, in the world frame (z up) unless a field says otherwise. The rows
+of `schema.md` say what the fields of `View`, `Touch` and `Truth` are; None, where a field may be, says that it was not
+recorded. The letters in the shapes: H, W image height and width; T frames of a touch; N nodes of the simulated object;
+M elements (or samples) of the truth; P probed surface points; n VSF particles.
 """
 
 from __future__ import annotations
@@ -12,66 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from vsfsim.core.shape import ProbeShape
 from vsfsim.core.system.interactive import html_table
 
-TEXT = "text"
-"""dtype of a row of strings: UTF-8, padded with zero bytes to the longest."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """What the file says of a field: the schema (`vsfsim.data.schema`) is made of these."""
-
-    dtype: str
-    """NumPy name, or `TEXT`."""
-    dims: str
-    """Lengths or letters with a space between, outermost first; "" for a single number."""
-    unit: str
-    """Of the stored numbers; "1" is dimensionless."""
-    doc: str
-    """One sentence."""
-    masked: bool = False
-    """Along T, only the rows of converged frames must be finite."""
-    optional: bool = False
-    """Whether it may be missing; a field of a record may if it is None by default."""
-
-
-AUDIT = {
-    "force_balance": Row("float64", "T", "1",
-        "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance. Of plants: "
-        "over 0.1 N at least.", masked=True),
-    "min_det_f": Row("float64", "T", "1",
-        "Smallest det F of an element; not of a plant, whose beams have none.", masked=True, optional=True),
-    "energy": Row("float64", "T", "J",
-        "Elastic energy of the object; with a bubble, of object, skin and air.", masked=True),
-    "penetration": Row("float64", "T", "m",
-        "Deepest point of the surface inside the probe, between the contact points too; of a "
-        "bubble, deepest node of either surface inside the other.", masked=True),
-    "contact_points": Row("int64", "T", "1",
-        "Number of contact points that touch; of a rigid probe.", optional=True),
-    "contact_radius": Row("float64", "T", "1",
-        "How well the contact is resolved: radius of a circle of its area over the edge of the "
-        "elements there; of a rigid probe.", optional=True),
-    "mesh_error": Row("float64", "T", "1",
-        "Estimated error of the force by the size of the elements; of a rigid probe on tetrahedra.",
-        masked=True, optional=True),
-    "corner_det_f": Row("float64", "T", "1",
-        "Smallest det F at the corners of the tetrahedra in contact; of a rigid probe on "
-        "tetrahedra.", masked=True, optional=True),
-    "rotation": Row("float64", "T", "rad",
-        "Largest rotation of a tetrahedron; of a rigid probe on tetrahedra.", masked=True, optional=True),
-    "finer_force": Row("float64", "T 3", "N",
-        "Force of the same touch on a mesh one level finer, world, 0 where finer_converged is not; "
-        "of one touch in ten of a dataset with --accuracy.", optional=True),
-    "finer_converged": Row("bool", "T", "1",
-        "The frame is an equilibrium on the finer mesh.", optional=True),
-}
-"""Columns of `Touch.audit`."""
 AUDIT_COLUMNS = ("force_balance", "min_det_f", "energy", "penetration")
 """Those that every simulated touch has."""
 CONTACT_COLUMNS = ("contact_points", "contact_radius")
@@ -100,15 +47,11 @@ _NO_POINTS, _NO_NUMBERS, _NO_MARKS = partial(np.zeros, (0, 3)), partial(np.zeros
 class View:
     """One RGB-D image of the object at rest."""
 
-    rgb: Annotated[np.ndarray, Row("uint8", "H W 3", "1",
-        "Colour image of the object at rest, sRGB, 0 to 255.")]
-    depth: Annotated[np.ndarray, Row("float32", "H W", "m",
-        "Distance along the optical axis; 0 where there is no object.")]
-    mask: Annotated[np.ndarray, Row("bool", "H W", "1", "True on the object.")]
-    intrinsics: Annotated[np.ndarray, Row("float64", "3 3", "px",
-        "Pinhole matrix; the centre of the top-left pixel is (0, 0).")]
-    camera_pose: Annotated[np.ndarray, Row("float64", "4 4", "m",
-        "Camera-to-world transform, OpenCV axes; its rotation part has no unit.")]
+    rgb: np.ndarray  # (H, W, 3) [-]
+    depth: np.ndarray  # (H, W) [m]
+    mask: np.ndarray  # (H, W) [-]
+    intrinsics: np.ndarray  # (3, 3) [px]
+    camera_pose: np.ndarray  # (4, 4) [m]
 
     def points(self) -> np.ndarray:
         """The visible cloud (k, 3) [m]: one world point a masked pixel, in row-major pixel order."""
@@ -126,91 +69,48 @@ class View:
 class Touch:
     """One press of T frames: free approach, in, hold and out again."""
 
-    time: Annotated[np.ndarray, Row("float64", "T", "s", "Time of each frame.")]
-    mount_pose: Annotated[np.ndarray, Row("float64", "T 4 4", "m",
-        "Probe-to-world transform, of the probe's mount where a spring carries it; its rotation "
-        "part has no unit.")]
-    axis: Annotated[np.ndarray, Row("float64", "3", "1", "Unit direction of the press, world.")]
-    target: Annotated[np.ndarray, Row("float64", "3", "m",
-        "The visible point that was aimed at, world.")]
-    normal: Annotated[np.ndarray, Row("float64", "3", "1",
-        "Outward unit normal of the visible cloud at the target, world.")]
-    force: Annotated[np.ndarray, Row("float64", "T 3", "N",
-        "Contact force on the probe, world, free of sensor noise.", masked=True)]
-    reaction: Annotated[np.ndarray, Row("float64", "T 3", "N",
-        "Force of the supports on the object, world; equals force where the object weighs nothing.", masked=True)]
-    converged: Annotated[np.ndarray, Row("bool", "T", "1",
-        "The frame is an equilibrium within the solver's tolerance.")]
-    residual: Annotated[np.ndarray, Row("float64", "T", "1",
-        "Relative residual of the equilibrium.", masked=True)]
-    iterations: Annotated[np.ndarray, Row("int64", "T", "1",
-        "Newton iterations spent on the frame.")]
-    touched: Annotated[bool, Row("bool", "", "1",
-        "The probe met the object in at least one frame.")]
-    reason: Annotated[np.ndarray, Row("int64", "T", "1",
-        "0 for a good frame, else 1 + an index into reason_names.")]
-    reason_names: Annotated[tuple[str, ...], Row("text", "Q", "1",
-        "What the codes of reason mean.")] = ()
+    time: np.ndarray  # (T,) [s]
+    mount_pose: np.ndarray  # (T, 4, 4) [m]
+    axis: np.ndarray  # (3,) [-]
+    target: np.ndarray  # (3,) [m]
+    normal: np.ndarray  # (3,) [-]
+    force: np.ndarray  # (T, 3) [N]
+    reaction: np.ndarray  # (T, 3) [N]
+    converged: np.ndarray  # (T,) [-]
+    residual: np.ndarray  # (T,) [-]
+    iterations: np.ndarray  # (T,) [-]
+    touched: bool  # [-]
+    reason: np.ndarray  # (T,) [-]
+    reason_names: tuple[str, ...] = ()  # (Q,) [-]
     audit: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Columns by name, each (T, ...): those of `AUDIT`."""
-    resolved: Annotated[np.ndarray | None, Row("bool", "T", "1",
-        "The frame is an equilibrium, its mesh_error is 0.115 at most, no corner of an element is "
-        "inside out, at a tier of small strain none turns by more than 0.13 rad, and the mesh "
-        "holds the parts inside; of a rigid probe on tetrahedra.")] = None
-    q: Annotated[np.ndarray | None, Row("float64", "T 7", "rad", "Joint angles of the arm.")] = None
-    torque: Annotated[np.ndarray | None, Row("float64", "T 7", "N m",
-        "Joint torques due to the contact.", masked=True)] = None
-    link_force: Annotated[np.ndarray | None, Row("float64", "T L 3", "N",
-        "Contact force on each link of the arm, world.", masked=True)] = None
-    link_moment: Annotated[np.ndarray | None, Row("float64", "T L 3", "N m",
-        "Contact moment on each link about the origin of its frame, world.", masked=True)] = None
-    draws: Annotated[int | None, Row("int64", "", "1",
-        "How many targets were drawn until the arm could reach one.")] = None
-    ended: Annotated[int | None, Row("int64", "", "1",
-        "Why a guarded touch has fewer readings than planned: 0 it has them all, 1 the arm's "
-        "protective stop on its way back, 2 the solver's iterations were used up.")] = None
-    planned_time: Annotated[np.ndarray | None, Row("float64", "G", "s",
-        "Time of each frame of the planned touch; kept if [touches] says plan = true.")] = None
-    planned_pose: Annotated[np.ndarray | None, Row("float64", "G 4 4", "m",
-        "Probe-to-world transform of the plan.")] = None
-    planned_q: Annotated[np.ndarray | None, Row("float64", "G 7", "rad",
-        "Joint angles of the plan.")] = None
-    planned_frame: Annotated[np.ndarray | None, Row("int64", "T", "1",
-        "The frame of the plan in which a frame was read; -1 where the arm had left its plan at "
-        "the force limit.")] = None
-    mount_stiffness: Annotated[float | None, Row("float64", "", "N/m",
-        "Of the spring along the press that carries the probe.")] = None
-    press: Annotated[int | None, Row("int64", "", "1",
-        "Kind of the press where the scene has several: 0 its own, k the k-th of its "
-        "[[touches.other]].")] = None
-    pressure: Annotated[np.ndarray | None, Row("float64", "T", "Pa",
-        "Gauge pressure of the bubble.", masked=True)] = None
-    rest_pressure: Annotated[float | None, Row("float64", "", "Pa",
-        "Gauge pressure of the free dome.")] = None
-    moment: Annotated[np.ndarray | None, Row("float64", "T 3", "N m",
-        "Moment of the contact force on the sensor about the mount's origin, world.", masked=True)] = None
-    node_position: Annotated[np.ndarray | None, Row("float32", "T N 3", "m",
-        "Sensor read-out vertices, world.", masked=True)] = None
-    node_force: Annotated[np.ndarray | None, Row("float32", "T N 3", "N",
-        "Contact force on each read-out vertex, world.", masked=True)] = None
-    node_rest: Annotated[np.ndarray | None, Row("float64", "N 3", "m",
-        "Read-out vertices of the free dome, mount frame.")] = None
-    node_reference: Annotated[np.ndarray | None, Row("float64", "N 2", "m",
-        "Coordinates of the read-out vertices on the stress-free skin.")] = None
-    node_triangles: Annotated[np.ndarray | None, Row("int64", "F 3", "1",
-        "Triangles of the read-out mesh, wound outwards.")] = None
-    fine_position: Annotated[np.ndarray | None, Row("float32", "T V 3", "m",
-        "Vertices of the mesh that was solved, world; kept if [sensor] says fine = true.", masked=True)] = None
-    fine_force: Annotated[np.ndarray | None, Row("float32", "T V 3", "N",
-        "Contact force on each of them, world.", masked=True)] = None
-    fine_rest: Annotated[np.ndarray | None, Row("float64", "V 3", "m",
-        "The same vertices of the free dome, mount frame.")] = None
-    fine_triangles: Annotated[np.ndarray | None, Row("int64", "K 3", "1",
-        "Triangles of that mesh, wound outwards.")] = None
-    inside_depth: Annotated[np.ndarray | None, Row("float32", "T h w", "m",
-        "What the camera in the bubble sees: distance along its axis; 0 where there is no skin.", masked=True)] = None
-    inside_rgb: Annotated[np.ndarray | None, Row("uint8", "T h w 3", "1",
-        "Colour image of the same, sRGB, 0 to 255.")] = None
+    """Columns by name, each (T, ...): the rows ``audit/NAME`` of the schema."""
+    resolved: np.ndarray | None = None  # (T,) [-]
+    q: np.ndarray | None = None  # (T, 7) [rad]
+    torque: np.ndarray | None = None  # (T, 7) [N m]
+    link_force: np.ndarray | None = None  # (T, L, 3) [N]
+    link_moment: np.ndarray | None = None  # (T, L, 3) [N m]
+    draws: int | None = None  # [-]
+    ended: int | None = None  # [-]
+    planned_time: np.ndarray | None = None  # (G,) [s]
+    planned_pose: np.ndarray | None = None  # (G, 4, 4) [m]
+    planned_q: np.ndarray | None = None  # (G, 7) [rad]
+    planned_frame: np.ndarray | None = None  # (T,) [-]
+    mount_stiffness: float | None = None  # [N/m]
+    press: int | None = None  # [-]
+    pressure: np.ndarray | None = None  # (T,) [Pa]
+    rest_pressure: float | None = None  # [Pa]
+    moment: np.ndarray | None = None  # (T, 3) [N m]
+    node_position: np.ndarray | None = None  # (T, N, 3) [m]
+    node_force: np.ndarray | None = None  # (T, N, 3) [N]
+    node_rest: np.ndarray | None = None  # (N, 3) [m]
+    node_reference: np.ndarray | None = None  # (N, 2) [m]
+    node_triangles: np.ndarray | None = None  # (F, 3) [-]
+    fine_position: np.ndarray | None = None  # (T, V, 3) [m]
+    fine_force: np.ndarray | None = None  # (T, V, 3) [N]
+    fine_rest: np.ndarray | None = None  # (V, 3) [m]
+    fine_triangles: np.ndarray | None = None  # (K, 3) [-]
+    inside_depth: np.ndarray | None = None  # (T, h, w) [m]
+    inside_rgb: np.ndarray | None = None  # (T, h, w, 3) [-]
     channels: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Readings of sensors that have no field of their own here, by name: the rows ``channels/NAME`` of the schema."""
 
@@ -243,33 +143,20 @@ class Truth:
     """Ground truth, which no method may read. Of an object whose touches were not simulated, or not probed, arrays are
     empty."""
 
-    points: Annotated[np.ndarray, Row("float64", "M 3", "m",
-        "Centroid of each element at rest, world.")]
-    young_modulus: Annotated[np.ndarray, Row("float64", "M", "Pa",
-        "Young's modulus at each centroid.")]
-    radius: Annotated[np.ndarray | None, Row("float64", "M", "m",
-        "Of a plant's segment; half the thickness of a leaf blade.")] = None
-    half_width: Annotated[np.ndarray | None, Row("float64", "M", "m",
-        "Of a leaf blade's segment, 0 for a round one.")] = None
-    segment_ends: Annotated[np.ndarray | None, Row("float64", "M 2 3", "m",
-        "Ends of a plant's segments on its middle line, world.")] = None
-    region: Annotated[np.ndarray, Row("int64", "M", "1",
-        "Region of each element, an index into region_names.")]
-    region_names: Annotated[tuple[str, ...], Row("text", "R", "1", "Names of the object's parts.")]
-    notes: Annotated[tuple[str, ...] | None, Row("text", "S", "1",
-        "What the object is, and why others were drawn before it, one sentence each.")] = None
-    probe_points: Annotated[np.ndarray, Row("float64", "P 3", "m",
-        "Surface points where the small cone was pressed, world.")] = field(default_factory=_NO_POINTS)
-    probe_normals: Annotated[np.ndarray, Row("float64", "P 3", "1",
-        "Outward unit normals there, world.")] = field(default_factory=_NO_POINTS)
-    probe_stiffness: Annotated[np.ndarray, Row("float64", "P", "N/m",
-        "Force of the cone over its displacement (SBML appendix C.4).")] = field(default_factory=_NO_NUMBERS)
-    vsf_points: Annotated[np.ndarray, Row("float64", "n 3", "m",
-        "Particles of the oracle VSF, world.")] = field(default_factory=_NO_POINTS)
-    vsf_stiffness: Annotated[np.ndarray, Row("float64", "n", "N/m",
-        "Spring constant of each particle of the oracle VSF.")] = field(default_factory=_NO_NUMBERS)
-    vsf_touched: Annotated[np.ndarray, Row("bool", "n", "1",
-        "The particle was displaced by at least one touch of the oracle's fit.")] = field(default_factory=_NO_MARKS)
+    points: np.ndarray  # (M, 3) [m]
+    young_modulus: np.ndarray  # (M,) [Pa]
+    radius: np.ndarray | None = None  # (M,) [m]
+    half_width: np.ndarray | None = None  # (M,) [m]
+    segment_ends: np.ndarray | None = None  # (M, 2, 3) [m]
+    region: np.ndarray  # (M,) [-]
+    region_names: tuple[str, ...]  # (R,) [-]
+    notes: tuple[str, ...] | None = None  # (S,) [-]
+    probe_points: np.ndarray = field(default_factory=_NO_POINTS)  # (P, 3) [m]
+    probe_normals: np.ndarray = field(default_factory=_NO_POINTS)  # (P, 3) [-]
+    probe_stiffness: np.ndarray = field(default_factory=_NO_NUMBERS)  # (P,) [N/m]
+    vsf_points: np.ndarray = field(default_factory=_NO_POINTS)  # (n, 3) [m]
+    vsf_stiffness: np.ndarray = field(default_factory=_NO_NUMBERS)  # (n,) [N/m]
+    vsf_touched: np.ndarray = field(default_factory=_NO_MARKS)  # (n,) [-]
 
     def __repr__(self) -> str:
         modulus = self.young_modulus

@@ -1,5 +1,5 @@
-"""The one table of what an object file holds, from the rows of the records' fields; writer, reader, verifier and the
-docs page are made from it.
+"""The one table of what an object file holds, `schema.md` beside this file, with which docs/dataset.md ends; writer,
+reader and verifier are made from it. Its rows without ``*`` are the fields of the records (`vsfsim.data.records`).
 
 A path is relative to the root of the HDF5 file; ``*`` stands for the three-digit number of a touch. A dimension is a
 number, or a letter whose length must agree wherever it occurs within the view, within one touch, or within the truth.
@@ -7,19 +7,19 @@ number, or a letter whose length must agree wherever it occurs within the view, 
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import get_type_hints
+from pathlib import Path
 
 import numpy as np
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.data.records import AUDIT, TEXT, Touch, Truth, View
 
 FORMAT = "vsfsim-object-view"
 SCHEMA_VERSION = 1
+TEXT = "text"
+"""dtype of a row of strings: UTF-8, padded with zero bytes to the longest."""
 CHANNELS = "channels/"
 """What the names of a touch's readings begin with that have no field of their own."""
 
@@ -88,21 +88,15 @@ class Field:
         return " ".join(self.dims) or "scalar"
 
 
-def _rows(record: type, group: str) -> list[Field]:
-    """Those of the fields of a record, in order."""
-    out = []
-    defaults = {f.name: f.default for f in dataclasses.fields(record)}
-    for name, kind in get_type_hints(record, include_extras=True).items():
-        if name == "audit":
-            out += [Field(f"{group}/audit/{column}", row.dtype, tuple(row.dims.split()), row.unit, row.doc,
-                          not row.optional, row.masked) for column, row in AUDIT.items()]
-        for row in getattr(kind, "__metadata__", ()):
-            out.append(Field(f"{group}/{name}", row.dtype, tuple(row.dims.split()), row.unit, row.doc,
-                             defaults[name] is not None, row.masked))
-    return out
+def _row(line: str) -> Field:
+    """That of a line ``| `path` | dtype | dims | unit | marks | meaning |``."""
+    path, dtype, dims, unit, marks, doc = (cell.strip(" `") for cell in line.split("|")[1:-1])
+    return Field(path, dtype, tuple(dims.split()) if dims != "scalar" else (), unit, doc, "optional" not in marks,
+                 "masked" in marks)
 
 
-FIELDS: list[Field] = [*_rows(View, "view"), *_rows(Touch, "touches/*"), *_rows(Truth, "truth")]
+TABLES = Path(__file__).with_name("schema.md").read_text(encoding="utf-8")
+FIELDS: list[Field] = [_row(line) for line in TABLES.splitlines() if line.startswith("| `")]
 """The table. A sensor that is not part of this package appends its rows, ``touches/*/channels/NAME``, when it is
 imported; a file describes them, so that it is read without that package (`Field.of_channel`)."""
 
@@ -173,16 +167,3 @@ def first_bad(field: Field, array: np.ndarray, converged: np.ndarray | None, *,
         bad[~np.asarray(converged, bool)] = False
     where = np.argwhere(bad)
     return tuple(int(i) for i in where[0]) if len(where) else None
-
-
-def schema_tables() -> str:
-    """The rows as the tables with which docs/dataset.md ends."""
-    lines = []
-    for group, title in (("view", "View"), ("touches/*", "Touches"),
-                         ("truth", "Truth (the last group; a blind dataset never reads it)")):
-        lines += ["", f"### {title}", "", "| path | dtype | dims | unit | | meaning |", "|---|---|---|---|---|---|"]
-        for field in fields_of(group):
-            marks = ", ".join(m for m, on in (("optional", not field.required), ("*masked*", field.masked)) if on)
-            lines.append(f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} | {marks} | "
-                         f"{field.doc} |")
-    return "\n".join(lines) + "\n"
