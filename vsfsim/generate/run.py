@@ -17,7 +17,6 @@ from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import dataset_folder, datasets, find_scene
-from vsfsim.data.archive import taken
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.lines import finished_names, poisoned
 from vsfsim.data.recipe import Recipe
@@ -59,8 +58,6 @@ class Plan:
     """What will be made."""
     folder: Path | str
     """Where: a folder, or the address of an object store."""
-    name: str
-    """Of the folder in which a task looks for this dataset."""
 
 
 def planned(scene: str | Path | SceneFile, out: str | Path | None = None,
@@ -74,12 +71,13 @@ def planned(scene: str | Path | SceneFile, out: str | Path | None = None,
     if asked.accuracy is not None:
         check_accuracy(asked.accuracy, asked.tier)
     recipe = make_recipe(loaded, asked)
-    known = dataset_folder(loaded.name, text=loaded.text, seed=recipe.seed, objects=recipe.objects,
-                           views=recipe.views, touches=recipe.touches, tier=recipe.tier)
+    if out is not None:
+        return Plan(loaded, asked, recipe, str(out) if is_url(out) else Path(out))
     if asked.accuracy is not None:  # no task looks for such a dataset
-        known = datasets() / f"{loaded.name}-accuracy-{100 * asked.accuracy:g}"
-    folder = known if out is None else str(out) if is_url(out) else Path(out)
-    return Plan(loaded, asked, recipe, folder, Path(known).name)
+        return Plan(loaded, asked, recipe, datasets() / f"{loaded.name}-accuracy-{100 * asked.accuracy:g}")
+    return Plan(loaded, asked, recipe, dataset_folder(
+        loaded.name, text=loaded.text, seed=recipe.seed, objects=recipe.objects, views=recipe.views,
+        touches=recipe.touches, tier=recipe.tier))
 
 
 def generate(scene: str | Path | SceneFile, out: str | Path | None = None,
@@ -110,13 +108,6 @@ def make(plan: Plan) -> Made:
     """
     loaded, asked, recipe, folder = plan.loaded, plan.request, plan.recipe, plan.folder
     shard, note = asked.fan.shard, asked.note or (lambda _: None)
-    usual = Request(seed=asked.seed, tier=asked.tier, cache=asked.cache, progress=asked.progress,
-                    note=asked.note, objects=asked.objects, views=asked.views,
-                    touches=asked.touches, workers=asked.workers)
-    if isinstance(folder, Path) and asked == usual:
-        found = taken(folder, plan.name, progress=asked.progress, note=asked.note)  # with other options: other bits
-        if found is not None:
-            return Made((), 0, found, {})
     if asked.fan.ray and isinstance(folder, Path):
         folder = folder.resolve()  # tasks have working folders of their own
     if asked.accuracy is not None:
