@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed
-from vsfsim.bench.board.shipped import Shipped, read_rows, row_sha256, write_rows
+from vsfsim.bench.board.shipped import read_rows, row_sha256, write_rows
 from vsfsim.bench.commands.catalogue import on_device
 from vsfsim.bench.evaluate import make
 from vsfsim.bench.result import Result, readings_apart
@@ -86,11 +85,12 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
     return out
 
 
-def _of_study(of: Path, task: str, name: str, read: Callable[[Path], list[Shipped]]) -> list[tuple[Path, Result]]:
-    """The results of a name in a folder of studies: a file made here, or rows that ship."""
+def _of_study(of: Path, task: str, name: str, read: Callable[[Path], dict[str, Result]]) -> list[tuple[Path, Result]]:
+    """The result of a name in a folder of studies: a file made here, or a row that ships."""
     path = of / task / name
-    return [(path, Result.load(path))] if path.is_file() else [
-        (path, row.result) for row in read(of / f"{task}.json") if row.name == name]
+    if path.is_file():
+        return [(path, Result.load(path))]
+    return [(path, result) for key, result in read(of / f"{task}.json").items() if key == name]
 
 
 def ship(task: str, out: Path) -> None:
@@ -102,11 +102,10 @@ def ship(task: str, out: Path) -> None:
     Raises:
         TaskError: a file is damaged or cannot be written.
     """
-    rows = {row.name: row for row in read_rows(folder("leaderboard") / "studies" / f"{task}.json")}
-    for path in sorted((MADE / "studies" / task).glob("*.json")):
-        rows[path.name] = Shipped(path.name, dataclasses.replace(Result.load(path), maps={}), "", False)
+    rows = read_rows(folder("leaderboard") / "studies" / f"{task}.json")
+    rows |= {path.name: Result.load(path) for path in (MADE / "studies" / task).glob("*.json")}
     if rows:
-        write_rows([rows[name] for name in sorted(rows)], out)
+        write_rows(dict(sorted(rows.items())), out)
 
 
 def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True) -> leaderboard.Board:

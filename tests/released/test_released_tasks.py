@@ -35,7 +35,8 @@ CURRENT = [name for name in shelf.tasks() if not load_task(name).superseded_by]
 
 def shipped_row(name, *, of=METHODS):
     """The result of the first of some methods that ships for a task, of any if ``of`` is empty; None if none does."""
-    rows = [row.result for row in read_rows(shelf.folder("leaderboard") / f"{name}.json") if not row.mark]
+    found = read_rows(shelf.folder("leaderboard") / f"{name}.json").values()
+    rows = [row for row in found if row.method not in shelf.ceilings()]
     return next((row for method in of or [None] for row in rows if method in (None, row.method)), None)
 
 

@@ -26,7 +26,7 @@ from vsfsim.bench.board.named import (
     listed,
     write_list,
 )
-from vsfsim.bench.board.shipped import Shipped, read_rows, row_sha256, write_rows
+from vsfsim.bench.board.shipped import read_rows, row_sha256, write_rows
 from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result, machine
 from vsfsim.bench.task import Task
@@ -99,9 +99,9 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         TaskError: a file is not a result, or is a result of another task.
     """
     board, own = folder("leaderboard") / f"{task.name}.json", folder("leaderboard") / task.name
-    packed = {board / one.name: one for one in read_rows(board)}
+    packed = {board / name: result for name, result in read_rows(board).items()}
     given = sorted(own.glob("*.json")) + [file for path in paths for file in _files(path)]
-    told = {path: one.result for path, one in packed.items()} | {path: Result.load(path) for path in given}
+    told = packed | {path: Result.load(path) for path in given}
     for path, result in told.items():
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
@@ -113,7 +113,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     odd: list[Row] = []
     for path, result in told.items():
         here = path not in packed and path.parent != own
-        found = admit(result, task, record, reference, known, entries, made_here=here, packed=packed.get(path))
+        found = admit(result, task, record, reference, known, entries, made_here=here, packed=path in packed)
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if found.mark else good
         if not found.mark:  # an earlier row that comes out again needs no row of its own
@@ -171,16 +171,16 @@ def ship(board: Board, path: Path) -> None:
     Raises:
         TaskError: a file cannot be written.
     """
-    rows = [dataclasses.replace(row.result, scores=row.scores) for row in board.rows]
-    write_rows([Shipped(row.path.name, result, "" if row.mark == EARLIER else row.mark, row.other_bits)
-                for row, result in zip(board.rows, rows, strict=True)], path)
+    rows = {row.path.name: (row, dataclasses.replace(row.result, scores=row.scores)) for row in board.rows
+            if row.origin != "made here" or row.mark in ("", CEILING)}
+    write_rows({name: result for name, (_, result) in rows.items()}, path)
     entries = listed()
-    for row, result in zip(board.rows, rows, strict=True):
+    for row, result in rows.values():
         again, sha256 = row.origin == "shipped, made again here", row_sha256(result)
-        if again or (row.origin == "made here" and row.mark in ("", CEILING)):
+        if again or row.origin == "made here":
             entries[sha256] = Entry(sha256, board.task.name, result.method, "verified" if again else "open",
                                     command_of(result), str((made_by() if again else result.made_by).get("commit")),
-                                    str((machine() if again else result.machine).get("cpu")))
+                                    str((machine() if again else result.machine).get("cpu")), row.other_bits)
     write_list(entries.values(), path.parent / LIST)
 
 

@@ -51,8 +51,9 @@ def test_a_board_that_ships_is_the_board_of_its_results(task, results, tmp_path,
 
 
 @pytest.mark.parametrize("change", [
-    lambda t: t.update(version=9), lambda t: t["rows"][0].pop("values"), lambda t: t["rows"][0].update(method=3),
-    lambda t: t["objects"].pop(), lambda t: t["rows"][0]["scores"]["rmse"].update({"0": ["a", 1]})])
+    lambda t: t.update(version=9), lambda t: t["rows"]["constant-1.json"].pop("values"),
+    lambda t: t["rows"]["constant-1.json"].update(method=3),
+    lambda t: t["objects"].pop(), lambda t: t["rows"]["constant-1.json"]["scores"]["rmse"].update({"0": ["a", 1]})])
 def test_a_damaged_file_is_refused(task, results, tmp_path, change):
     path = tmp_path / "toy-v1.json"
     leaderboard.ship(leaderboard.collect(task, [results]), path)
@@ -68,7 +69,7 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
     wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml"}
     known = methods().keys() | ceilings().keys()
     for task in map(load_task, shelf.tasks()):
-        there = {one.result.method for one in read_rows(shelf.folder("leaderboard") / f"{task.name}.json")}
+        there = {one.method for one in read_rows(shelf.folder("leaderboard") / f"{task.name}.json").values()}
         said = [name for names in named.absent(task.name) for name in names.split(", ")]
         assert len(said) == len(set(said)) and set(said) <= known and not there & set(said), task.name
         assert task.superseded_by or wanted <= there | set(said), task.name
@@ -137,12 +138,14 @@ def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board,
     path, table = tmp_path / f"{TASK}.json", json.loads((root / f"{TASK}.json").read_text())
     ranks = [(row.result.method, row.result.preset, row.rank) for row in leaderboard.collect(board.task).rows]
     assert ranks == [(row.result.method, row.result.preset, row.rank) for row in board.rows]
-    great = {**table["rows"][0], "method": "great", "entry": "great:Great", "evidence": "verified"}
-    better = {**table["rows"][1], "scores": {**table["rows"][1]["scores"], "rmse_ratio": {"5": [0.1, 0.0]}}}
-    path.write_text(json.dumps({**table, "rows": [great, better, *table["rows"][2:]]}))
+    one, other, *_ = table["rows"].values()
+    great = {**one, "method": "great", "entry": "great:Great", "evidence": "verified"}
+    better = {**other, "scores": {**other["scores"], "rmse_ratio": {"5": [0.1, 0.0]}}}
+    changed = dict(zip(table["rows"], (great, better)))
+    path.write_text(json.dumps({**table, "rows": {**table["rows"], **changed}}))
     found = leaderboard.collect(board.task).rows
     odd = {row.result.method: row for row in found if row.mark == named.EARLIER}
-    assert odd.keys() == {"great", table["rows"][1]["method"]} and all(row.rank is None for row in odd.values())
+    assert odd.keys() == {"great", other["method"]} and all(row.rank is None for row in odd.values())
     assert {row.evidence for row in found} == {"open"} and "†" in leaderboard.text(leaderboard.collect(board.task))
     entry = next(iter(named.listed().values()))
     named.write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / named.LIST)
@@ -157,7 +160,7 @@ def test_every_listed_row_ships_and_is_as_it_was_listed():
     there, entries = {}, named.listed()
     for path in {shelf.folder("leaderboard") / of / f"{entry.task}.json" for entry in entries.values()
                  for of in ("", "studies")}:
-        there |= {row_sha256(one.result): one.result for one in read_rows(path)}
+        there |= {row_sha256(one): one for one in read_rows(path).values()}
     assert entries and entries.keys() <= there.keys()
     for sha256, entry in entries.items():
         assert (entry.task, entry.method) == (there[sha256].task, there[sha256].method)

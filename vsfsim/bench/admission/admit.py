@@ -24,7 +24,7 @@ import numpy as np
 from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Entry, Record
 from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, claimed, far_apart, is_ceiling
 from vsfsim.bench.board.named import Entry as Listed
-from vsfsim.bench.board.shipped import Shipped, row_sha256
+from vsfsim.bench.board.shipped import row_sha256
 from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import as_rows
@@ -53,7 +53,7 @@ class Admission:
 
 
 def admit(result: Result, task: Task, record: Record | None, reference: str, known: Mapping[str, list],
-          entries: Mapping[str, Listed], *, made_here: bool, packed: Shipped | None = None) -> Admission:
+          entries: Mapping[str, Listed], *, made_here: bool, packed: bool = False) -> Admission:
     """Look at a result before it is ranked: is it of the task, are its data the task's, are its scores those of its
     rows, and is it of the method whose name it has?
 
@@ -61,12 +61,10 @@ def admit(result: Result, task: Task, record: Record | None, reference: str, kno
         result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that the
         board compares the results with one another. reference: sha256 of the board's dataset. known: readings of that
         dataset, {} where they are not known. entries: the repository's list. made_here: it does not ship, so that it is
-        on no list. packed: the row that ships packed, of which its data were looked at when it was packed.
+        on no list. packed: it ships without its rows; its data were looked at before it was listed.
     """
-    if packed is not None:
-        scores, other, reason = result.scores, packed.other_bits, packed.mark
-        if result.task_sha256 != task.sha256:
-            reason = OTHER_TEXT
+    if packed:
+        scores, reason = result.scores, "" if result.task_sha256 == task.sha256 else OTHER_TEXT
     else:
         try:
             scores, other = result.computed(), result.dataset_sha256 != reference
@@ -77,10 +75,12 @@ def admit(result: Result, task: Task, record: Record | None, reference: str, kno
                       f"no {task.primary} at {task.ranking_shot}-shot")
                   or (_other_data(result, record, known) if other else ""))
     entry = None if made_here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
-    if packed is not None and entry is None and reason != OTHER_TEXT:
-        reason = EARLIER
-    elif packed is None and not reason:
-        reason = CLAIMED if entry is None and claimed(result, task) else CEILING if is_ceiling(result) else ""
+    if packed:
+        other = entry is not None and entry.other_bits
+    if not reason and entry is None and (packed or claimed(result, task)):
+        reason = EARLIER if packed else CLAIMED
+    elif not reason and is_ceiling(result):
+        reason = CEILING
     return Admission(reason, scores, other, entry)
 
 

@@ -10,8 +10,7 @@ import hashlib
 import math
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,6 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8
 
 _VIRIDIS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 """Viridis (van der Walt and Smith 2015) at five places."""
-_LEVELS = 31  # colours of a map, less one
-_GRID = 2  # pixels: places of a map are rounded to it, and those of one colour that meet are one dot
 _PAGES = Path(__file__).parent / "pages"
 
 
@@ -61,73 +58,40 @@ def _piped(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
     return Markup("\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]))
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of a chart, or a point."""
-
-    name: str
-    """In the legend."""
-    x: Sequence[float]
-    """Places (n,)."""
-    values: Sequence[tuple[float, float]]
-    """(mean, half the width of its interval) at each place (n,); NaN where there is none."""
-
-
-def chart(lines: Sequence[Line], span: tuple[float, float], *, across: str, axis: str, marks: Mapping[float, str],
+def chart(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], labels: Sequence[str], *, across: str, axis: str,
           level: float | None = None) -> Markup:
-    """Lines or points with their intervals; "" where no value is known.
+    """Points over some numbers of touches with their intervals, joined by lines; "" where no value is known.
 
     Args:
-        lines: what is drawn. span: ends of the abscissa. across, axis: names of abscissa and values. marks: texts by
-        place on the abscissa. level: a value that is marked by a dashed line.
+        lines: name of each, and at each label its mean and half the width of its interval; NaN where there is none.
+        labels: of the places on the abscissa. across, axis: names of abscissa and values. level: a value that is marked
+        by a dashed line.
     """
-    means = np.array([mean for one in lines for mean, _ in one.values if math.isfinite(mean)])
+    means = np.array([mean for _, values in lines for mean, _ in values if math.isfinite(mean)])
     if not len(means):
         return Markup("")
-    top = max(level or 0.0, *(np.nansum(pair) for one in lines for pair in one.values))
-    ticks = round_numbers(0.0, min(top, 3.0 * float(means.max())))
+    top = max(level or 0.0, *(np.nansum(pair) for _, values in lines for pair in values))
+    ticks = round_numbers(min(top, 3.0 * float(means.max())))
     width, height, left, right, upper, lower = 760, 360, 56, 550, 12, 318
 
     def across_at(x: float) -> float:
-        return round(left + (right - left) * (x - span[0]) / (span[1] - span[0]), 1)
+        return round(left + (right - left) * (x + 0.5) / len(labels), 1)
 
     def up_at(y: float) -> float:
         return round(lower - (lower - upper) * min(max(y, 0.0), ticks[-1]) / ticks[-1], 1)
 
     drawn = []
-    for n, one in enumerate(lines):
-        points = [(across_at(x), up_at(mean), *((up_at(mean - half), up_at(mean + half)) if math.isfinite(half) else
-                                                (up_at(mean),) * 2), f"{mean:.3f}")
-                  for x, (mean, half) in zip(one.x, one.values, strict=True) if math.isfinite(mean)]
-        drawn.append({"name": one.name, "colour": COLOURS[n % len(COLOURS)], "key": upper + 14 + 19 * n,
+    for n, (name, values) in enumerate(lines):
+        aside = 0.04 * (n - 0.5 * (len(lines) - 1))  # so that intervals stand beside one another
+        known = [(k, mean, half if math.isfinite(half) else 0.0) for k, (mean, half) in enumerate(values)
+                 if math.isfinite(mean)]
+        points = [(across_at(k + aside), up_at(mean), up_at(mean - half), up_at(mean + half), f"{mean:.3f}")
+                  for k, mean, half in known]
+        drawn.append({"name": name, "colour": COLOURS[n % len(COLOURS)], "key": upper + 14 + 19 * n,
                       "points": points, "path": " ".join(f"{x},{y}" for x, y, *_ in points)})
     return render("chart.svg", lines=drawn, ticks=[(up_at(tick), f"{tick:g}") for tick in ticks], across=across,
-                  marks=[(across_at(x), text) for x, text in marks.items()], axis=axis, left=left, right=right,
+                  marks=[(across_at(x), text) for x, text in enumerate(labels)], axis=axis, left=left, right=right,
                   level=None if level is None else up_at(level), top=upper, bottom=lower, width=width, height=height)
-
-
-def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: float, name: str) -> Markup:
-    """Stiffness at points of a surface, seen along the axis in which they extend least.
-
-    Args:
-        places: points (k, 3) [m]. values: stiffness (k,) > 0 or 0. low, high: of the colours, 0 < low < high.
-        name: of the picture.
-    """
-    spread = np.ptp(places, axis=0)
-    first, second = sorted(np.argsort(-spread)[:2])
-    size, margin = 300.0, 10.0
-    scale = (size - 2 * margin) / max(float(spread[first]), float(spread[second]), 1e-9)
-    x = margin + scale * (places[:, first] - places[:, first].min())
-    y = margin + scale * (places[:, second].max() - places[:, second])
-    radius = min(14.0, max(2.0, 0.4 * size / math.sqrt(max(len(places), 1))))
-    share = np.log(np.maximum(values, low) / low) / math.log(high / low)
-    level, dots = np.rint(_LEVELS * np.minimum(share, 1.0)).astype(int), []
-    for one in np.unique(level):  # a path a colour, each place from the one before: a point is 6 letters and not 60
-        at = np.unique(np.rint(np.column_stack([x, y])[level == one] / _GRID).astype(int), axis=0)
-        dots.append((colour_of(one / _LEVELS), "".join(f"m{a}{'' if b < 0 else ' '}{b}z" for a, b in np.diff(
-            at, axis=0, prepend=0).tolist())))
-    return render("map.svg", dots=dots, grid=_GRID, dot=f"{2.0 * radius / _GRID:.1f}", name=name, width=int(size),
-                  height=math.ceil(2 * margin + scale * spread[second] + 26.0), axes=["xyz"[first], "xyz"[second]])
 
 
 def colour_of(share: float) -> str:
@@ -152,10 +116,9 @@ def png_uri(image: np.ndarray) -> str:
     return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
-def round_numbers(low: float, high: float) -> list[float]:
-    """About five round numbers from below ``low`` to beyond ``high``."""
-    raw = max(high - low, 1e-12) / 4.0
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= raw * 0.999)
-    first = math.floor(low / step + 1e-9)
-    return [step * k for k in range(first, max(math.ceil(high / step - 1e-9), first + 1) + 1)]
+def round_numbers(high: float) -> list[float]:
+    """About five round numbers from 0 to beyond ``high``."""
+    high = max(high, 1e-12)
+    power = 10.0 ** math.floor(math.log10(high / 4.0))
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= high / 4.0 * 0.999)
+    return [step * k for k in range(math.ceil(high / step - 1e-9) + 1)]

@@ -58,6 +58,8 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     command: str
     commit: str
     machine: str
+    other_bits: bool = False
+    """Its dataset is the task's, made on a machine that rounds otherwise."""
     commitment: _Sha256 | None = None
     """Of the sealed set."""
     receipt: _Sha256 | None = None
