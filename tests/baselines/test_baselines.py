@@ -9,7 +9,7 @@ import pytest
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.point_vsf import PointVsf
 from vsfsim.bench.check import MOCK_TASK
-from vsfsim.bench.metric_functions import spearman
+from vsfsim.bench.metrics import spearman
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task

@@ -14,7 +14,7 @@ from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
 from vsfsim.baselines.sensor_surface import dense_touch
 from vsfsim.bench.inclusions import Inclusions
 from vsfsim.bench.method import Surface
-from vsfsim.bench.metric_functions import rotation_error, translation_error
+from vsfsim.bench.metrics import Answer, record_scores
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task
@@ -125,13 +125,14 @@ def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
                                intrinsics=np.array([[168.0, 0, 31.5], [0, 168.0, 31.5], [0, 0, 1.0]]))
     for given in (stiffness, under.astype(float)) if over else (stiffness,):
         found = locate(vertices, triangles, points, given, view, PoseSearch(refine=200, turned=True))
-        assert translation_error(found, truth) < 4.0 and rotation_error(found, truth) < 8.0
+        scores = record_scores(Answer.POSE, [{"estimate": found, "truth": truth}])
+        assert scores["translation_error"] < 4.0 and scores["rotation_error"] < 8.0
     if not over:
         return
     # The papers' procedure has all six degrees of freedom: it fits the outside to a slab of stiff points from above and
     # does not know which face is up.
     literal = locate(vertices, triangles, points, stiffness, view, PoseSearch(pose="registration"))
-    assert translation_error(literal, truth) < 25.0
+    assert record_scores(Answer.POSE, [{"estimate": literal, "truth": truth}])["translation_error"] < 25.0
     # Where all is of one stiffness the object stands in the middle of what is seen.
     np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, PoseSearch())[:3, 3],
                                view.points().mean(axis=0))

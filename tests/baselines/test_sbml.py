@@ -8,7 +8,7 @@ import pytest
 from vsfsim.baselines.sbml import Sbml, object_of
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.method import Specimen
-from vsfsim.bench.metric_functions import HALF_WIDTH_50
+from vsfsim.bench.metrics import HALF_WIDTH_50
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task

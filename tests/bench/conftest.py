@@ -71,6 +71,12 @@ def constant(task, toy_dataset):
 
 
 @pytest.fixture(scope="session")
+def honest(task, toy_dataset):
+    """The scores of a method that answers 1.5 and does nothing else."""
+    return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False).scores
+
+
+@pytest.fixture(scope="session")
 def one_trial(task, toy_dataset, tmp_path_factory):
     """A context for trials of a method, its processes with further variables each; much cheaper than an evaluation."""
     @contextlib.contextmanager

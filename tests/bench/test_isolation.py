@@ -13,12 +13,6 @@ from vsfsim.core.errors import MethodError
 
 
 @pytest.fixture(scope="module")
-def honest(task, toy_dataset):
-    """The scores of a method that answers 1.5 and does nothing else."""
-    return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False).scores
-
-
-@pytest.fixture(scope="module")
 def trial(one_trial):
     """Makes a trial of one class of `hostile_methods`."""
     with one_trial("hostile_methods:named", Isolation(timeout=5.0, memory=2.0)) as make:

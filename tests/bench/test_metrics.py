@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from vsfsim.bench.metric_functions import (
-    best_f1,
+from vsfsim.bench.metrics import (
+    Answer,
     can_be_scored,
+    mask_scores,
+    record_scores,
     spearman,
     stiff_points,
     touch_errors,
     touch_uncertainty,
 )
-from vsfsim.bench.metrics import Answer, record_scores
 
 
 def stiffness_scores(mean, truth, std=None):
@@ -56,9 +57,9 @@ def test_stiff_points_are_the_upper_of_two_classes_and_f1_is_the_best_there_is()
     assert stiff_points(truth).tolist() == [True, False, False, True, False]
     assert not stiff_points(np.ones(4)).any()
     # Thresholds 9: P 1, R 1/2; 5: two of three found right -> F1 4/5.
-    assert best_f1(np.array([9.0, 1.0, 5.0, 5.0, 0.0]), stiff_points(truth)) == pytest.approx(0.8)
-    assert best_f1(np.ones(5), stiff_points(truth)) == pytest.approx(2 * 2 / 7)
-    assert best_f1(np.ones(3), np.zeros(3, bool)) == 0.0
+    assert mask_scores(np.array([9.0, 1.0, 5.0, 5.0, 0.0]), stiff_points(truth)) == pytest.approx((0.8, 2 / 3, 1.0))
+    assert mask_scores(np.ones(5), stiff_points(truth))[0] == pytest.approx(2 * 2 / 7)
+    assert mask_scores(np.ones(3), np.zeros(3, bool)) == (0.0, 0.0, 0.0)
 
 
 def test_uncertainty_by_hand():

@@ -23,7 +23,7 @@ from vsfsim.bench.method import (
     parameters_of,
     plain_parameters,
 )
-from vsfsim.bench.metric_functions import rmse, touch_errors
+from vsfsim.bench.metrics import rmse, touch_errors
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task

@@ -2,32 +2,225 @@
 
 The harness collects one record for each answer of a method to one object, shot and seed, and asks the table. A new
 metric is one row and one function of the records of one seed. Result files name metrics by `Metric.name`.
+
+Readings: y are noise-free, p predictions, s their standard deviations, all in the task's unit. Only valid (converged)
+frames of query touches count, and a reading of d numbers counts as d readings. A query touch is reduced to sums first
+(`touch_errors`, `touch_uncertainty`); a metric is a function of the sums of several touches. The result file keeps the
+sums of `touch_errors`.
+
+Stiffness, at the probed points that some touch reached: s are a method's means (k,) in its own unit, t their standard
+deviations, k the truth: the force of a small cone over its displacement (SBML appendix C.4) [N/m]. Because s has no
+common unit, one scale an object is allowed (`scale_of`).
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from vsfsim.bench import metric_functions as functions
+from vsfsim.core.rotation import pose_errors
 from vsfsim.core.shelf import Registry
 
 Record = Mapping[str, Any]
+
+HALF_WIDTH_50, HALF_WIDTH_90 = 0.6744897501960817, 1.6448536269514722
+"""Half-widths of the central 50 % and 90 % of a normal distribution, in standard deviations."""
+SMALLEST_STD = 1e-6
+"""In the unit of the reading. A smaller standard deviation counts as this one, so that the likelihood stays finite."""
+FEWEST_POINTS = 3
+"""An object with fewer reached points is not scored."""
+SMALLEST_SHARE = 1e-3
+"""As a fraction of the median truth. A smaller standard deviation counts as this one, so that the likelihood stays
+finite."""
+TIE = 1e-9
+"""As a fraction of the largest value. Values closer together share a rank."""
+
+
+def touch_errors(prediction: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float]:
+    """Sums over one query touch: ``n`` readings, ``sse`` of squared errors, ``sae`` of absolute errors.
+
+    Args:
+        prediction: (T, d). truth: noise-free readings (T, d). valid: (T,) bool, at least one True.
+    """
+    error = prediction[valid] - truth[valid]
+    return {"n": int(error.size), "sse": float(np.sum(error**2)), "sae": float(np.sum(np.abs(error)))}
+
+
+def touch_uncertainty(prediction: np.ndarray, std: np.ndarray, truth: np.ndarray,
+                      valid: np.ndarray) -> dict[str, float]:
+    """Sums over one query touch: ``n`` readings, ``nll`` of negative log-likelihoods, and the numbers ``in50`` and
+    ``in90`` of readings inside the central 50 % and 90 %.
+
+    Args:
+        prediction, std, truth: (T, d). valid: (T,) bool, at least one True.
+    """
+    error, s = np.abs(prediction - truth)[valid], np.maximum(std[valid], SMALLEST_STD)
+    return {"n": int(error.size), "nll": float(np.sum(negative_log_likelihood(error, s))),
+            "in50": int(np.sum(error <= HALF_WIDTH_50 * s)), "in90": int(np.sum(error <= HALF_WIDTH_90 * s))}
+
+
+def rmse(touches: Sequence[Record]) -> float:
+    """Mean over query touches of sqrt(mean_t (p - y)^2)."""
+    return float(np.mean(np.sqrt(_column(touches, "sse") / _column(touches, "n"))))
+
+
+def rmse_pooled(touches: Sequence[Record]) -> float:
+    """sqrt(mean over all readings of all query touches of (p - y)^2)."""
+    return float(np.sqrt(_column(touches, "sse").sum() / _column(touches, "n").sum()))
+
+
+def rmse_norm(touches: Sequence[Record]) -> float | None:
+    """Mean over query touches of sqrt(mean_t |p - y|^2), |.| the norm of the d numbers of a reading; None for d = 1,
+    where it is `rmse`, and where d is not known."""
+    size = touches[0].get("size") or 1
+    return None if size == 1 else float(np.sqrt(size)) * rmse(touches)
+
+
+def rmse_ratio(touches: Sequence[Record]) -> float | None:
+    """Mean over objects of `rmse` over that of predicting zero on the same touches; None where a true reading is not
+    known, or all those of an object are zero."""
+    ratios = object_ratios(touches)
+    return None if ratios is None else float(np.mean(list(ratios.values())))
+
+
+def object_ratios(touches: Sequence[Record]) -> dict[str, float] | None:
+    """The ratio of each object, all its views together, by the object's name; None as of `rmse_ratio`.
+
+    Args:
+        touches: sums with the names of the object views, ``object``, and the sums of squares of the true readings,
+            ``ss`` [unit^2].
+    """
+    if any(touch.get("ss") is None or touch.get("object") is None for touch in touches):
+        return None
+    mine: dict[str, list[tuple[float, float]]] = {}
+    for touch in touches:
+        n = float(touch["n"])
+        mine.setdefault(object_of(touch["object"]), []).append((math.sqrt(touch["sse"] / n),
+                                                                math.sqrt(touch["ss"] / n)))
+    sums = {name: (math.fsum(e for e, _ in pairs), math.fsum(z for _, z in pairs)) for name, pairs in mine.items()}
+    if any(not zero > 0.0 for _, zero in sums.values()):
+        return None
+    return {name: error / zero for name, (error, zero) in sums.items()}
+
+
+@lru_cache(maxsize=4096)  # a leaderboard asks for each of its rows
+def object_of(view: str) -> str:
+    """Name of the object of a view: "shoe-0004" of "shoe-0004-v1"."""
+    return re.sub(r"-v\d+$", "", view)
+
+
+def mae(touches: Sequence[Record]) -> float:
+    """Mean over query touches of mean_t |p - y|."""
+    return float(np.mean(_column(touches, "sae") / _column(touches, "n")))
+
+
+def mae_pooled(touches: Sequence[Record]) -> float:
+    """Mean over all readings of all query touches of |p - y|."""
+    return float(_column(touches, "sae").sum() / _column(touches, "n").sum())
+
+
+def mean_of(sums: str) -> Callable[[Sequence[Record]], float]:
+    """The metric that is the sum called ``sums`` over the number of readings."""
+    return lambda touches: sum(touch[sums] for touch in touches) / sum(touch["n"] for touch in touches)
+
+
+def negative_log_likelihood(error: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """1/2 (e / s)^2 + log s + 1/2 log 2 pi of a normal distribution, entry by entry."""
+    return 0.5 * (error / std) ** 2 + np.log(std) + 0.5 * np.log(2.0 * np.pi)
+
+
+def _column(touches: Sequence[Record], name: str) -> np.ndarray:
+    return np.array([touch[name] for touch in touches], float)
+
+
+def can_be_scored(mean: np.ndarray, truth: np.ndarray) -> bool:
+    """Whether an object has enough reached points and an estimate that is positive anywhere."""
+    return len(truth) >= FEWEST_POINTS and bool(np.any(mean > 0))
+
+
+def log10_error(mean: np.ndarray, truth: np.ndarray) -> float:
+    """Mean |log10 s - log10 k - c| with the scale c; an s at or near 0 counts as a tenth of the softest k times that
+    scale."""
+    scale = scale_of(mean, truth)
+    floor = 0.1 * truth.min() * 10.0**scale
+    return float(np.abs(np.log10(np.maximum(mean, floor)) - np.log10(truth) - scale).mean())
+
+
+def uncertainty(mean: np.ndarray, std: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Absolute errors (k,) and standard deviations (k,) [N/m] after the scale c on both."""
+    scale = 10.0 ** -scale_of(mean, truth)
+    return np.abs(scale * mean - truth), np.maximum(scale * std, SMALLEST_SHARE * float(np.median(truth)))
+
+
+def scale_of(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """The one allowed scale c [decades]: the median of log10 s - log10 k over s > 0, of which there must be one."""
+    positive = estimate > 0
+    return float(np.median(np.log10(estimate[positive]) - np.log10(truth[positive])))
+
+
+def stiff_points(truth: np.ndarray) -> np.ndarray:
+    """Which of the stiffnesses ``truth`` (k,) > 0 belong to the stiff one of two classes (k,) bool; none if all are
+    equal. The classes are those whose mean log10 k differs most (Otsu 1979)."""
+    order = np.sort(np.log10(truth))
+    count = np.arange(1, len(order))
+    below = np.cumsum(order)[:-1] / count
+    above = (order.sum() - np.cumsum(order)[:-1]) / (len(order) - count)
+    between = count * (len(order) - count) * (above - below) ** 2
+    if len(order) < 2 or not between.max() > 0.0:
+        return np.zeros(len(truth), bool)
+    return np.log10(truth) > order[int(np.argmax(between))]
+
+
+def spearman(a: np.ndarray, b: np.ndarray) -> float:
+    """Spearman's rank correlation of two arrays (k,), ties sharing their mean rank; 0 where one of them is constant.
+
+    Values closer together than `TIE` count as equal: an estimator gives many points one value up to rounding, and
+    rounding differs between machines.
+    """
+    ra, rb = _ranks(a), _ranks(b)
+    ra, rb = ra - ra.mean(), rb - rb.mean()
+    norm = np.sqrt((ra @ ra) * (rb @ rb))
+    return float(ra @ rb / norm) if norm > 0 else 0.0
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    group = np.zeros(len(values), int)
+    group[order[1:]] = np.cumsum(np.diff(ordered) > TIE * np.abs(values).max(initial=0.0))
+    counts = np.bincount(group)
+    last = np.cumsum(counts)
+    return (last - (counts - 1) / 2.0)[group]
+
+
+def mask_scores(value: np.ndarray, stiff: np.ndarray) -> tuple[float, float, float]:
+    """The largest F1 score of ``value >= threshold`` (p,) against ``stiff`` (p,) bool over all thresholds, and
+    precision and recall there; 0 if nothing is stiff. Neural VSF table I chooses a threshold for each method, too."""
+    order = np.argsort(-value, kind="stable")
+    hit = np.cumsum(stiff[order])
+    last = np.append(np.diff(value[order]) != 0.0, True)  # points of one value fall on one side together
+    if not stiff.any():
+        return 0.0, 0.0, 0.0
+    scores = np.where(last, 2.0 * hit / (np.arange(1, len(hit) + 1) + stiff.sum()), -1.0)
+    best = int(np.argmax(scores))
+    return float(scores[best]), float(hit[best]) / (best + 1), float(hit[best]) / int(stiff.sum())
 
 
 class Answer(StrEnum):
     """What a method answers, and what a record of it holds."""
 
     READINGS = "readings"
-    """`predict`. A record is a query touch: the sums of `metric_functions.touch_errors`."""
+    """`predict`. A record is a query touch: the sums of `touch_errors`."""
 
     READING_STD = "reading std"
-    """`predict_std`. A record is a query touch: the sums of `metric_functions.touch_uncertainty`."""
+    """`predict_std`. A record is a query touch: the sums of `touch_uncertainty`."""
 
     STIFFNESS = "stiffness"
     """`stiffness` at the reached probe points. A record is an object: ``mean`` (k,), ``std`` (k,) or None where the
@@ -60,18 +253,19 @@ class Metric:
     """A task may rank methods by it."""
 
 
-def _mean_over_objects(score: Callable[..., float], *keys: str) -> Callable[[Sequence[Record]], float]:
-    """The mean over objects of ``score``, called with the entries ``keys`` of a record."""
-    return lambda records: float(np.mean([score(*(record[key] for key in keys)) for record in records]))
-
-
-def _mean_uncertainty(score: Callable[[np.ndarray, np.ndarray], float]) -> Callable[[Sequence[Record]], float | None]:
-    """The mean over objects of ``score(error, std)``; None where a method gives an object no standard deviation."""
+def _of_object(name: str, answer: Answer, score: Callable[[Record], float | None], doc: str, **more: Any) -> Metric:
+    """A metric that is the mean over objects of a score of one; None where that of one is None."""
     def mean(records: Sequence[Record]) -> float | None:
-        if any(record["std"] is None or not np.any(record["std"] > 0) for record in records):
-            return None
-        return float(np.mean([score(*functions.uncertainty(r["mean"], r["std"], r["truth"])) for r in records]))
-    return mean
+        values = [score(record) for record in records]
+        return None if None in values else float(np.mean(values))  # type: ignore[arg-type]
+
+    return Metric(name, answer, mean, doc, **more)
+
+
+def _of_std(name: str, score: Callable[[np.ndarray, np.ndarray], float], doc: str, **more: Any) -> Metric:
+    """A metric of the errors and standard deviations of a stiffness; None where a method gives an object none."""
+    return _of_object(name, Answer.STIFFNESS, lambda r: None if r["std"] is None or not np.any(r["std"] > 0) else (
+        float(score(*uncertainty(r["mean"], r["std"], r["truth"])))), doc, **more)
 
 
 def _reading(name: str, score: Callable[[Sequence[Record]], float | None], doc: str) -> Metric:
@@ -79,54 +273,53 @@ def _reading(name: str, score: Callable[[Sequence[Record]], float | None], doc: 
 
 
 def _of_mask(name: str, place: int, doc: str) -> Metric:
-    return Metric(name, Answer.MASK, _mean_over_objects(lambda *mask: functions.mask_scores(*mask)[place], "value",
-                                                        "stiff"), doc, higher_is_better=True, ranks=True)
+    return _of_object(name, Answer.MASK, lambda r: mask_scores(r["value"], r["stiff"])[place], doc,
+                      higher_is_better=True, ranks=True)
 
 
 METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
     m.name: m for m in (
-        _reading("rmse", functions.rmse, "Root mean square error of a touch's readings, averaged over touches."),
-        _reading("rmse_pooled", functions.rmse_pooled, "Root mean square error over all functions."),
-        Metric("rmse_ratio", Answer.READINGS, functions.rmse_ratio,
+        _reading("rmse", rmse, "Root mean square error of a touch's readings, averaged over touches."),
+        _reading("rmse_pooled", rmse_pooled, "Root mean square error over all readings."),
+        Metric("rmse_ratio", Answer.READINGS, rmse_ratio,
                "Error of an object, `rmse`, over that of predicting zero on the same touches, averaged over objects.",
                ranks=True),
-        Metric("rmse_norm", Answer.READINGS, functions.rmse_norm,
+        Metric("rmse_norm", Answer.READINGS, rmse_norm,
                "`rmse` of the norm of the error of a reading of several numbers; of torques, of the norm of all seven.",
                unit=None, ranks=True),
-        _reading("mae", functions.mae, "Mean absolute error of a touch's readings, averaged over touches."),
-        _reading("mae_pooled", functions.mae_pooled, "Mean absolute error over all functions."),
-        Metric("nll", Answer.READING_STD, functions.mean_of("nll"),
+        _reading("mae", mae, "Mean absolute error of a touch's readings, averaged over touches."),
+        _reading("mae_pooled", mae_pooled, "Mean absolute error over all readings."),
+        Metric("nll", Answer.READING_STD, mean_of("nll"),
                "Mean negative log-likelihood of the readings; a std that is too small and one that is too large both "
                "increase it."),
-        Metric("coverage50", Answer.READING_STD, functions.mean_of("in50"),
+        Metric("coverage50", Answer.READING_STD, mean_of("in50"),
                "Fraction of readings within 0.674 std of the prediction; 0.5 is right."),
-        Metric("coverage90", Answer.READING_STD, functions.mean_of("in90"),
+        Metric("coverage90", Answer.READING_STD, mean_of("in90"),
                "Fraction of readings within 1.645 std of the prediction; 0.9 is right."),
-        Metric("stiffness_spearman", Answer.STIFFNESS, _mean_over_objects(functions.spearman, "mean", "truth"),
-               "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
-        Metric("stiffness_log10", Answer.STIFFNESS, _mean_over_objects(functions.log10_error, "mean", "truth"),
-               "Mean absolute error of log10 of the stiffness after one scale an object."),
-        Metric("stiffness_f1", Answer.STIFFNESS,
-               _mean_over_objects(lambda mean, truth: functions.best_f1(mean, functions.stiff_points(truth)), "mean",
-                                  "truth"),
-               "Best F1 score of a threshold that separates the stiff points from the soft ones.",
-               higher_is_better=True),
-        Metric("stiffness_nll", Answer.STIFFNESS,
-               _mean_uncertainty(lambda *given: float(np.mean(functions.negative_log_likelihood(*given)))),
-               "Mean negative log-likelihood of the stiffness after one scale an object."),
-        Metric("stiffness_coverage50", Answer.STIFFNESS, _mean_uncertainty(functions.within(functions.HALF_WIDTH_50)),
-               "Fraction of points within 0.674 std of the estimate; 0.5 is right."),
-        Metric("stiffness_coverage90", Answer.STIFFNESS, _mean_uncertainty(functions.within(functions.HALF_WIDTH_90)),
-               "Fraction of points within 1.645 std of the estimate; 0.9 is right."),
-        Metric("stiffness_std_spearman", Answer.STIFFNESS, _mean_uncertainty(functions.spearman),
-               "Spearman's rank correlation of absolute error and std.", higher_is_better=True),
+        _of_object("stiffness_spearman", Answer.STIFFNESS, lambda r: spearman(r["mean"], r["truth"]),
+                   "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
+        _of_object("stiffness_log10", Answer.STIFFNESS, lambda r: log10_error(r["mean"], r["truth"]),
+                   "Mean absolute error of log10 of the stiffness after one scale an object."),
+        _of_object("stiffness_f1", Answer.STIFFNESS, lambda r: mask_scores(r["mean"], stiff_points(r["truth"]))[0],
+                   "Best F1 score of a threshold that separates the stiff points from the soft ones.",
+                   higher_is_better=True),
+        _of_std("stiffness_nll", lambda error, std: np.mean(negative_log_likelihood(error, std)),
+                "Mean negative log-likelihood of the stiffness after one scale an object."),
+        _of_std("stiffness_coverage50", lambda error, std: np.mean(error <= HALF_WIDTH_50 * std),
+                "Fraction of points within 0.674 std of the estimate; 0.5 is right."),
+        _of_std("stiffness_coverage90", lambda error, std: np.mean(error <= HALF_WIDTH_90 * std),
+                "Fraction of points within 1.645 std of the estimate; 0.9 is right."),
+        _of_std("stiffness_std_spearman", spearman, "Spearman's rank correlation of absolute error and std.",
+                higher_is_better=True),
         _of_mask("mask_f1", 0, "F1 score of the mask of stiff pixels at the best threshold."),
         _of_mask("mask_precision", 1, "Precision of the mask at that threshold."),
         _of_mask("mask_recall", 2, "Recall of the mask at that threshold."),
-        Metric("translation_error", Answer.POSE, _mean_over_objects(functions.translation_error, "estimate", "truth"),
-               "Distance between the centres of the estimated and the true object.", unit="mm", ranks=True),
-        Metric("rotation_error", Answer.POSE, _mean_over_objects(functions.rotation_error, "estimate", "truth"),
-               "Angle of the rotation between the estimated and the true object.", unit="deg", ranks=True),
+        _of_object("translation_error", Answer.POSE,
+                   lambda r: 1e3 * pose_errors(r["estimate"], r["truth"])[0],
+                   "Distance between the centres of the estimated and the true object.", unit="mm", ranks=True),
+        _of_object("rotation_error", Answer.POSE,
+                   lambda r: float(np.degrees(pose_errors(r["estimate"], r["truth"])[1])),
+                   "Angle of the rotation between the estimated and the true object.", unit="deg", ranks=True),
     )
 })
 """The table, by name, in the order in which results list them; a package adds rows by entry points of the group

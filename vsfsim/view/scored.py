@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench import curves
-from vsfsim.bench.metric_functions import scale_of
+from vsfsim.bench.metrics import scale_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import load_task

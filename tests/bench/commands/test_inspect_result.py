@@ -8,7 +8,6 @@ import pytest
 
 from vsfsim.bench import curves
 from vsfsim.bench.commands.inspect_result import inspect_result
-from vsfsim.bench.curves import beside
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result
@@ -27,7 +26,7 @@ def kept(task, toy_dataset, tmp_path_factory):
 
 def test_predictions_lie_beside_the_truth(kept, toy_views):
     found = curves.load(Result.load(kept), kept)
-    assert len(found) == 2 * 4 and beside(kept).stat().st_size < 20_000
+    assert len(found) == 2 * 4 and curves.beside(kept).stat().st_size < 20_000
     for (name, touch), (truth, predicted) in found.items():
         made = next(view for view in toy_views if view.name == name).touches[touch]
         assert predicted.shape == (4, 3, len(made.time), 1) and (predicted == 2.0).all()
@@ -68,10 +67,10 @@ def test_predictions_of_another_evaluation_are_refused(kept, task, toy_dataset, 
     known = Result.load(kept)
     queries = {**known.queries, "sse": [1.01 * value for value in known.queries["sse"]]}
     dataclasses.replace(known, queries=queries).save(path)
-    beside(path).write_bytes(beside(kept).read_bytes())
+    curves.beside(path).write_bytes(curves.beside(kept).read_bytes())
     with pytest.raises(TaskError, match="of another evaluation than the result beside it"):
         inspect_result(path)
-    beside(path).write_bytes(beside(kept).read_bytes()[:-40])
+    curves.beside(path).write_bytes(curves.beside(kept).read_bytes()[:-40])
     with pytest.raises(TaskError, match="cannot be read"):
         inspect_result(path)
     with pytest.raises(MethodError, match="keep is 'everything'"):

@@ -23,11 +23,6 @@ CONTAINERS = [name for name in BOXES if name != "process"]
 container = pytest.mark.skipif(not CONTAINERS, reason="no namespaces here")
 
 
-@pytest.fixture(scope="module")
-def honest(task, toy_dataset):
-    return evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, sandbox="process").scores
-
-
 def gone(pid):
     until = time.monotonic() + 10.0
     while time.monotonic() < until:

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.metric_functions import object_of, object_ratios
-from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.metrics import METRICS, object_of, object_ratios
 
 TOLD_APART = 2.0
 """Standard errors by which a paired difference must exceed zero before two methods count as different."""
@@ -44,7 +43,7 @@ def by_object(result: Any, metric: str, shot: str) -> dict[str, float]:
     """A metric of each object, mean over runs, by the object's name; {} where the result does not hold it.
 
     The mean of ``rmse`` is over the query touches of all runs [unit of a reading]; ``rmse_ratio`` is that of each run
-    to zero (`metric_functions.object_ratios`), where the result keeps the true readings' sizes.
+    to zero (`metrics.object_ratios`), where the result keeps the true readings' sizes.
 
     Args:
         result: of any task. metric: a key of `vsfsim.bench.metrics.METRICS`. shot: label.

@@ -27,7 +27,7 @@ from vsfsim.bench.board.compare import ByObject, Paired, by_object, interval, pa
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import collect, labels_of
-from vsfsim.bench.metric_functions import spearman
+from vsfsim.bench.metrics import spearman
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset
 from vsfsim.core import shelf

@@ -14,8 +14,7 @@ from vsfsim.bench import curves
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.leaderboard import score_table
-from vsfsim.bench.metric_functions import object_of
-from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task
 from vsfsim.core import shelf

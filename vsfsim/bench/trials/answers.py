@@ -18,8 +18,7 @@ from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.isolation.process import Learned, MethodHost, Process
 from vsfsim.bench.isolation.wire import decoded, encoded
 from vsfsim.bench.method import LARGEST_READING, Action, Specimen, checked_choice, frozen_view
-from vsfsim.bench.metric_functions import FEWEST_POINTS
-from vsfsim.bench.metrics import Answer
+from vsfsim.bench.metrics import FEWEST_POINTS, Answer
 from vsfsim.bench.protocol import Answers, Draw, Recording, Trial, divide, record, specimen_of, support
 from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import Protocol, Task

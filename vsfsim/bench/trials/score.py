@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.inclusions import Columns, Inclusions
-from vsfsim.bench.metric_functions import can_be_scored, touch_errors, touch_uncertainty
-from vsfsim.bench.metrics import Answer, record_scores, scores_of
+from vsfsim.bench.metrics import Answer, can_be_scored, record_scores, scores_of, touch_errors, touch_uncertainty
 from vsfsim.bench.protocol import Answers, Recording, divide, record
 from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.result import Result, machine, versions
