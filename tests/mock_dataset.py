@@ -33,3 +33,8 @@ def written(folder, *, train=1, test=2, touches=12):
     """That of ``train`` and ``test`` objects."""
     return write(folder, [mock_view(i, split="train" if i < train else "test", touches=touches)
                           for i in range(train + test)])
+
+
+def contents(folder):
+    """The bytes of every file in a folder, by its name."""
+    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}

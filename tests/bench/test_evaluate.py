@@ -9,7 +9,7 @@ import toy_methods
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record, specimen, support
-from vsfsim.core.errors import MethodError, TaskError
+from vsfsim.core.errors import TaskError
 
 
 @pytest.fixture(scope="module")
@@ -127,14 +127,3 @@ def test_a_seeded_method_is_fitted_anew_for_every_seed(task, toy_dataset):
     result = evaluate("toy_methods:Seeded", task, toy_dataset, check=False)
     per_seed = result.scores["mae"]["0"].per_seed
     assert len(set(per_seed)) == 3 and result.scores["mae"]["0"].std > 0
-
-
-@pytest.mark.parametrize(("name", "message"), [
-    ("toy_methods:Nothing", "has no 'Nothing'"),
-    ("no_such_module:X", "cannot be loaded"),
-    ("gausian", r"unknown method 'gausian'. Did you mean 'gaussian'\?"),
-    ("toy_methods:Constant", r"Constant has no parameter 'valeu'. Did you mean 'value'\?"),
-])
-def test_what_cannot_be_built_is_refused(task, toy_dataset, name, message):
-    with pytest.raises(MethodError, match=message):
-        evaluate(name, task, toy_dataset, parameters={"valeu": 1} if "Constant" in name else {}, check=False)

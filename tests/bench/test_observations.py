@@ -18,17 +18,6 @@ def test_readings_by_hand():
         observation("normal_force", "x")
 
 
-@pytest.mark.parametrize("name", OBSERVATIONS)
-def test_every_row_names_a_function(name):
-    assert OBSERVATIONS[name].name == name and callable(OBSERVATIONS[name].predictor())
-
-
-def test_a_row_whose_function_is_missing_is_refused():
-    row = dataclasses.replace(OBSERVATIONS["pressure"], rows="vsfsim.vsf.observations:presure")
-    with pytest.raises(TaskError, match=r"observation 'pressure': its rows .* cannot be loaded"):
-        row.predictor()
-
-
 def test_rows_times_the_true_stiffness_are_the_readings(task, toy_views):
     view, row = toy_views[1], OBSERVATIONS["normal-force"]
     recording = record(view, dataclasses.replace(task, observation=row))

@@ -25,13 +25,6 @@ def test_a_difference_is_a_share_of_the_largest_force_of_the_frames_that_converg
     assert difference(one, other) == 0.0
 
 
-def test_touches_without_a_force(touch):
-    silent = dataclasses.replace(touch, force=np.zeros_like(touch.force))
-    assert difference(silent, silent) == 0.0
-    assert difference(silent, touch) == np.inf
-    assert difference(touch, silent) == pytest.approx(1.0)
-
-
 def test_other_frames_or_marks_are_other(touch):
     marked = touch.converged.copy()
     marked[0] = ~marked[0]

@@ -75,9 +75,8 @@ def test_a_promise_is_kept_by_19_of_20():
 
 
 @pytest.mark.slow
-def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, monkeypatch):
+def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, here, monkeypatch):
     monkeypatch.setattr(buy, "DatasetTouches", lambda *_, **__: Imagined(0.02))
-    monkeypatch.setattr("vsfsim.generate.on_solids.make_each", _in_this_process)
     made = run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
     monkeypatch.setattr(buy, "DatasetTouches", None)  # a second pilot would fail
     run.generate(scene, tmp_path / "data", accuracy=0.1, objects=1)
@@ -96,24 +95,3 @@ def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path,
     run.generate(scene, tmp_path / "worse", accuracy=0.001, objects=1)
     (problem,) = verify(tmp_path / "worse").problems
     assert "promises an accuracy of 0.1 %, and 0 % of 1 audited touches keep it" in problem.what
-
-
-@pytest.mark.slow
-def test_touches_that_are_made_on_meshes_of_their_own_are_near_their_audits(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("vsfsim.generate.on_solids.make_each", _in_this_process)
-    monkeypatch.setattr(run, "bought", lambda *_, **__: ("fem", {
-        "resolution": 0.026, "contact": 0, "accuracy": {"asked": 0.02, "expected": 0.01, "limit": 0.0, "touches": 1}}))
-    made = run.generate(scene, tmp_path / "data", accuracy=0.02, objects=1)
-    stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
-    assert stored["accuracy"]["chosen"] == {"tier": "fem", "resolution": 0.026, "contact": 0}
-    assert verify(tmp_path / "data").ok, stored["accuracy"]
-    (error,) = (audit_error(touch) for touch in made[0].touches if "finer_force" in touch.audit)
-    assert 0.0 < error < 0.02 and all((touch.resolved[1:] == touch.converged[1:]).all() for touch in made[0].touches)
-
-
-def _in_this_process(jobs, *, device, workers):
-    from vsfsim.generate.workers import make_one
-
-    for job in jobs:
-        make_one(job, device)
-        yield job.name

@@ -5,10 +5,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from mock_dataset import contents
 from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError, SceneError
@@ -55,10 +55,6 @@ def scene(tmp_path_factory):
 def made(scene, tmp_path_factory):
     """The dataset made without a break by one worker, in this process' call."""
     return generate(scene, tmp_path_factory.mktemp("data") / "one", workers=1)
-
-
-def contents(folder):
-    return {p.name: p.read_bytes() for p in sorted(Path(folder).iterdir())}
 
 
 def test_it_is_whole_and_verifies(made, scene):

@@ -5,6 +5,7 @@ import subprocess
 import time
 
 import pytest
+from mock_dataset import contents
 from test_generate import SCENE, command
 
 from vsfsim.core.errors import VsfsimError
@@ -43,10 +44,6 @@ def cluster(workers: int):
     finally:
         ray.shutdown()
         made.shutdown()
-
-
-def contents(folder):
-    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
 
 def test_a_cluster_that_is_not_there_is_said_within_ten_seconds():

@@ -9,8 +9,7 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
-from vsfsim.generate import on_solids, workers
-from vsfsim.generate.effectors import probe
+from vsfsim.generate import workers
 from vsfsim.generate.recipe import files_of, make_recipe
 from vsfsim.generate.run import generate
 
@@ -48,18 +47,7 @@ def ball(scene):
     trimesh.creation.icosphere(2, 0.03).export(scene.path.parent / "thing.stl")
 
 
-def in_this_process(monkeypatch):
-    """Views are made one after the other, here."""
-    def make_each(jobs, *, device, **_):
-        for job in jobs:
-            workers.write(job, probe.EFFECTOR.make_view(job, device=device), device)
-            yield job.name
-
-    monkeypatch.setattr(on_solids, "make_each", make_each)
-
-
-def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_path, monkeypatch):
-    in_this_process(monkeypatch)
+def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_path, here, monkeypatch):
     with monkeypatch.context() as patch:
         written, original = [], workers.write
 
@@ -83,8 +71,7 @@ def test_a_mesh_that_was_replaced_between_kill_and_resume_is_told(scene, tmp_pat
     assert Dataset.open(made.path).recipe == made.recipe
 
 
-def test_a_mesh_that_is_replaced_while_the_dataset_is_made_is_told(scene, tmp_path, monkeypatch):
-    in_this_process(monkeypatch)
+def test_a_mesh_that_is_replaced_while_the_dataset_is_made_is_told(scene, tmp_path, here, monkeypatch):
     original = workers.write
 
     def write(job, view, device):

@@ -7,6 +7,7 @@ import re
 import signal
 
 import pytest
+from mock_dataset import contents
 from test_generate import SCENE
 
 from vsfsim.core.errors import DatasetError, VsfsimError
@@ -34,27 +35,9 @@ def scene(tmp_path_factory):
     return load_scene(path)
 
 
-@pytest.fixture
-def here(monkeypatch):
-    """Views are made in this process, one after the other."""
-
-    def make_all(self, jobs, *, device, workers=None):
-        from vsfsim.generate.workers import make_one
-
-        for job in jobs:
-            make_one(job, device)
-            yield job.name
-
-    monkeypatch.setattr(type(find_effector("probe")), "make_all", make_all)
-
-
 @pytest.fixture(scope="module")
 def made(scene, tmp_path_factory):
     return generate(scene, tmp_path_factory.mktemp("one") / "d", workers=1, objects=4)
-
-
-def contents(folder):
-    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
 
 def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp_path, here):

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from measurements import plant_ceilings as ceilings
 from measurements.plant_ceilings import (
     REACH,
     class_means,
@@ -15,11 +14,9 @@ from measurements.plant_ceilings import (
     error,
     measure,
     predicted,
-    stored,
     waves,
     with_classes,
 )
-from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.plants.subject import grow
@@ -79,28 +76,6 @@ def test_the_error_is_over_planned_frames_and_a_model_that_stops_holds_its_last(
     assert error([short], [true]) == pytest.approx(0.2) and error([true], [true]) == 0.0
     nothing = touch([-1], [5.0])
     assert error([nothing], [true]) == pytest.approx(1.0)
-
-
-def test_a_file_keeps_the_rows_and_a_later_run_goes_on(tmp_path, monkeypatch):
-    asked = []
-
-    def rows(subject, others, shots, jitters, rng, progress):
-        asked.append((subject.job.object_index, tuple(jitters)))
-        for jitter in jitters:
-            yield {"plant": f"plant {subject.job.object_index}", "jitter": jitter, "true": 1.0, "own": 2.0,
-                   "prior": 3.0, **{f"fit{n}": jitter for n in shots}}
-
-    monkeypatch.setattr(ceilings, "of_plant", rows)
-    monkeypatch.setattr(ceilings, "prepare_job", lambda job, device: SimpleNamespace(job=job))
-    file, path = tmp_path / "rows.jsonl", scene(tmp_path, plant="orange-tree", yields="true")
-    measure(scene=path, objects=1, jitters=(0.005,), file=file)
-    found = measure(scene=path, objects=1, jitters=(0.0, 0.005), file=file)
-    assert asked == [(0, (0.005,)), (0, (0.0,))], "what is there is kept"
-    assert [(row["plant"], row["jitter"]) for row in found.tables[0].rows] == [
-        ("plant 0", 0.0), ("plant 0", 0.005), ("mean of 1", 0.0), ("mean of 1", 0.005)]
-    assert stored(file).tables[0].rows == found.tables[0].rows
-    with pytest.raises(VsfsimError, match="seed 0, and this run has 1"):
-        measure(scene=path, objects=1, seed=1, file=file)
 
 
 @pytest.mark.slow

@@ -78,17 +78,6 @@ def test_a_table_shows_values_and_paired_differences(study):
     assert "missing: half; `vsfsim papers study toy --size mini` makes them" in lacking
 
 
-def test_a_table_says_which_rows_are_on_other_data_and_which_on_the_same_made_again(study, monkeypatch):
-    both = found(study, all=LEVEL, half=LEVEL)
-    given = both["half"].result
-    readings = {**given.readings, "ss": [1.1] * len(LEVEL)}
-    both["half"] = dataclasses.replace(both["half"], result=dataclasses.replace(given, readings=readings))
-    assert "made on other data than 'all': 'half'; make them again" in report.text(study, "mini", both)
-    monkeypatch.setattr(stored_results, "_ranked_data", lambda task, boards: {""})  # the toys' dataset_sha256
-    assert "made again by a machine that rounds otherwise: 'half'" in report.text(study, "mini", both)
-    assert "data" not in report.text(study, "mini", found(study, all=LEVEL, half=LEVEL))
-
-
 def test_only_a_class_of_objects_counts(study):
     boots = dataclasses.replace(study.variant("all"), only="boot")
     counted = stored_results._counted(study, boots, study.task_of(boots, "mini"))

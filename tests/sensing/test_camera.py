@@ -107,12 +107,6 @@ def test_bad_surfaces_are_refused(change, words):
     assert words in str(error.value)
 
 
-def test_an_unknown_renderer_is_refused():
-    triangle = Surface(np.eye(3), np.array([[0, 1, 2]]), np.array([0]), None, np.eye(3))
-    with pytest.raises(RenderError, match="Did you mean 'pyrender'"):
-        render(triangle, *look_at(SPEC, np.zeros(3)), 8, 8, renderer="pyrenderer")
-
-
 def _pyrender_view(*arguments):
     try:
         return render(*arguments, renderer="pyrender")

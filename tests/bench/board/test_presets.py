@@ -5,7 +5,7 @@ import inspect
 import pytest
 
 from vsfsim.bench.commands.catalogue import Choice, choices, preset
-from vsfsim.bench.evaluate import evaluate, evaluate_all
+from vsfsim.bench.evaluate import evaluate_all
 from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.method import find_method
 from vsfsim.bench.metrics import Answer
@@ -72,8 +72,3 @@ def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_datase
         "made"], "other parameters are another row"
     shown = text(collect(task, [tmp_path]))
     assert "toy_methods:Constant (paper)" in shown and "toy_methods:Constant (tuned)" in shown
-
-
-def test_parameters_go_over_a_preset(task, toy_dataset):
-    result = evaluate("contact-points", task, toy_dataset.path, preset="tuned", parameters={"share": 0.4}, seeds=1)
-    assert result.preset == "tuned" and result.parameters["share"] == 0.4

@@ -8,7 +8,6 @@ from vsfsim.bench.evaluate import evaluate, evaluate_all
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.cli.cluster import shard_words
-from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.engines import Fan
 
 ROW = Choice("toy_methods:Constant", "", {"value": 2.0})
@@ -63,10 +62,3 @@ def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
                         (("--on", "rai"), "--on is 'rai'. Did you mean 'ray'")):
         out = vsfsim("evaluate", "--method", "gaussian", "--task", task, *words, cwd=tmp_path)
         assert out.returncode == 2 and text in out.stderr, out.stderr
-
-
-def test_a_cluster_that_is_not_there_fails_no_result(folded, toy_dataset, tmp_path):
-    pytest.importorskip("ray")
-    with pytest.raises(VsfsimError, match="no Ray cluster at"):
-        list(evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset, fan=Fan(ray="127.0.0.1:1")))
-    assert not list(tmp_path.glob("*.json"))

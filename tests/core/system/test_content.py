@@ -33,12 +33,6 @@ def test_a_module_that_is_replaced_under_the_same_time_stamp_is_the_new_one(tmp_
         assert set(source_files("changing", tmp_path)) == {"changing", used}
 
 
-def test_the_source_of_a_baseline_is_its_particle_model_and_no_other_package():
-    found = source_files("vsfsim.baselines.sbml")
-    assert {"vsfsim.baselines.sbml", "vsfsim.vsf.estimate.map", "vsfsim.vsf.observations"} <= set(found)
-    assert not [name for name in found if not name.startswith("vsfsim")]
-
-
 def test_files_are_found_by_the_texts_that_name_them(tmp_path):
     (tmp_path / "ball.stl").write_text("x")
     tree = {"object": {"shape": {"mesh": "ball.stl"}}, "parts": [{"name": "a" * 500},
