@@ -70,7 +70,7 @@ def measure(*, scene: str = "plants-v4-mini", objects: int | None = None, first:
     settings = {"scene": loaded.name, "seed": seed, "touches": touches, "shots": list(shots)}
     rows = [] if file is None else kept(file, {"version": vsfsim.__version__, "commit": commit(), **settings}, COMMAND)
     recipe = make_recipe(loaded, seed=seed, objects=None, views=1, touches=touches)
-    jobs = jobs_of(recipe, loaded.path, Path("."), None)
+    jobs = jobs_of(recipe, loaded.path, Path("."))
     chosen = jobs[first:] if objects is None else jobs[first:first + objects]
     grown = [grow(job.scene(), job.stream(Stream.BODY), number=job.object_index) for job in jobs]
     for job in chosen:

@@ -120,7 +120,7 @@ def _pressed(one: Ask, cell: Cell, folder: Path) -> Any:
 
         sample = parse_scene(text(), folder / "scene.toml").sample(0)
         size = one.coarse * tiers.element_size(sample.required_object, one.tier, sample.probe)
-    return press(parse_scene(text(resolution=size), folder / "scene.toml"), tier=one.tier, cache=folder)
+    return press(parse_scene(text(resolution=size), folder / "scene.toml"), tier=one.tier)
 
 
 def measure(cells: int = 300, seed: int = 0, *, limit: float = 60.0, workers: int = 1,

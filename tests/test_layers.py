@@ -57,7 +57,7 @@ PHYSICS = ({"laws", "elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"b
 HEAVY = {
     "core": {"numpy", "scipy", "filelock", "msgspec"},
     "data": {"numpy", "h5py", "msgspec", "filelock"},
-    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
+    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "trimesh", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
@@ -83,7 +83,7 @@ HEAVY_IN = {"vsfsim/data/torch_view.py": {"torch"}}
 """The same for one file, which nothing imports at its top: a class that inherits from one of the package's."""
 
 HEAVY_LAZILY = {"core": {"rich", "matplotlib", "ray"}, "data": {"matplotlib", "fsspec", "pyarrow", "PIL", "jinja2"},
-                "view": {"rerun"}, "generate": {"yaml"}, "measurements": {"pyvista"}}
+                "view": {"rerun"}, "generate": {"yaml"}}
 """The same, inside a function: rich would take half of the time of `vsfsim --help`."""
 
 FORBIDDEN_NAMES = ("utils", "util", "common", "manager", "base", "helpers", "misc")

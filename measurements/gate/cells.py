@@ -145,7 +145,7 @@ def press(cell: GateCell) -> Run:
     """Press a cell; frames end by their limits of iterations, so that the load of the machine has no say."""
     with tempfile.TemporaryDirectory() as name, _recorded() as runs:
         loaded, tier = cell.load(Path(name))
-        request = Request(tier=tier, seed=cell.seed, cache=Path(name))
+        request = Request(tier=tier, seed=cell.seed)
         effector_of(loaded.sample(cell.seed)).press(loaded, request)
     frames = runs[-1][0]
     good = frames.converged[:, 0]

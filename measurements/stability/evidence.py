@@ -106,7 +106,7 @@ def gather(cell: Cell, folder: Path, limit: float, *, device: str = "cpu", frame
 def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float, device: str) -> Evidence:
     from vsfsim.generate.boundary import deformed_surface
 
-    request = Request(tier=tier, device=device, limit=limit, cache=folder)
+    request = Request(tier=tier, device=device, limit=limit)
     scene = loaded.sample(0)
     result = effector_of(scene).press(loaded, request)
     arrays = {name: value for name, (value, _) in result.arrays.items()}

@@ -26,7 +26,7 @@ def job(tmp_path):
         text = text.replace(old, new)
     loaded = parse_scene(text, find_scene("plants-v4-mini"))
     recipe = make_recipe(loaded, seed=3, objects=1, views=2, touches=1)
-    return jobs_of(recipe, loaded.path, tmp_path, None)[1]
+    return jobs_of(recipe, loaded.path, tmp_path)[1]
 
 
 def with_limit(scene, limit):

@@ -275,7 +275,7 @@ def test_a_channel_that_is_declared_and_not_recorded_is_refused(load_cell, made,
     from vsfsim.generate.job import jobs_of
     from vsfsim.generate.workers import write
 
-    job = jobs_of(made.recipe, tmp_path / "weighed.toml", tmp_path, None)[0]
+    job = jobs_of(made.recipe, tmp_path / "weighed.toml", tmp_path)[0]
     view = load_cell.Probe().make_view(job, device="cpu")
     with pytest.raises(DatasetError, match="declares the channel 'cell_force' and did not record it"):
         write(job, view, "cpu")

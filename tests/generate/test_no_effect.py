@@ -85,6 +85,6 @@ def test_what_is_meant_is_pressed(made):
 def test_a_dataset_is_refused_too_and_so_is_an_unknown_word(tmp_path):
     loaded = scene(young=inclusions((0.5, 0.01)), more="[touches]\ncount = 1\ndepth = 0.003\n")
     with pytest.raises(SceneError, match="lies outside the body"):
-        prepare(jobs_of(make_recipe(loaded), loaded.path, tmp_path, None)[0], device="cpu")
+        prepare(jobs_of(make_recipe(loaded), loaded.path, tmp_path)[0], device="cpu")
     with pytest.raises(SceneError, match=r"'no-contakt'\. Did you mean 'no-contact'"):
         scene(top='allow = ["no-contakt"]')

@@ -35,7 +35,7 @@ def scene_file():
 def made(scene_file, tmp_path_factory):
     """One object view of three touches, through the file, and its job."""
     recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2)
-    job = jobs_of(recipe, scene_file.path, tmp_path_factory.mktemp("plants"), None)[1]
+    job = jobs_of(recipe, scene_file.path, tmp_path_factory.mktemp("plants"))[1]
     view = make_view(job, device="cpu")
     write_view(job.file, view)
     return read_view(job.file), view, job
@@ -68,7 +68,7 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
     text = scene_file.text.replace('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "return"')
     text = text.replace("force_limit = 40.0", "force_limit = 3.0")
     recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3)
-    job = jobs_of(recipe, scene_file.path, tmp_path, None)[0]
+    job = jobs_of(recipe, scene_file.path, tmp_path)[0]
     touches, prepared = make_view(job, device="cpu").touches, prepare_job(job, device="cpu")
     aims, turned = prepared.aims, 0
     for touch, a in zip(touches, aims, strict=True):
@@ -143,7 +143,7 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
 def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
     """The way of a GPU: prepared and finished by other processes, solved in one batch."""
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, device=device)
-    jobs = jobs_of(recipe, scene_file.path, tmp_path, None)
+    jobs = jobs_of(recipe, scene_file.path, tmp_path)
     assert {*make_together(jobs, device=device, workers=2)} == {job.name for job in jobs}
     for job in jobs:
         together, alone = read_view(job.file), make_view(job, device=device)

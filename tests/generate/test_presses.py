@@ -99,7 +99,7 @@ def test_the_scenes_own_touches_are_those_of_the_scene_without_others(made, tmp_
     """So that a transfer task has the objects and the pictures of the task that it belongs to."""
     text = SCENE[:SCENE.index("[[touches.other]]")] + SCENE[SCENE.index("[camera]"):]
     (tmp_path / "kinds.toml").write_text(text)
-    job = jobs_of(make_recipe(load_scene(tmp_path / "kinds.toml")), tmp_path / "kinds.toml", tmp_path, None)[0]
+    job = jobs_of(make_recipe(load_scene(tmp_path / "kinds.toml")), tmp_path / "kinds.toml", tmp_path)[0]
     plain = EFFECTOR.make_view(job, device="cpu")
     view = made.load("kinds-0000-v0")
     np.testing.assert_array_equal(view.view.depth, plain.view.depth)

@@ -43,7 +43,7 @@ PATH = Path("varied.toml")
 @pytest.fixture(scope="module")
 def made():
     scene = parse_scene(TEXT, PATH)
-    job = jobs_of(make_recipe(scene, objects=1), PATH, Path(), None)[0]
+    job = jobs_of(make_recipe(scene, objects=1), PATH, Path())[0]
     return job, EFFECTOR.make_view(job, device="cpu")
 
 

@@ -33,11 +33,9 @@ DOWN = '[press]\nfrom = [0.1, 0.2, 0.345]\nto = [0.1, 0.2, 0.336]\nframes = 3\n'
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    cache = tmp_path_factory.mktemp("bubbles")
-
+def run():
     def make(path):
-        request = Request(cache=cache)
+        request = Request()
         made = solve(parse_scene(text(path), "small.toml").sample(0), request)
         return made.solved, result_of(made, request)
 

@@ -8,7 +8,6 @@ import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
-import vsfsim.physics.runtime  # noqa: F401  Warp keeps its own cache, whatever folder a test sets for meshes
 from vsfsim.cli.main import app
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import find_scene
@@ -33,10 +32,8 @@ BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", prob
 
 
 @pytest.fixture
-def press(vsfsim, tmp_path, monkeypatch):
+def press(vsfsim, tmp_path):
     """Runs `vsfsim press` on a scene made of keywords: press(*words, **scene)."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # a mesh cache of the test's own
-
     def run(*words, **scene):
         text, given = scene.pop("text", SCENE), {**BOX, **scene}
         for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"),

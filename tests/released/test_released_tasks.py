@@ -49,7 +49,7 @@ def view_made_again(task, name, touches):
     path = shelf.find_scene(wanted.scene)
     recipe = make_recipe(load_scene(path), seed=wanted.seed, objects=wanted.objects, views=wanted.views,
                          touches=touches, tier=wanted.tier)
-    (job,) = (job for job in jobs_of(recipe, path, Path(), None) if job.name == name)
+    (job,) = (job for job in jobs_of(recipe, path, Path()) if job.name == name)
     return effector_of(job.scene()).make_view(job, device="cpu"), recipe
 
 

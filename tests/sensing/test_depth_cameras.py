@@ -63,11 +63,11 @@ def test_a_scene_names_a_camera() -> None:
     scene = parse_scene(TEXT, PATH)
     camera = scene.sample(0).camera
     assert (camera.width, camera.height) == (64, 48) and camera.fov == pytest.approx(np.radians(55.0))
-    subject = prepare(jobs_of(make_recipe(scene, objects=1), PATH, Path(), None)[0], device="cpu")
+    subject = prepare(jobs_of(make_recipe(scene, objects=1), PATH, Path())[0], device="cpu")
     change = (subject.recorded.depth - subject.view.depth)[subject.recorded.mask]
     assert 0.0 < np.abs(change).max() < 0.02 and change.std() > 1e-4
     plain = parse_scene(TEXT.replace('model = "l515"', ""), PATH)
-    ideal = prepare(jobs_of(make_recipe(plain, objects=1), PATH, Path(), None)[0], device="cpu")
+    ideal = prepare(jobs_of(make_recipe(plain, objects=1), PATH, Path())[0], device="cpu")
     assert ideal.recorded is ideal.view
 
 

@@ -69,7 +69,7 @@ def test_the_membrane_bottoms_out_on_its_housing(device):
     assert -1e-4 < low.min() < 0.0 and (low[:-1] > -1e-9).all()
 
 
-def test_an_obstacle_in_the_housing_is_refused(tmp_path):
+def test_an_obstacle_in_the_housing_is_refused():
     text = """
 name = "deep"
 [sensor]
@@ -84,7 +84,7 @@ to = [0.0, 0.0, 0.008]
 frames = 3
 """
     with pytest.raises(SceneError, match=r"in frame 2 of .press. obstacle 1 is .* mm behind the plane"):
-        solve(parse_scene(text, "deep.toml").sample(0), Request(cache=tmp_path))
+        solve(parse_scene(text, "deep.toml").sample(0), Request())
 
 
 DRUM = """
@@ -105,10 +105,10 @@ frames = 3
 """
 
 
-def test_a_flat_drum_is_pressed_into_its_chamber(tmp_path):
+def test_a_flat_drum_is_pressed_into_its_chamber():
     """A membrane without a dome, 3 mm deep in its middle; a plane wider than the rim meets the rim."""
     def press(**text):
-        return solve(parse_scene(DRUM.format(**text), "drum.toml").sample(0), Request(cache=tmp_path)).solved
+        return solve(parse_scene(DRUM.format(**text), "drum.toml").sample(0), Request()).solved
 
     ball = {"shape": "sphere = 0.012", "more": "", "start": 0.013, "stop": 0.009}
     solved = press(chamber=0.01, **ball)

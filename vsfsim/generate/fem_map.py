@@ -77,14 +77,14 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
 def _prior(job: Job, subject: Subject, field: str) -> Prior:
     """Of log E of the object, from the others of its dataset."""
     solid = subject.model.solid
-    others = [one for one in jobs_of(job.recipe, job.path, "", None)
+    others = [one for one in jobs_of(job.recipe, job.path, "")
               if one.object_index != job.object_index and one.view_index == 0][:_OTHERS]
     if not others:
         raise SceneError("fem-map learns its prior from the other objects of the dataset, and "
                          f"scene '{job.recipe.scene}' has {job.name} alone.")
     rows = []
     for other in others:
-        body, values = tiers.body(other.scene(), job.recipe.tier, seed=other.stream(Stream.BODY), cache=other.cache)
+        body, values = tiers.body(other.scene(), job.recipe.tier, seed=other.stream(Stream.BODY))
         log, region = np.log(values).mean(axis=1), np.asarray(body.region)
         own = {part: float(log[region == k].mean()) for k, part in enumerate(body.region_names) if (region == k).any()}
         rows.append([own.get(part, np.nan) for part in solid.region_names])

@@ -33,8 +33,6 @@ class Job:
     """Number of the view of that object, from 0."""
     store: str
     """Folder or address of the dataset."""
-    cache: Path | None
-    """Folder of meshes that were made before, or None for the user's own cache."""
     mixed: bool = False
     """Whether machines of several kinds may make the dataset."""
     poison: bool = False
@@ -61,9 +59,8 @@ class Job:
         return stream(self.recipe.seed, kind, self.object_index, *keys[kind])
 
 
-def jobs_of(recipe: Recipe, path: Path, store: Path | str, cache: Path | None, *,
-            mixed: bool = False, poison: bool = False) -> list[Job]:
+def jobs_of(recipe: Recipe, path: Path, store: Path | str, *, mixed: bool = False, poison: bool = False) -> list[Job]:
     """One job for every object view, in order; their files lie in ``store``."""
     split_of = [name for name, n in recipe.splits.items() for _ in range(n)]
     names = [(o, v, f"{recipe.scene}-{o:04d}-v{v}") for o in range(recipe.objects) for v in range(recipe.views)]
-    return [Job(recipe, path, name, split_of[o], o, v, str(store), cache, mixed, poison) for o, v, name in names]
+    return [Job(recipe, path, name, split_of[o], o, v, str(store), mixed, poison) for o, v, name in names]

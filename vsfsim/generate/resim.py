@@ -63,7 +63,7 @@ def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     if not isinstance(effector, OnSolids):
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their "
                          "plans: its effector takes no paths. Rigid probes and bubbles do.")
-    job = next(one for one in jobs_of(recipe, path, "", None) if one.name == name)
+    job = next(one for one in jobs_of(recipe, path, "") if one.name == name)
     if not tier:
         return job
     # what a tier that does not show the scene's needs errs is what is asked

@@ -113,7 +113,7 @@ def make(plan: Plan) -> Made:
     if asked.accuracy is not None:
         tier, options = bought(loaded, folder, asked, recipe.objects)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
-    jobs = jobs_of(recipe, loaded.path, folder, asked.cache, mixed=asked.mixed, poison=asked.poison)
+    jobs = jobs_of(recipe, loaded.path, folder, mixed=asked.mixed, poison=asked.poison)
     with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard, mixed=asked.mixed) as writer:
         missing = set(writer.missing())
         mine = [job for k, job in enumerate(jobs) if job.name in missing and not asked.finish

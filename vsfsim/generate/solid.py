@@ -53,7 +53,7 @@ class Subject:
         recipe = dataclasses.replace(old, tier=tier, options={**old.options, **options})
         job = dataclasses.replace(self.job, recipe=recipe)
         scene = job.scene()
-        model = tiers.build(scene, tier, seed=job.stream(Stream.BODY), cache=job.cache, edges=edges)
+        model = tiers.build(scene, tier, seed=job.stream(Stream.BODY), edges=edges)
         return dataclasses.replace(self, job=job, scene=scene, model=model)
 
     def limits(self) -> SolverOptions:
@@ -73,7 +73,7 @@ def prepare(job: Job, *, device: str) -> Subject:
         SceneError, MeshError: the object cannot be built.
     """
     scene, r = job.scene(), job.recipe
-    model = tiers.build(scene, r.tier, seed=job.stream(Stream.BODY), cache=job.cache)
+    model = tiers.build(scene, r.tier, seed=job.stream(Stream.BODY))
     check_body(scene, model)
     camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
     view = see(surface_of(model.solid, scene), model, camera, device=device, renderer=r.renderer)

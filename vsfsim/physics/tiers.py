@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -186,7 +185,7 @@ def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
 
 
 def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
-         cache: Path | None = None, edges: EdgePath | None = None) -> tuple[Solid, np.ndarray]:
+         edges: EdgePath | None = None) -> tuple[Solid, np.ndarray]:
     """The object of a scene at a tier, in its own frame, and Young's modulus at its Gauss points (m, 4) [Pa].
 
     Args:
@@ -194,7 +193,6 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
         tier: the tier, from `choose`.
         seed: of what a family draws (materials, appearance).
         focus: points near which a box is meshed finely (k, 3) [m], world.
-        cache: folder of filled meshes.
         edges: the way of the probe's edges, world, along which elements of a solid are small, see `edge_refine`.
 
     Raises:
@@ -206,7 +204,7 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     boxes = [np.sort(np.reshape(part.numbers, (2, 3)), axis=0) for part in field.inclusions if part.kind == "box"]
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
     solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
-                        cache=cache, focus=local,
+                        focus=local,
                         parts=np.array(boxes) if boxes and TIERS[tier].elements is tetrahedra else None)
     if edges is not None and TIERS[tier].elements is tetrahedra:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
@@ -238,9 +236,9 @@ def _with_edges(solid: Solid, edges: EdgePath, scene: Scene, tier: str) -> Solid
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
-          cache: Path | None = None, edges: EdgePath | None = None) -> Model:
+          edges: EdgePath | None = None) -> Model:
     """The model of a scene at a tier, in the world frame; arguments and errors as `body`."""
-    return model_of(scene, tier, *body(scene, tier, seed=seed, focus=focus, cache=cache, edges=edges))
+    return model_of(scene, tier, *body(scene, tier, seed=seed, focus=focus, edges=edges))
 
 
 def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model:

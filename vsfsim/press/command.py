@@ -135,7 +135,7 @@ def press(scene: str | Path | SceneFile, request: Request | None = None, *,
         request: what is asked, None for the scene's own.
         refine: press 3 to 6 finer and finer meshes, for the observed order of convergence; None for one mesh.
         options: fields of `vsfsim.core.scene_tables.request.Request` that are others than those of ``request``: seed,
-            tier, device, limit, tolerance, cache, progress.
+            tier, device, limit, tolerance, progress.
 
     Returns:
         The press. Frames that did not converge are kept and marked: see `Press.converged`.

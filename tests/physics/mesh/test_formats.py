@@ -40,7 +40,7 @@ def test_relative_indices_count_from_where_they_stand(tmp_path: Path) -> None:
                     + obj_block((-0.02, -0.02, 0.03), (0.04, 0.04, 0.03)))
     surface = read_surface(MeshFile(str(path)))
     assert surface.extents == pytest.approx([0.1, 0.1, 0.06])
-    solid = fill_mesh_file(MeshFile(str(path)), resolution=0.012, cache=tmp_path)
+    solid = fill_mesh_file(MeshFile(str(path)), resolution=0.012)
     assert solid.volume() == pytest.approx(0.1 * 0.1 * 0.03 + 0.04 * 0.04 * 0.03, rel=0.02)
 
 
@@ -174,7 +174,7 @@ def test_a_part_inside_another_is_a_cavity_whatever_way_it_is_wound(flips: tuple
     trimesh.util.concatenate([outer, inner]).export(tmp_path / "b.stl")
     surface = read_surface(MeshFile(str(tmp_path / "b.stl")))
     assert (surface.cavities, surface.parts) == (1, 1)
-    solid = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01, cache=tmp_path)
+    solid = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01)
     assert solid.volume() == pytest.approx(abs(outer.volume) - abs(inner.volume), rel=0.02)
     assert any("cavities 1 for 1" in note for note in solid.notes)
 
@@ -185,8 +185,8 @@ def test_the_same_surface_gives_the_same_body_in_every_format(tmp_path: Path) ->
     solids = []
     for suffix in ("stl", "ply", "obj", "off"):
         ball.export(tmp_path / f"b.{suffix}")
-        solids.append(fill_mesh_file(MeshFile(str(tmp_path / f"b.{suffix}")), resolution=0.01, cache=tmp_path / suffix))
-    again = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01, cache=tmp_path / "again")
+        solids.append(fill_mesh_file(MeshFile(str(tmp_path / f"b.{suffix}")), resolution=0.01))
+    again = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01)
     assert np.array_equal(again.vertices, solids[0].vertices) and np.array_equal(again.tets, solids[0].tets)
     for other in solids[1:]:
         assert np.array_equal(other.tets, solids[0].tets)
@@ -199,7 +199,7 @@ def test_a_block_comes_out_exactly_with_a_flat_base(tmp_path: Path) -> None:
     path = tmp_path / "box.off"
     path.write_text("OFF\n8 12 0\n" + "".join(f"{x:.9f} {y:.9f} {z:.9f}\n" for x, y, z in box.vertices)
                     + "".join(f"3 {a} {b} {c}\n" for a, b, c in box.faces))
-    solid = fill_mesh_file(MeshFile(str(path), 1.0), resolution=0.012, cache=tmp_path)
+    solid = fill_mesh_file(MeshFile(str(path), 1.0), resolution=0.012)
     assert solid.volume() == pytest.approx(6e-4, rel=1e-6)
     assert np.ptp(solid.vertices, axis=0) == pytest.approx([0.1, 0.1, 0.06], abs=1e-7)
     base = solid.vertices[solid.vertices[:, 2] < 1e-6]
@@ -228,7 +228,7 @@ def test_up_and_colours(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
     box.visual.vertex_colors = np.tile([[255, 0, 0, 255]], (8, 1))
     box.export(tmp_path / "b.ply")
-    solid = fill_mesh_file(MeshFile(str(tmp_path / "b.ply"), 1.0, "y"), resolution=0.01, cache=tmp_path)
+    solid = fill_mesh_file(MeshFile(str(tmp_path / "b.ply"), 1.0, "y"), resolution=0.01)
     assert np.ptp(solid.vertices, axis=0) == pytest.approx([0.1, 0.04, 0.06], abs=1e-6)
     assert solid.appearance is not None and solid.appearance.albedo[0] == pytest.approx([1, 0, 0])
 
@@ -241,4 +241,4 @@ def test_double_sided_and_touching_parts(tmp_path: Path) -> None:
     for mesh, size in ((both, 6e-4), (trimesh.util.concatenate([box, other]), 12e-4)):
         mesh.export(tmp_path / "b.ply")
         assert fill_mesh_file(MeshFile(str(tmp_path / "b.ply")), resolution=0.015,
-                              cache=tmp_path).volume() == pytest.approx(size, rel=0.01)
+                              ).volume() == pytest.approx(size, rel=0.01)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from vsfsim.core.system.engines import HERE, Fan
@@ -22,8 +21,6 @@ class Request:
     """Fidelity, from the cheapest: vsf, linear, fem-coarse, fem, fem-fine; default: the scene's."""
     device: str = "cpu"
     """Warp device: cpu or cuda:0."""
-    cache: Path | None = None
-    """Folder of meshes that were made before; None for the user's own cache."""
     progress: Callable[[int, int, str], None] | None = None
     """Called with (done, in all, what)."""
     limit: float | None = None

@@ -75,7 +75,7 @@ class ArmEffector:
         began = time.perf_counter()
         recipe = make_recipe(loaded, seed=request.seed, objects=1, views=1, touches=1,
                              tier=request.tier, device=request.device)
-        job = jobs_of(recipe, loaded.path, Path("."), None)[0]
+        job = jobs_of(recipe, loaded.path, Path("."))[0]
         compile_kernels(kernels_of(loaded.sample(request.seed)), request.device, progress=request.progress)
         subject = prepare_job(job, device=request.device)
         built = time.perf_counter() - began

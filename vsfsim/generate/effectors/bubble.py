@@ -180,7 +180,7 @@ def solve(scene: Scene, request: Request) -> Made:
 
     Args:
         scene: concrete.
-        request: tier, of the object; seed; device; cache; progress.
+        request: tier, of the object; seed; device; progress.
 
     Raises:
         SceneError: no path, both an object and obstacles, a tier that a sensor cannot press, something that cannot be
@@ -213,7 +213,7 @@ def solve(scene: Scene, request: Request) -> Made:
                   for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
     else:
         tier = bubble_touch.tier_for(scene, request.tier)
-        body = tiers.build(scene, tier, seed=request.seed, cache=request.cache)
+        body = tiers.build(scene, tier, seed=request.seed)
         effects.check_body(scene, body)
         notes = [*body.solid.notes,
                  f"object at tier {tier}: {len(body.mesh.tets)} tetrahedra; reaction and balance are the object's"]

@@ -165,7 +165,7 @@ def prepare(scene: Scene, request: Request) -> Prepared:
     focus = None if scene.press is None else tip(scene, np.array(scene.press.stop), direction(scene.press))[None]
 
     def build(edges: EdgePath | None) -> Model:
-        return tiers.build(scene, tier, seed=request.seed, cache=request.cache, focus=focus, edges=edges)
+        return tiers.build(scene, tier, seed=request.seed, focus=focus, edges=edges)
 
     model = build(edge_path(scene))
     given, (scene, more) = scene.press, with_press(scene, model)

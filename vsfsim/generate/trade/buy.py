@@ -63,7 +63,7 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, objects: int
     said, asked = request.note or (lambda sentence: None), f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but"
     said(f"--accuracy {100 * accuracy:g} %: a pilot chooses tier and element size")
     subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=request.seed,
-                             device=request.device, cache=request.cache)
+                             device=request.device)
     ladder = subject.ground.ladder()
     bounds, shares = zip(*(limits([subject.near(k, setting) for setting in ladder])
                            for k in range(subject.count)), strict=True)

@@ -112,9 +112,8 @@ class _Lines:
 
 
 def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0,
-             device: str = "cpu", tiers_only: tuple[str, ...] = (), cache: Path | None = None,
-             progress: Callable[[int, int,
-                                 str], None] = lambda done, total, what: None) -> Tradeoff:
+             device: str = "cpu", tiers_only: tuple[str, ...] = (),
+             progress: Callable[[int, int, str], None] = lambda done, total, what: None) -> Tradeoff:
     """Measure what settings cost and miss on a scene, and write lines, page and table into a folder.
 
     Args:
@@ -125,7 +124,6 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         seed: as of `vsfsim generate`.
         device: Warp device.
         tiers_only: only these tiers; empty for all.
-        cache: folder of filled meshes, or None for the user's own.
         progress: called with (done, in all, what).
 
     Raises:
@@ -136,7 +134,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                                  "scene_sha256": text_sha256(loaded.text), "seed": seed,
                                  "touches": touches, "objects": objects, "device": device,
                                  "version": vsfsim.__version__, "commit": commit()})
-    subject = DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device, cache=cache)
+    subject = DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device)
     sweep = [s for s in subject.ground.sweep() if not tiers_only or s.tier in tiers_only]
     if not sweep:
         raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be "

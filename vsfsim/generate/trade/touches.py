@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -117,14 +116,13 @@ class DatasetTouches:
         objects: how many.
         seed: as of `vsfsim generate`.
         device: Warp device.
-        cache: folder of filled meshes, or None for the user's own.
 
     Raises:
         SceneError: the scene cannot be touched so.
     """
 
     def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0,
-                 device: str = "cpu", cache: Path | None = None):
+                 device: str = "cpu"):
         recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
         scene = loaded.sample(0)
         effector = effector_of(scene)
@@ -139,7 +137,7 @@ class DatasetTouches:
         self._effector, self._device, self._warm = effector, device, set[str]()
         compile_kernels(kernels_of(scene), device)
         self._drawn: list[tuple[Subject, list[Aim]]] = []
-        for job in jobs_of(recipe, loaded.path, ".", cache):
+        for job in jobs_of(recipe, loaded.path, "."):
             subject = prepare(job, device=device)
             drawn = effector.aim(subject, device=device)
             taken = spread([a.depth for a in drawn], np.stack([a.target for a in drawn]), touches)

@@ -91,14 +91,13 @@ def baked(shape: MeshFile, *, spacing: float | None = None) -> DistanceGrid:
     Raises:
         MeshError: as `vsfsim.physics.mesh.repair.read_surface`, or a surface that cannot be closed.
     """
-    from vsfsim.physics.mesh.repair import digest  # imports trimesh, which a sphere does not need
+    from vsfsim.physics.mesh.repair import content  # imports trimesh, which a sphere does not need
 
-    return _baked(shape, spacing, digest(shape))
+    return _baked(shape, spacing, content(shape))
 
 
 @functools.lru_cache(maxsize=16)
-def _baked(shape: MeshFile, spacing: float | None, key: str) -> DistanceGrid:
-    """``key``: of the file's content."""
+def _baked(shape: MeshFile, spacing: float | None, content: bytes) -> DistanceGrid:
     from vsfsim.physics.mesh import account, repair
 
     surface = repair.read_surface(shape)

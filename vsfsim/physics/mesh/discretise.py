@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -20,15 +19,13 @@ MAX_CELLS = 2_000_000
 
 
 def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator | None = None,
-                cache: Path | None = None, focus: np.ndarray | None = None,
-                parts: np.ndarray | None = None) -> Solid:
+                focus: np.ndarray | None = None, parts: np.ndarray | None = None) -> Solid:
     """Fill an object with positively oriented tetrahedra, in its own frame.
 
     Args:
         spec: the object; only its shape is read.
         resolution: target edge length [m].
         rng: stream from which a family draws its materials and look; None is a stream of seed 0.
-        cache: folder for filled mesh files, None for the user's cache folder.
         focus: points (k, 3) [m] in the object's frame near which a box keeps ``resolution`` while it
             coarsens up to 3x elsewhere; other shapes ignore it.
         parts: low and high corners of boxes inside (p, 2, 3) [m] in the object's frame, whose faces become faces of the
@@ -44,7 +41,7 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
     if isinstance(shape, MeshFile):
         # scan imports trimesh, which a box does not need
         from vsfsim.physics.mesh.scan import fill_mesh_file
-        return fill_mesh_file(shape, resolution=resolution, cache=cache)
+        return fill_mesh_file(shape, resolution=resolution)
     if isinstance(shape, Family):
         return _family(shape, resolution, np.random.default_rng(0) if rng is None else rng)
     _check_cells(shape, resolution)

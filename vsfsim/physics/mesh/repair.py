@@ -8,7 +8,6 @@ wound; a part inside a cavity is solid again.
 from __future__ import annotations
 
 import functools
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,12 +62,13 @@ class Surface:
         return np.ptp(self.vertices, axis=0)
 
 
-def content(path: Path) -> bytes:
+def content(shape: MeshFile) -> bytes:
     """The bytes of a mesh file.
 
     Raises:
         MeshError: the ending is not of `FORMATS`, or the file cannot be read.
     """
+    path = Path(shape.path)
     if path.suffix.lower() not in FORMATS:
         raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, "
                         "e.g. with MeshLab.")
@@ -79,27 +79,19 @@ def content(path: Path) -> bytes:
                         "OFF file, relative to the scene file.") from error
 
 
-def digest(shape: MeshFile, *more: object) -> str:
-    """sha256 of the content of a mesh file, of how it is read, and of ``more``, hexadecimal: the key of what is made of
-    it; raises as `content`."""
-    path = Path(shape.path)
-    said = repr((path.suffix.lower(), shape.scale, shape.up, *more))
-    return hashlib.sha256(content(path) + said.encode()).hexdigest()
-
-
 def extents(shape: MeshFile) -> np.ndarray:
     """Edges of the file's bounding box (3,) [m].
 
     Raises:
         MeshError: the file is unreadable, or the mesh has no faces or is not finite.
     """
-    return _extents(shape, digest(shape)).copy()
+    return _extents(shape, content(shape)).copy()
 
 
 @functools.lru_cache(maxsize=16)
-def _extents(shape: MeshFile, digest: str) -> np.ndarray:
+def _extents(shape: MeshFile, content: bytes) -> np.ndarray:
     path = Path(shape.path)
-    found = _finite(parse(content(path), path), path)
+    found = _finite(parse(content, path), path)
     size = np.ptp(found.vertices @ _UP[shape.up].T, axis=0)
     return size * _metres_per_unit(shape, float(size.max()))
 
@@ -112,7 +104,7 @@ def read_surface(shape: MeshFile) -> Surface:
             small.
     """
     path = Path(shape.path)
-    file = _finite(parse(content(path), path), path)
+    file = _finite(parse(content(shape), path), path)
     notes = list(file.notes)
     vertices = file.vertices @ _UP[shape.up].T
     if shape.up != "z":
