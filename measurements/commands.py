@@ -186,8 +186,8 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
             raise TaskError(f"task {task} has no record yet. Write one without --again.")
         found = (fingerprint.make_record(one, open_dataset(one, dataset)) if dataset.is_dir()
                  else fingerprint.load_record(dataset))
-        measured = differing(found, known)
-        fingerprint.save_record(known, path := fingerprint.record_path(one), again=measured)
+        fingerprint.save_record(known := differing(found, known), path := fingerprint.record_path(one))
+        measured = known.again
         print(f"{path}: {100.0 * measured.touches:.3g} % of the touches come to another end, the readings of a view "
               f"are up to {100.0 * measured.size:.2g} % larger or smaller")
         return
@@ -199,5 +199,4 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
     for one in wanted:
         path = fingerprint.record_path(one)
         fingerprint.save_record(made := fingerprint.make_record(one, open_dataset(one, dataset)), path)
-        print(f"{path}: {len(made.entries)} views, {sum(len(e.of_touches) for e in made.entries)} touches, "
-              f"{path.stat().st_size / 1e3:.0f} kB")
+        print(f"{path}: {len(made.entries)} views, {made.touches} touches, {path.stat().st_size / 1e3:.0f} kB")

@@ -16,12 +16,13 @@ import dataclasses
 import math
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
-from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Entry, Record
+from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Record
 from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, claimed, far_apart, is_ceiling
 from vsfsim.bench.board.named import Entry as Listed
 from vsfsim.bench.board.shipped import row_sha256
@@ -145,8 +146,8 @@ def _other_data(result: Result, record: Record | None, known: Mapping[str, list]
     if not result.data:
         return f"other dataset ({result.dataset_sha256[:12]}), of which nothing is known"
     try:
-        odd = differences(Record.read(result.data, "data"), record)
-    except TaskError:
+        odd = differences(msgspec.convert(result.data, Record), record)
+    except (ValueError, KeyError, TypeError, RecursionError):
         return "its fingerprints of the dataset cannot be read"
     return f"other dataset ({result.dataset_sha256[:12]}): {'; '.join(odd)}" if odd else ""
 
@@ -176,9 +177,13 @@ _OF_PIXELS = frozenset(("colour", "depth", "mask")) | _SAMPLED
 
 
 def differences(found: Record, known: Record) -> list[str]:
-    """What is different in ``found`` from the record ``known``: a phrase a difference, [] if it is the same data."""
-    out, odd, size = _apart(found, known)
-    total, again = max(sum(e.touches for e in known.entries), 1), known.again
+    """What is different in ``found`` from the record ``known``: a phrase a difference, [] if it is the same data.
+
+    Raises:
+        ValueError, KeyError, TypeError: a record is malformed.
+    """
+    out, odd, total, size = _apart(found, known)
+    again = known.again
     ends = [name for name, kinds in odd.items() if again is not None and _OF_PHYSICS.issuperset(kinds)]
     marks = [name for name, kinds in odd.items() if name not in ends and MARK in kinds and _OF_MARKED.issuperset(kinds)]
     others = [f"{name}: {kinds[0]}" for name, kinds in odd.items() if name not in (*ends, *marks)]
@@ -195,81 +200,47 @@ def differences(found: Record, known: Record) -> list[str]:
     return out
 
 
-def again(found: Record, known: Record) -> Again:
-    """How far the touches of a dataset differ from those of a record that another machine made of the same plan.
+def again(found: Record, known: Record) -> Record:
+    """The record ``known`` with how far the touches of a dataset of the same plan differ that another machine made.
 
     Raises:
         TaskError: they are not the same views or the same planned touches.
     """
-    wrong, odd, size = _apart(found, known)
+    wrong, odd, total, size = _apart(found, known)
     wrong += [f"{name}: {', '.join(kinds)}" for name, kinds in odd.items() if not _OF_PHYSICS.issuperset(kinds)]
     if wrong:
         raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
                         f"one that `vsfsim generate` made on another machine with the operands of the task.")
-    return Again(len(odd) / max(sum(e.touches for e in known.entries), 1), size, found.made_by)
+    return msgspec.structs.replace(known, again=Again(len(odd) / total, size, found.made_by))
 
 
-def _apart(found: Record, known: Record) -> tuple[list[str], dict[str, list[str]], float]:
-    """Where two records differ: phrases on all but the touches; by touch, the kinds of what differs; and the largest
-    relative difference, over object views, of the root mean square of the readings [-]. Where the two cannot be
-    compared number by number, a phrase says so and nothing else is known."""
-    other = _other_shape(found, known)
-    if other:
-        return [other], {}, 0.0
-    floors, size = _floors(known), 0.0
-    views, touches = dict[str, list[str]](), dict[str, list[str]]()
-    for one, before in zip(found.entries, known.entries, strict=True):
-        count = len(one.of_view)
-        views[one.name] = _odd(one.kinds[:count], one.of_view, before.of_view, floors)
-        touches |= {f"{one.name} touch {index}": _odd(one.kinds[count:], a, b, floors)
-                    for index, (a, b) in enumerate(zip(one.of_touches, before.of_touches, strict=True))}
-        mine, theirs = _size(one), _size(before)
-        size = max(size, abs(mine - theirs) / max(theirs, floors.get(READING, 0.0), np.finfo(float).tiny))
-    odd = [f"{name}: {kinds[0]}" for name, kinds in views.items() if kinds]
-    said = [f"{len(odd)} of {len(known.entries)} views differ ({plain(odd[0])})"] if odd else []
-    return said, {name: kinds for name, kinds in touches.items() if kinds}, size
-
-
-def _other_shape(found: Record, known: Record) -> str:
-    """Why the two cannot be compared number by number, or ""."""
-    mine, theirs = ([(e.name, e.split, e.object_index, e.view_index) for e in r.entries] for r in (found, known))
-    if mine != theirs:
-        odd = [entry[0] for entry in mine if entry not in theirs] or [entry[0] for entry in theirs if entry not in mine]
-        which = f", e.g. {plain(odd[0])}" if odd else ""
-        return f"its object views or their splits are others{which}"
-    for one, other in zip(found.entries, known.entries, strict=True):
-        if (one.kinds, one.touches, len(one.view), one.query) != (
-                other.kinds, other.touches, len(other.view), other.query):
-            return f"{plain(one.name)} has other touches or other readings"
-    return ""
-
-
-def _size(entry: Entry) -> float:
-    kinds = entry.kinds[len(entry.of_view):]
-    if READING not in kinds:
-        return 0.0
-    return float(np.linalg.norm(entry.of_touches[:, kinds.index(READING)]["norm"].astype(float)))
-
-
-def _floors(known: Record) -> dict[str, float]:
-    """The size as which a smaller vector counts, by kind."""
-    sizes: dict[str, list[float]] = {}
-    for entry in known.entries:
-        count = len(entry.of_view)
-        for kinds, items in ((entry.kinds[:count], entry.of_view[None]), (entry.kinds[count:], entry.of_touches)):
-            for kind, norms in zip(kinds, items["norm"].astype(float).T, strict=True):
-                sizes.setdefault(kind, []).extend(norms)
-    return {kind: SMALLEST * float(np.sqrt(np.mean(np.square(norms)))) for kind, norms in sizes.items()}
-
-
-def _odd(kinds: Sequence[str], mine: np.ndarray, theirs: np.ndarray, floors: Mapping[str, float]) -> list[str]:
-    """The kinds of which two fingerprints (k,) differ."""
-    a, b = mine["norm"].astype(float), theirs["norm"].astype(float)
+def _apart(found: Record, known: Record) -> tuple[list[str], dict[str, list[str]], int, float]:
+    """Where two records differ: phrases on all but the touches; by touch, the kinds of what differs; the number of
+    touches; and the largest relative difference, over object views, of the root mean square of the readings [-]. Where
+    the two cannot be compared number by number, a phrase says so and nothing else is known."""
+    mine, theirs = found.fingerprints(), known.fingerprints()
+    views = [[(e.name, e.split, e.object_index, e.view_index) for e in r.entries] for r in (found, known)]
+    strange = [one[0] for one in (*views[0], *views[1]) if (one in views[0]) != (one in views[1])]
+    if views[0] != views[1]:
+        which = f", e.g. {plain(strange[0])}" if strange else ""
+        return [f"its object views or their splits are others{which}"], {}, 1, 0.0
+    if [e.query for e in found.entries] != [e.query for e in known.entries] or any(
+            mine[key].tolist() != theirs[key].tolist() for key in ("view", "touch", "kind")):
+        return ["it has other touches or other readings"], {}, 1, 0.0
+    a, b, (kinds, kind) = mine["norm"], theirs["norm"], np.unique(theirs["kind"], return_inverse=True)
+    floors = SMALLEST * np.sqrt(np.bincount(kind, b**2) / np.bincount(kind))  # as which a smaller vector counts
     along = np.abs(a[:, None] * mine["along"] - b[:, None] * theirs["along"]).max(axis=1) / SCALE
-    out = []
-    for k, kind in enumerate(kinds):
-        tolerance = IMAGE_TOLERANCE if kind in _OF_PIXELS else TOLERANCE
-        apart = max(abs(a[k] - b[k]), 0.0 if kind in _SAMPLED else along[k])
-        if not apart <= tolerance * max(b[k], floors[kind]):
-            out.append(kind)
-    return out
+    along[np.isin(theirs["kind"], list(_SAMPLED))] = 0.0
+    tolerance = np.where(np.isin(theirs["kind"], list(_OF_PIXELS)), IMAGE_TOLERANCE, TOLERANCE)
+    odd: dict[tuple[str, int], list[str]] = {}
+    for one in theirs[~(np.maximum(np.abs(a - b), along) <= tolerance * np.maximum(b, floors[kind]))]:
+        odd.setdefault((one["view"], one["touch"]), []).append(one["kind"])
+    said = [f"{view}: {of[0]}" for (view, touch), of in odd.items() if not touch]
+    out = [f"{len(said)} of {len(known.entries)} views differ ({plain(said[0])})"] if said else []
+    read = theirs["kind"] == READING
+    at = np.unique(theirs["view"][read], return_inverse=True)[1]
+    sizes = [np.sqrt(np.bincount(at, of[read] ** 2)) for of in (a, b)]
+    least = max([np.finfo(float).tiny, *floors[kinds == READING]])
+    size = float(np.max(np.abs(sizes[0] - sizes[1]) / np.maximum(sizes[1], least), initial=0.0))
+    touches = {f"{view} touch {touch - 1}": of for (view, touch), of in odd.items() if touch}
+    return out, touches, max(known.touches, 1), size

@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 
 from vsfsim.bench.protocol import divide, record, share_unresolved, shown_names, test_names
+from vsfsim.bench.result_file import pack, unpack
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
@@ -33,7 +34,6 @@ from vsfsim.data.records import ObjectView, Touch, View
 LARGEST_FILE = 16 << 20
 """A record with more bytes is not read."""
 
-_PROJECTIONS = 3
 _BLOCK = 8  # pixels
 SCALE = 4096.0
 """Projections are stored as multiples of norm / SCALE, within 8 norms."""
@@ -41,11 +41,13 @@ MARK = "converged frames"
 """Kind of the vector that says which frames converged."""
 READING = "reading"
 """Kind of the vector that a task reads."""
-_ITEM = np.dtype([("norm", "<f4"), ("along", "<i2", (_PROJECTIONS,))])
+_PROJECTIONS = ("along_0", "along_1", "along_2")
+_COLUMNS = ("view", "touch", "kind", "norm", *_PROJECTIONS)
+_VECTOR = np.dtype([("view", "O"), ("touch", "i8"), ("kind", "O"), ("norm", "f8"), ("along", "f8", len(_PROJECTIONS))])
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """The fingerprints of one object view."""
+    """One object view."""
 
     name: str
     """Of the object view."""
@@ -57,31 +59,6 @@ class Entry(msgspec.Struct, frozen=True):
     """Of the view of that object, from 0."""
     query: tuple[int, ...]
     """Its query touches; empty outside the test split."""
-    kinds: tuple[str, ...]
-    """Of the vectors of the view, then of those of a touch."""
-    touches: Annotated[int, msgspec.Meta(ge=0)]
-    """Number n of touches."""
-    view: bytes
-    """Fingerprints of the view, v items."""
-    fingerprints: bytes
-    """Fingerprints of the touches, n k items."""
-
-    def __post_init__(self) -> None:
-        for items in (_items(self.view), _items(self.fingerprints)):
-            if not np.isfinite(items["norm"]).all() or (items["norm"] < 0.0).any():
-                raise ValueError("a norm is not a number >= 0")
-        if len(_items(self.fingerprints)) != self.touches * (len(self.kinds) - len(_items(self.view))):
-            raise ValueError(f"{self.name}: the number of fingerprints does not fit")
-
-    @property
-    def of_view(self) -> np.ndarray:
-        """Fingerprints of the view (v,), structured."""
-        return _items(self.view)
-
-    @property
-    def of_touches(self) -> np.ndarray:
-        """Fingerprints of the touches (n, k), structured."""
-        return _items(self.fingerprints).reshape(self.touches, len(self.kinds) - len(self.of_view))
 
 
 class Again(msgspec.Struct, frozen=True):
@@ -100,7 +77,7 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     """The fingerprints of a dataset as one task reads it."""
 
     format: Literal["vsfsim-task-record"]
-    version: Literal[1]
+    version: Literal[2]
     task: str
     """Name of the task."""
     task_sha256: str
@@ -111,27 +88,37 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     """Version and commit that made the dataset."""
     entries: tuple[Entry, ...]
     """In the dataset's order, of the splits that the task uses."""
+    vectors: dict[str, Any]
+    """Fingerprints, packed (`vsfsim.bench.result_file.pack`): columns with one row a vector, its view, its touch from 1
+    on (0 for what is of the view), its kind, its norm and its projections [norm / `SCALE`]."""
     unresolved: tuple[int, int, float] | None = None
     """Of the frames of query touches (`vsfsim.bench.protocol.share_unresolved`); None where it was not measured."""
     again: Again | None = None
     """What another machine makes of the same touches, where that was measured and is more than rounding."""
 
     def table(self) -> dict[str, Any]:
-        """As JSON values; `read` takes them back."""
+        """As JSON values; msgspec converts them back."""
         return msgspec.to_builtins(self)
 
-    @classmethod
-    def read(cls, table: Any, where: str) -> Record:
-        """From JSON values.
+    @property
+    def touches(self) -> int:
+        """Number of touches."""
+        return len({(one["view"], one["touch"]) for one in self.fingerprints() if one["touch"]})
+
+    def fingerprints(self) -> np.ndarray:
+        """A row a vector (n,), structured: view, touch, kind, norm, along (3,).
 
         Raises:
-            TaskError: they are not a record.
+            ValueError, KeyError, TypeError: they are malformed.
         """
-        try:
-            return msgspec.convert(table, cls)
-        except (ValueError, RecursionError) as error:
-            raise TaskError(f"{where} is no record of a task's dataset: {plain(error)}. Make it again with `vsfsim "
-                            f"measure record FOLDER`.") from error
+        columns = unpack(self.vectors)
+        out = np.empty(len(columns["norm"]), _VECTOR)
+        for name in _COLUMNS[:4]:
+            out[name] = columns[name]
+        out["along"] = np.array([columns[name] for name in _PROJECTIONS], float).T
+        if not (out["norm"] >= 0.0).all() or not np.isfinite(out["along"]).all():
+            raise ValueError("a norm is not a number >= 0, or a projection no number")
+        return out
 
 
 def make_record(task: Task, dataset: Dataset) -> Record:
@@ -141,10 +128,18 @@ def make_record(task: Task, dataset: Dataset) -> Record:
         TaskError: the dataset does not fit the task.
     """
     asked = frozenset(test_names(dataset, task.protocol))
-    queries = (view.touches[k] for view in map(dataset.load, asked) for k in divide(view, task.protocol).query)
-    return Record("vsfsim-task-record", 1, task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
-                  tuple(_of_view(dataset.load(name), task, name in asked)
-                        for name in shown_names(dataset, task.protocol)), share_unresolved(queries))
+    entries, rows, queries = list[Entry](), list[tuple[Any, ...]](), list[Touch]()
+    for name in shown_names(dataset, task.protocol):
+        view = dataset.load(name)
+        query = divide(view, task.protocol).query if name in asked else ()
+        entries.append(Entry(view.name, view.split, view.object_index, view.view_index, query))
+        queries += [view.touches[k] for k in query]
+        rows += [(name, 0, kind, *_print(vector)) for kind, vector in _vectors_of_view(view)]
+        for k, (touch, clean) in enumerate(zip(view.touches, record(view, task).clean, strict=True), start=1):
+            rows += [(name, k, kind, *_print(vector)) for kind, vector in _vectors_of_touch(touch, clean)]
+    vectors = pack(dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True)))
+    return Record("vsfsim-task-record", 2, task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
+                  tuple(entries), vectors, share_unresolved(queries))
 
 
 def record_path(task: Task) -> Path:
@@ -165,13 +160,12 @@ def shipped_record(task: Task) -> Record | None:
     return found if (found.task, found.task_sha256) == (task.name, task.sha256) else None
 
 
-def save_record(record: Record, path: Path, *, again: Again | None = None) -> None:
-    """Write a record, with what another machine makes of the same touches if that is given.
+def save_record(record: Record, path: Path) -> None:
+    """Write a record.
 
     Raises:
         TaskError: the file cannot be written.
     """
-    record = msgspec.structs.replace(record, again=again or record.again)
     write_atomic(path, msgspec.json.encode(record) + b"\n", error=TaskError)
 
 
@@ -199,17 +193,6 @@ def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:
 
 
 # ---------------------------------------------------------------------- vectors
-
-
-def _of_view(view: ObjectView, task: Task, asked: bool) -> Entry:
-    recording = record(view, task)
-    query = divide(view, task.protocol).query if asked else ()
-    shown = dict(_vectors_of_view(view))
-    rows = [dict(_vectors_of_touch(touch, clean)) for touch, clean in zip(view.touches, recording.clean, strict=True)]
-    kinds = tuple(rows[0]) if rows else ()
-    return Entry(view.name, view.split, view.object_index, view.view_index, query, (*shown, *kinds), len(rows),
-                 b"".join(_print(v) for v in shown.values()),
-                 b"".join(_print(row[kind]) for row in rows for kind in kinds))
 
 
 def _vectors_of_view(view: ObjectView) -> Iterator[tuple[str, np.ndarray]]:
@@ -258,18 +241,15 @@ def _numbers(item: Any) -> Iterator[float]:
         yield float(item)
 
 
-def _print(vector: np.ndarray) -> bytes:
+def _print(vector: np.ndarray) -> list[float]:
+    """Norm and projections."""
     v = np.asarray(vector, float).reshape(-1)
     norm = float(np.linalg.norm(v))
-    along = np.array([float(_signs(len(v), k) @ v) for k in range(_PROJECTIONS)]) / (norm or 1.0)
-    return np.array((norm, np.clip(np.rint(SCALE * along), -32767, 32767)), _ITEM).tobytes()
+    along = np.array([float(_signs(len(v), k) @ v) for k in range(len(_PROJECTIONS))]) / (norm or 1.0)
+    return [float(np.float32(norm)), *np.clip(np.rint(SCALE * along), -32767, 32767).tolist()]
 
 
 def _signs(size: int, number: int) -> np.ndarray:
     """The fixed vector of signs (size,); of a hash, because NumPy's generators may change."""
     bits = np.frombuffer(hashlib.shake_256(f"{number}:{size}".encode()).digest(-(-size // 8) or 1), np.uint8)
     return 2.0 * np.unpackbits(bits)[:size] - 1.0
-
-
-def _items(content: bytes) -> np.ndarray:
-    return np.frombuffer(content, _ITEM)
