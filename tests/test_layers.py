@@ -6,42 +6,26 @@ there.
 
 import ast
 import functools
+import graphlib
+import re
 import sys
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
-import scipy.sparse
+import pytest
+from pages import CONTRIBUTING
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = ("vsfsim", "baselines", "scenes", "measurements", "papers", "references")
 """Folders with code; the last three stay in the checkout."""
 CHECKOUT = ("measurements", "papers", "references")
 
-MAY_IMPORT = {
-    "core": set(),
-    "data": {"core"},
-    "physics": {"core"},
-    "robot": {"core", "data"},
-    "sensing": {"core", "data", "physics"},
-    "vsf": {"core", "data", "physics"},
-    "generate": {"core", "data", "physics", "robot", "sensing", "vsf"},
-    "press": {"core", "data", "physics", "robot", "sensing", "generate"},
-    "view": {"core", "data", "generate", "bench"},
-    "bench": {"core", "data"},
-    "active": {"core", "data", "bench"},
-    "papers": {"core", "data", "bench", "cli"},
-    "baselines": {"core", "data", "bench", "physics", "vsf"},
-    "scenes": {"core"},
-    "tasks": {"core"},
-    "leaderboard": set(),
-    "cli": {"core"},
-    "measurements": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "papers",
-                   "baselines", "scenes", "references", "cli"},
-    "references": set(),
-    "top": {"cli"},
-}
-"""Layers that a layer may import, besides itself; "top" is `vsfsim/__init__.py` and `vsfsim/__main__.py`."""
+MAY_IMPORT = {layer: set(given.split(", ")) - {"nothing"} for layer, given in re.findall(
+    r"(\w+)  +(nothing|\w+(?:, \w+)*)(?=  |$)", re.findall(r"```\n(.*?)```", CONTRIBUTING, re.DOTALL)[1], re.MULTILINE)}
+MAY_IMPORT |= {"cli": {"core"}, "scenes": {"core"}, "leaderboard": set(), "references": set(), "top": {"cli"},
+               "measurements": {*MAY_IMPORT, "baselines", "scenes", "references", "cli"}}
+"""Layers that a layer may import, besides itself, by the table of CONTRIBUTING; "top" is `vsfsim/__init__.py` and
+`vsfsim/__main__.py`."""
 
 LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines", "vsf",
                   "papers"},
@@ -175,38 +159,29 @@ def module_name(path: Path) -> str:
     return ".".join(root.with_suffix("").parts).removesuffix(".__init__")
 
 
-def circles(texts: dict[str, str]) -> list[tuple[str, ...]]:
-    """Groups of modules that import one another, at any depth of nesting and under TYPE_CHECKING as well.
+def below(texts: dict[str, str]) -> dict[str, set[str]]:
+    """The modules that each module imports, at any depth of nesting and under TYPE_CHECKING as well.
 
     Args:
         texts: source of every module by its dotted name.
     """
-    names = sorted(texts)
-    number = {name: index for index, name in enumerate(names)}
-    edges = set()
-    for name in names:
-        for _, imported, _ in imports(texts[name], name):
-            while imported and imported not in number:
+    out = {}
+    for name, text in texts.items():
+        out[name] = set()
+        for _, imported, _ in imports(text, name):
+            while imported and imported not in texts:
                 imported = imported.rpartition(".")[0]
-            if imported not in ("", "vsfsim", name):
-                edges.add((number[name], number[imported]))
-    rows, columns = np.array(sorted(edges), int).reshape(-1, 2).T
-    graph = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(names),) * 2)
-    _, label = scipy.sparse.csgraph.connected_components(graph, connection="strong")
-    groups = (tuple(name for name in names if label[number[name]] == k) for k in range(label.max() + 1))
-    return sorted(group for group in groups if len(group) > 1)
+            out[name] |= {imported} - {"", "vsfsim", name}
+    return out
 
 
 def floors(texts: dict[str, str]) -> dict[str, int]:
-    """The most modules that import one another in a row, down from each of them; there is no circle."""
-    below = {name: {given for _, given, _ in imports(text, name)} for name, text in texts.items()}
-
-    @functools.cache
-    def floor(name: str) -> int:
-        return 1 + max((floor(other) for other in texts if other != name and any(
-            given == other or given.startswith(f"{other}.") for given in below[name])), default=0)
-
-    return {name: floor(name) for name in texts}
+    """The most modules that import one another in a row, down from each of them; a circle is a `graphlib.CycleError`
+    with its modules."""
+    graph, out = below(texts), {}
+    for name in graphlib.TopologicalSorter(graph).static_order():
+        out[name] = 1 + max((out[other] for other in graph[name]), default=0)
+    return out
 
 
 def wrong_size_or_name(path: Path, lines: int) -> list[str]:
@@ -237,15 +212,12 @@ def test_folders_of_physics_import_one_way():
             assert [name for name in given if row.get(name, 0) > own] == [], path
 
 
-def test_no_modules_import_one_another():
-    assert circles({module_name(path): (ROOT / path).read_text() for path in files()}) == []
-
-
-def test_no_layer_has_too_many_floors():
+def test_no_modules_import_one_another_and_no_layer_has_too_many_floors():
+    texts = {module_name(path): (ROOT / path).read_text() for path in files()}
+    floors(texts)
     for layer, most in MOST_FLOORS.items():
-        texts = {module_name(path): (ROOT / path).read_text() for path in files() if layer_of(path) == layer
-                 and path.name != "__init__.py"}
-        high = {name: floor for name, floor in floors(texts).items() if floor > most}
+        own = {module_name(path) for path in files() if layer_of(path) == layer and path.name != "__init__.py"}
+        high = {name: floor for name, floor in floors({name: texts[name] for name in own}).items() if floor > most}
         assert high == {}, f"{layer} has more than {most} floors; move down what a module takes from the one below"
 
 
@@ -302,7 +274,8 @@ def test_planted_violations_are_found_and_nothing_else():
 
 def test_planted_circles_and_floors_are_found():
     straight = {"vsfsim.a": "from vsfsim import b", "vsfsim.b": "from vsfsim.c import x", "vsfsim.c": "import vsfsim"}
-    assert circles(straight) == [] and floors(straight) == {"vsfsim.a": 3, "vsfsim.b": 2, "vsfsim.c": 1}
-    for back in ("import vsfsim.a", "def f():\n    from vsfsim.a import x", "from . import a",
+    assert floors(straight) == {"vsfsim.a": 3, "vsfsim.b": 2, "vsfsim.c": 1}
+    for back in ("def f():\n    from vsfsim.a import x", "from . import a",
                  "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from vsfsim.a import x"):
-        assert circles({**straight, "vsfsim.c": back}) == [("vsfsim.a", "vsfsim.b", "vsfsim.c")]
+        with pytest.raises(graphlib.CycleError, match=r"vsfsim\.a"):
+            floors({**straight, "vsfsim.c": back})

@@ -204,8 +204,6 @@ def test_a_dataset_has_what_the_sensor_reads(made):
 def test_methods_are_scored_on_it(made):
     task = parse_task(TASK, "weighed-v1.toml")
     results = {name: evaluate(name, task, made, check=False) for name in ("gaussian", "point-vsf")}
-    print({name: {shot: f"{row.mean:.3f}" for shot, row in result.scores["rmse_ratio"].items()}
-           for name, result in results.items()})
     for result in results.values():
         assert result.scores["rmse_ratio"]["3"].mean < 0.9, "of predicting nothing"
         worst = max(sse / n for shot, run, n, sse in zip(*(result.queries[k] for k in (

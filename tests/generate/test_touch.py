@@ -188,7 +188,6 @@ def test_probe_stiffness_of_a_half_space(block, graded):
     model = model.hold(free)
     found = 4.0 * probe_stiffness(model, np.array([[0.0, 0.0, size]]), np.array([[0.0, 0.0, 1.0]]))[0]
     exact = 3 * np.pi**2 * PROBE_RADIUS * young_modulus / (16 * (1 - nu**2))
-    print(f"probe stiffness {found:.2f} N/m, closed form {exact:.2f} N/m, {found / exact - 1:+.2%}")
     # the disc is made of the points of a barycentric grid, 8 along an edge of 2 mm: its radius of 4 mm is good to ~2 %,
     # and so is the stiffness; the base 100 radii below stiffens by 0.6 %, two elements across the radius by ~1 %
     assert found == pytest.approx(exact, rel=0.03)

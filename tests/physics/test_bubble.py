@@ -189,8 +189,6 @@ def test_extremes_converge(change, depth):
 def test_meshes_from_100_to_20000_nodes(nodes):
     model = build_bubble(dataclasses.replace(REAL, nodes=nodes))
     frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.010, 5), seconds=600.0)
-    print(f"{nodes} nodes: {frames.force[-1, 0, 2]:.4f} N, {frames.seconds.sum():.1f} s, "
-          f"{frames.cg_iterations[:, 0]} CG")
     sound(frames, model)
     assert np.isfinite(frames.force).all()
     if nodes == 20_000:
@@ -207,8 +205,6 @@ def test_the_shape_of_a_free_dome_against_pre_stretch():
     for stretch, ratio in {1.0: 10.0, 1.05: 10.9, 1.1: 11.5, 1.2: 12.3}.items():
         model = build_bubble(dataclasses.replace(REAL, pre_stretch=stretch, gauge_pressure=ratio * REAL.modulus))
         found[stretch] = punyo_rms(model)
-        print(f"pre-stretch {stretch}: apex {1e3 * model.mesh.points[:, 2].max():.2f} mm, "
-              f"{1e6 * model.mesh.volume[0]:.1f} mL, rms {1e3 * found[stretch]:.2f} mm")
         assert model.mesh.points[:, 2].max() == pytest.approx(30.5e-3, abs=0.2e-3)
     assert min(found, key=found.get) in (1.1, 1.2) and max(found.values()) < 1e-3
 
@@ -223,9 +219,6 @@ def test_a_small_tip_on_finer_meshes():
         sound(frames, model)
         force.append(frames.force[-1, 0, 2])
         change.append(pressure[-1, 0] - REAL.gauge_pressure)
-        print(f"{nodes} nodes: {force[-1]:.3f} N, {change[-1]:.1f} Pa, {change[-1] / force[-1]:.1f} Pa/N, "
-              f"{frames.seconds.mean():.2f} s a frame, "
-              f"{frames.iterations.mean():.1f} Newton and {frames.cg_iterations.mean():.1f} CG a frame")
     assert force[0] > force[1] > force[2] and force[1] / force[2] < 1.1
     # each halving of the edge takes at least two thirds of the error
     assert (force[1] - force[2]) < 0.5 * (force[0] - force[1])

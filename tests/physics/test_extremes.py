@@ -49,10 +49,6 @@ def press(model, depths, device, *, linear=False, **limits):
     numbers_stand_for_equilibria(frames)
     assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
     assert (frames.residual[good] <= options.tolerance).all() and (frames.force_balance[good] <= 1e-3).all()
-    print(f"{int(good.sum())} of {len(depths)} converged, reasons {frames.reason.ravel().tolist()}, fz "
-          f"{frames.force[:, 0, 2].tolist()}, "
-          f"min det F {frames.min_det_f.min():.2f}, {frames.iterations.sum()} iterations, {frames.cg_iterations.sum()} "
-          f"of CG, {frames.seconds.sum():.1f} s")
     return frames
 
 

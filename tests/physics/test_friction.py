@@ -73,7 +73,6 @@ def test_limits_hold_at_every_frame_and_friction_opposes_the_motion(model, line,
     assert frames.converged.all()
     along, normal = frames.force[4:, 0, 0], frames.force[4:, 0, 2]
     assert (along[2:5] < 0.0).all() and (along[-3:] > 0.0).all(), "the force on the ball points back along its way"
-    print(f"drag over normal force {np.abs(along / normal).round(4).tolist()}")
     # the law itself, at every point: the tangential force is at most mu times the normal one, to the tolerance of the
     # sum
     contact = solver.contact
@@ -82,7 +81,6 @@ def test_limits_hold_at_every_frame_and_friction_opposes_the_motion(model, line,
     normal_force = (force * outward).sum(dim=1)
     tangential = (force - normal_force[:, None] * outward).norm(dim=1)
     excess = tangential - mu * normal_force
-    print(f"largest excess {float(excess.max() / normal_force.sum())}")
     assert (excess < 5e-4 * normal_force.sum()).all() and (tangential > 0.9 * mu * normal_force).any()
     # the normal forces of the ploughed wall add to the drag: 0.028 of the normal force at most, measured
     assert (np.abs(along) < (mu + 0.05) * normal).all()

@@ -159,8 +159,6 @@ def test_moduli_from_1e4_to_1e11_in_one_plant(device):
     assert (frames.converged | wrong_side).mean() > 0.97 and frames.converged.mean() > 0.73
     assert frames.penetration[frames.converged].max() <= 0.001
     assert np.linalg.norm(frames.force[wrong_side], axis=-1).max() > 1e6
-    print(f"converged {frames.converged.mean():.3f}, reasons {np.unique(frames.reason)}, largest force "
-          f"{np.nanmax(np.abs(frames.force)):.3g} N")
 
 
 def test_a_leaf_pinched_between_two_links(device):

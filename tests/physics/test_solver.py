@@ -151,7 +151,6 @@ def test_linear_tier_is_fem_at_tiny_depth(model, line, device, probe, height, de
     assert (nonlinear.force[:, 0, 2] > 0.0).all(), "a depth at which no Gauss point is met would show nothing"
     # strains are under depth / contact radius, 3e-3 for the flat ones and 2e-2 or so under the sphere
     assert linear.force[:, 0, 2] == pytest.approx(nonlinear.force[:, 0, 2], rel=0.02)
-    print(f"linear over fem: {linear.force[:, 0, 2] / nonlinear.force[:, 0, 2] - 1.0}")
     assert linear.force_balance.max() <= 1e-3
 
 

@@ -103,7 +103,6 @@ def test_what_a_sensor_has_not_is_refused():
 @pytest.mark.slow
 def test_the_punyo_pressed_10_mm_onto_a_tip():
     result = command("punyo").result
-    print(result.text())
     assert result.converged.all() and result.depth[-1] == pytest.approx(0.010, abs=1e-5)
     # over a ball of 3 mm, 10 mm deep: `vsfsim press punyo --refine 3` is extrapolated to 938.8 Pa and 4.890 N, errors
     # of 0.14 and 0.22 %

@@ -212,16 +212,8 @@ def test_what_it_refuses(calibration, toy):
         DenseForceEstimator(replace(calibration, reference=None), method="membrane")
     with pytest.raises(SensorError, match="wound the other way"):
         DenseForceEstimator(replace(calibration, reference=toy.flat * [-1, 1]), method="membrane")
-    with pytest.raises(SensorError, match="rim"):
-        DenseForceEstimator(replace(calibration, rim=np.zeros(3, bool)))
-    with pytest.raises(SensorError, match="pressure"):
-        DenseForceEstimator(replace(calibration, pressure=0.0))
-    with pytest.raises(SensorError, match="force_scale"):
-        EstimatorOptions(force_scale=0.0)
     estimator = DenseForceEstimator(calibration)
     with pytest.raises(SensorError, match="not finite"):
         estimator.estimate(np.full((1, *toy.rest.shape), np.nan), np.array([7000.0]))
-    with pytest.raises(SensorError, match=r"\(T, 127, 3\)"):
-        estimator.estimate(toy.rest[None, :5], np.array([7000.0]))
     with pytest.raises(SensorError, match="membrane: triangle 0 has no area"):
         DenseForceEstimator(calibration, method="membrane").estimate(0 * toy.rest[None], np.array([7000.0]))

@@ -138,7 +138,6 @@ def test_manufactured_solution_with_varying_modulus_converges_at_its_order(line,
         errors.append((value, first))
     errors = np.array(errors)
     order = np.log(errors[:-1] / errors[1:]) / np.log(cells[1:] / cells[:-1])[:, None]
-    print(f"errors of u and grad u {errors.tolist()}, orders {order.tolist()}")
     # theory 3 and 2; the first mesh has 2 elements to a wave, so only the last pair is held to it
     assert order[-1, 0] > 2.7 and order[-1, 1] > 1.8
     assert errors[-1, 1] < 0.02
@@ -168,7 +167,6 @@ def test_one_random_field_gives_one_force_on_three_meshes(line, device):
         frames = Solver(model, Plane(), device=device).run(line([[0, 0, 0.0235], [0, 0, 0.0225]], Plane()))
         assert frames.converged.all()
         force.append(frames.force[-1, 0, 2])
-    print(f"forces {force}, E over a factor of {max(span):.0f}, changes {np.diff(force) / force[-1]}")
     assert max(span) > 50
     # cells of half the correlation length: the field itself is then held to a few per cent where it matters; 1 % is
     # asked of the last pair

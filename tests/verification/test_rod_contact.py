@@ -82,13 +82,11 @@ def errors(segments: int, press: float, friction: float, device: str) -> tuple[f
 def test_a_capsule_that_slides_along_a_beam(press, friction, device):
     """Errors along the beam of contact at points 4 mm apart were 25 % without and 40 % with friction."""
     across, along = errors(20, press, friction, device)
-    print(f"pressed by {press} m, friction {friction}: across {across:.4f}, along {along:.4f}")
     # The capsule penetrates by a thousandth of the deflection. With friction the part along is a small difference.
     assert across < 0.003 and along < (0.004 if friction == 0.0 else 0.012)
 
 
 def test_forces_of_a_sliding_capsule_converge_in_the_length_of_segments(device):
     across, along = np.array([errors(n, 0.1, 0.0, device) for n in (3, 6, 12)]).T
-    print(f"across {across}, along {along}")
     # second order, until what the penalty leaves is seen
     assert (across[:-1] / across[1:] > 3.0).all() and along[0] / along[1] > 3.0 and along[2] < 0.004

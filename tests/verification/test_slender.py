@@ -71,7 +71,6 @@ def test_a_clamped_thin_plate_with_default_meshing_bends_as_plate_theory_says(si
     for side in (0.0, 0.5 * width):
         there = end & (np.abs(np.abs(model.mesh.points[:, 1]) - side) < 1e-9)
         deflection = -u[there, 2].mean()
-        print(f"{size} {tier} nu {nu} y {side}: {deflection / w(length, side) - 1:+.2%}, {len(model.mesh.tets)} tets")
         assert deflection == pytest.approx(w(length, side), rel=0.03)
     assert len(model.mesh.tets) <= 16_000
 
@@ -89,7 +88,6 @@ def test_a_slender_rod_under_its_own_weight_is_an_euler_bernoulli_beam():
     u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
     tip = -u[np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9, 2].mean()
     exact = DENSITY * gravity * SECTION * LENGTH**4 / (8 * E * INERTIA)
-    print(f"rod: {tip / exact - 1:+.2%}, {len(model.mesh.tets)} tets")
     # shear adds 0.1 % (4 (1 + nu) / k (r / 2 l)^2), the mesh takes 0.5 %
     assert tip == pytest.approx(exact, rel=0.01)
 
@@ -112,9 +110,6 @@ def test_a_rod_that_sags_by_five_times_its_thickness_is_the_elastica(line, devic
     frames = solver.run(line(np.full((1, 3), 10.0), Sphere(0.01)), keep=True)
     end = np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9
     place = (model.mesh.points + np.asarray(solver.history[0]).reshape(-1, 3))[end].mean(axis=0)
-    print(f"elastica {load}: tip {place[[0, 2]] - [0, RADIUS]} against {tip}; "
-          f"{frames.seconds[0]:.1f} s, {frames.iterations[0, 0]} iterations, converged "
-          f"{frames.converged[0, 0]}")
     assert frames.converged.all()
     # the mesh takes 0.5 % (above), the thickness (r / l)^2
     assert place[[0, 2]] - [0.0, RADIUS] == pytest.approx(tip, abs=0.01 * np.abs(tip[1]))

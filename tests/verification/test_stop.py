@@ -64,7 +64,6 @@ def test_the_membrane_bottoms_out_on_its_housing(device):
     0.135 mm below the plane of the rim."""
     sensor = build_bubble(Bubble(nodes=200))
     low, frames = lowest(sensor, Sphere(0.012), (0.042, 0.0), 0.012 + np.array([0.011, 0.004, 0.0005]), device)
-    print(f"lowest {1e6 * low} um, force {frames.force[:, 0, 2]} N, converged {frames.converged[:, 0]}")
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
     assert -1e-4 < low.min() < 0.0 and (low[:-1] > -1e-9).all()
 

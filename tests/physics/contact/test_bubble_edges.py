@@ -53,7 +53,6 @@ def test_the_membrane_rolls_over_edges(bubble, device, name, friction):
     """
     depths = [0.0025, 0.005, 0.0075, 0.010][:3 if friction else 4]
     frames = pressed(bubble, name, depths, friction, device)
-    print(frames.iterations.ravel(), frames.force[:, 0, 2], frames.seconds)
     assert frames.converged.all(), frames.reason
     assert (np.diff(frames.force[:, 0, 2]) > 0.0).all() and (frames.force_balance < 1e-3).all()
     assert frames.iterations.sum() < 150  # 30 to 80; most frames used to end at the limit of 100
@@ -92,6 +91,5 @@ def test_a_membrane_with_hardly_any_gas_rests(device):
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, 2, 3] = flat.mesh.points[:, 2].max() + 0.01 - np.array([-1e-4, 4e-6])
     frames = Solver(flat, Sphere(0.01), device=device, options=SolverOptions(tolerance=5e-4, seconds=1e9)).run(poses)
-    print(frames.force[:, 0, 2], frames.iterations.ravel(), frames.residual.ravel(), 1e6 * flat.mesh.points[:, 2].max())
     assert frames.converged.all() and (frames.iterations < 20).all()
     assert frames.force[0, 0, 2] == 0.0 and 1e-5 < frames.force[1, 0, 2] < 1e-2

@@ -120,7 +120,6 @@ def test_no_path_of_a_seeded_map_passes_a_stem_in_silence():
         silent, frames = passed_in_silence(case(seed))
         assert not silent, f"seed {seed}"
         converged.append(frames.converged.mean())
-    print(f"{np.mean(converged):.3f} of the frames converge")
 
 
 def test_a_capsule_that_would_pass_between_the_lines_of_a_blade_is_refused():

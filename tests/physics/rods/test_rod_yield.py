@@ -130,7 +130,6 @@ def test_a_cantilever_yields_and_stays_bent_as_its_closed_form_says(device):
         # a smaller push afterwards, or a slower one, would find the same plant: the law knows no time
         fast = pushed(wired(segments, moment=moment, share=share), there_and_back(far, 8), device)
         assert fast.nodes[-1, 0] == pytest.approx(frames.nodes[-1, 0], abs=2e-4 * far)
-    print(f"errors of the deflection at the top and of the one that stays {errors}")
     errors = np.abs(errors)
     # what remains is the square of the slope, 0.06, which the closed form leaves out
     assert errors[2].max() < 0.0065
