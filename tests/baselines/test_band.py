@@ -68,8 +68,6 @@ def test_springs_that_are_alike_are_means_of_knots_and_a_touch_tells_of_those_be
     weights = model.knots()
     assert weights is model.knots() and weights.shape[1] < 0.1 * len(model.particles)
     assert np.asarray(weights.sum(axis=1)).ravel() == pytest.approx(1.0) and weights.data.min() > 0.0
-    with pytest.raises(MethodError, match="reach is -1"):
-        VsfSettings(**SETTINGS, reach=-1.0)
     with pytest.raises(MethodError, match="estimator 'filter', whose springs are independent"):
         PointVsf(estimator="filter", reach=0.05)
 

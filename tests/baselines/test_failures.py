@@ -11,7 +11,6 @@ from vsfsim.bench.method import build_method, find_method
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import load_task
-from vsfsim.core.chain import Chain, ChainCapsule
 from vsfsim.core.errors import MethodError, VsfsimError
 
 METHODS = {
@@ -21,9 +20,6 @@ METHODS = {
     "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
     "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {},
     "near-springs": {}, "surface-gp": {}, "cnp": {"steps": 20, "networks": 1}}
-ARM = Chain(((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)), ((0.0, 0.0, 0.2),) * 8,
-            ((1.0, 0.0, 0.0, 0.0),) * 8, (-1, *range(7)),
-            tuple(ChainCapsule(k, (0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 0.03) for k in range(8)))
 PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "dense-vsf", "sbml")
 
 
@@ -125,10 +121,6 @@ def test_a_field_needs_forces_with_and_without_touches(name, world, methods):
         method.adapt(view, support)
         with pytest.raises(MethodError, match="needs 'normal-force'"):
             method.predict([strange])
-        arm = dataclasses.replace(recording.readings[0].action, probe=ARM, observation="joint-torque", size=7)
-        with pytest.raises(MethodError, match="the probe is a chain; the continuous VSF knows") as said:
-            method.predict([arm])
-        assert len(str(said.value)) < 300  # not every link of the arm
 
 
 def test_contact_points_are_of_forces(world, methods):

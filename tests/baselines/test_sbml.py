@@ -138,5 +138,3 @@ def test_a_saved_prior_is_used_instead_of_learning(fitted, tmp_path, task):
     assert error(other, task, range(3)) == error(fitted, task, range(3))
     with pytest.raises(VsfsimError, match=r"learned with structure 'HE', not 'HE\+HO'.*--set structure=HE"):
         Sbml(structure="HE+HO", prior=str(tmp_path)).meta_fit([])
-    with pytest.raises(VsfsimError, match="nothing that was learned can be read"):
-        Sbml(prior=str(tmp_path / "nothing")).meta_fit([])

@@ -52,8 +52,6 @@ def test_what_moves_and_what_it_meets():
         scene('kind = "bubble"', PLACE + "[probe]\nshape = { sphere = 0.02 }\n")
     with pytest.raises(SceneError, match=r"there is no \[object\].*\[\[obstacles\]\] for the \[sensor\]"):
         scene('kind = "bubble"', "")
-    with pytest.raises(SceneError, match=r"there is no \[object\]"):
-        parse_scene(PLACE, "none.toml")
 
 
 def test_the_camera_inside_is_on_or_has_two_numbers_of_pixels():

@@ -131,10 +131,6 @@ def test_a_scene_that_says_something_wrong(old, new, message):
 def test_what_is_missing_is_named():
     with pytest.raises(SceneError, match=re.escape("x.toml: there is no [object]; a scene needs one")):
         parse_scene("", Path("x.toml"))
-    with pytest.raises(SceneError, match=re.escape("[object]: shape is None; give one of box")):
-        parse_scene("[object]\nyoung_modulus = 1e5", Path("x.toml"))
-    with pytest.raises(SceneError, match=re.escape("[object]: young_modulus is missing; give pascals")):
-        small(old="young_modulus = 1e5\n", new="")
 
 
 def test_a_distribution_stands_wherever_a_value_may():

@@ -16,7 +16,7 @@ from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.bench.trials.answers import load, save
-from vsfsim.core.errors import MethodError, SceneError
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.generate.resim import again
 from vsfsim.generate.run import generate
@@ -140,12 +140,7 @@ def test_a_tier_below_the_scenes_needs_can_be_asked(made):
     np.testing.assert_allclose(touch.force, view.touches[0].force, rtol=2e-4, atol=1e-7)
 
 
-def test_what_cannot_be_asked_again_is_refused(made, tmp_path):
-    task = parse_task(TASK, "sprung-v1.toml")
-    with pytest.raises(MethodError, match=r"no parameter 'teir'. Did you mean 'tier'"):
-        evaluate("resim", task, made, parameters={"teir": "fem"})
-    with pytest.raises(SceneError, match="fem-corse"):
-        again(made.recipe, made.entries[0].name, [], tier="fem-corse")
+def test_what_cannot_be_asked_again_is_refused(made):
     text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = "
                                           "500.0", '[arm]\nmodel = "gen3"')
     with pytest.raises(SceneError, match="its effector takes no paths"):

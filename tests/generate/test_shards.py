@@ -70,8 +70,6 @@ def test_another_number_of_shards_and_another_recipe_are_refused(scene, tmp_path
     make(planned(scene, tmp_path, objects=2, fan=Fan((0, 2))))
     with pytest.raises(DatasetError, match="is being made in 2 shards, and --shard asks for 3"):
         make(planned(scene, tmp_path, objects=2, fan=Fan((1, 3))))
-    with pytest.raises(DatasetError, match="holds another dataset: seed 0 there, 1 asked for"):
-        make(planned(scene, tmp_path, objects=2, seed=1, fan=Fan((1, 2))))
 
 
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
@@ -151,8 +149,6 @@ def test_the_files_for_schedulers_hold_the_command():
     words = ["vsfsim", "generate", "x", "--out", "a b"]
     batch = engines.job_file("slurm", words, 4, finish=[*words, "--finish"])
     assert "--array=0-3" in batch and "srun vsfsim generate x --out 'a b' --shard auto" in batch
-    with pytest.raises(VsfsimError, match="at most 1000"):
-        engines.job_file("slurm", words, 1001, finish=[])
     yaml = pytest.importorskip("yaml")
     job = yaml.safe_load(engines.job_file("k8s", words, 3, finish=[*words, "--finish"], gpus=1))
     assert job["spec"]["completions"] == 3 and job["spec"]["completionMode"] == "Indexed"
@@ -202,5 +198,3 @@ def test_a_device_without_memory_is_told():
     with pytest.raises(DatasetError, match=r"plants: the memory of cuda:0 does not suffice.*--touches"):
         with workers.enough_memory("plants", "cuda:0"):
             raise RuntimeError("CUDA error 2: out of memory")
-    with pytest.raises(RuntimeError, match="another"), workers.enough_memory("plants", "cuda:0"):
-        raise RuntimeError("another")

@@ -112,5 +112,3 @@ def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way):
 def test_poses_that_are_none_are_refused(arm, poses):
     with pytest.raises(ArmError, match="poses"):
         follow(arm, poses)
-    with pytest.raises(ArmError, match="two ends"):
-        straight_touch(arm, START, STOP, FORWARD, frames=1)

@@ -130,8 +130,6 @@ def test_wires_yield_at_their_plastic_moment_where_the_scene_says_so():
         assert (core[1:, 0] <= bend[1:] * (1 + 1e-9)).all() and np.median(core[wired, 0] / bend[wired]) > 0.8
         branch = p.region == BRANCH
         assert core[branch, 1] == pytest.approx(YIELD_STRESS * p.wire[branch] ** 3 / 6.0)
-    with pytest.raises(SceneError, match="yields is 1; it must be true or false"):
-        planted("monstera", yields=1)
 
 
 def test_girth_scales_diameters_and_wires_and_nothing_else():

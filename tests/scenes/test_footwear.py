@@ -132,12 +132,8 @@ def test_refusals() -> None:
         make(model="work-bot")
     with pytest.raises(SceneError, match="whose style is 'boot'; take style out"):
         make(model="work-boot", style="runner")
-    with pytest.raises(SceneError, match=r"unknown key 'modl'. Did you mean 'model'"):
-        make(modl="work-boot")
     with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):
         make(resolution=0.1)
-    with pytest.raises(SceneError, match="lined is 1; it must be true or false"):
-        make(lined=1)
 
 
 def test_an_entry_of_each_follows_the_number_of_the_object() -> None:
@@ -146,8 +142,6 @@ def test_an_entry_of_each_follows_the_number_of_the_object() -> None:
     assert [scene.sample(7, number=k).object.young_modulus.base for k in range(4)] == [1e5, 2e5, 4e5, 1e5]
     with pytest.raises(SceneError, match="give a list"):
         parse_scene(text.replace("[1e5, 2e5, 4e5]", "3"), Path("t.toml"))
-    with pytest.raises(SceneError, match="young_modulus"):
-        parse_scene(text.replace("4e5]", "-4e5]"), Path("t.toml"))
 
 
 def test_a_named_shoe_looks_as_its_model_says() -> None:

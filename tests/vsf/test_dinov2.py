@@ -77,8 +77,6 @@ def test_refusals_say_what_to_do(checkpoint, tmp_path, monkeypatch):
                        match=r"curl -L -o .*dinov2_vits14_pretrain.pth "
                              r"https://dl.fbaipublicfiles.com/dinov2/dinov2_vits14/dinov2_vits14_pretrain.pth"):
         particle_features("dinov2-s", camera_view(), particles(), spacing=0.005)
-    with pytest.raises(VsfError, match="dinov2_vitb14"):
-        dinov2.Dinov2.load("base")
     with pytest.raises(VsfError, match=r"have the sha256 .* not 00ff"):
         dinov2.Dinov2.load("small", f"{path}@00ff")
     (tmp_path / "text.pth").write_text("hello")
@@ -87,9 +85,6 @@ def test_refusals_say_what_to_do(checkpoint, tmp_path, monkeypatch):
     torch.save({**model.state_dict(), "register_tokens": torch.zeros(1)}, tmp_path / "reg.pth")
     with pytest.raises(VsfError, match=r"Unexpected key.*register_tokens"):
         dinov2.Dinov2.load("small", str(tmp_path / "reg.pth"))
-    torch.save({**model.state_dict(), "cls_token": torch.zeros(1, 1, 5)}, tmp_path / "wrong.pth")
-    with pytest.raises(VsfError, match=r"size mismatch for cls_token: .*\[1, 1, 5\].*\[1, 1, 24\]"):
-        dinov2.Dinov2.load("small", str(tmp_path / "wrong.pth"))
 
 
 def test_timms_checkpoint_is_read_with_and_without_its_mask_token(checkpoint, tmp_path, monkeypatch):

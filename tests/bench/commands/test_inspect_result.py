@@ -12,7 +12,7 @@ from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
-from vsfsim.core.errors import MethodError, TaskError
+from vsfsim.core.errors import TaskError
 
 DEVELOPED = 'development = { folder = "toy-development", seed = 5, objects = 3 }, tier'
 
@@ -58,8 +58,6 @@ def test_without_predictions_there_are_errors_and_no_curves(kept, tmp_path):
     text, numbers = inspect_result(tmp_path / "bare.json", shot="all")
     assert "--keep predictions" in text and math.isnan(numbers["touches"][0]["gain"])
     assert numbers["shot"] == "all"
-    with pytest.raises(TaskError, match="--shot is '7'"):
-        inspect_result(tmp_path / "bare.json", shot="7")
 
 
 def test_predictions_of_another_evaluation_are_refused(kept, task, toy_dataset, tmp_path):
@@ -71,12 +69,6 @@ def test_predictions_of_another_evaluation_are_refused(kept, task, toy_dataset, 
     with pytest.raises(TaskError, match="of another evaluation than the result beside it"):
         inspect_result(path)
     curves.beside(path).write_bytes(curves.beside(kept).read_bytes()[:-40])
-    with pytest.raises(TaskError, match="cannot be read"):
-        inspect_result(path)
-    with pytest.raises(MethodError, match="keep is 'everything'"):
-        evaluate("toy_methods:Constant", task, toy_dataset, out=path, keep="everything")
-    with pytest.raises(MethodError, match="beside the result file of out"):
-        evaluate("toy_methods:Constant", task, toy_dataset, keep="predictions")
 
 
 def test_a_task_on_its_development_objects_is_another_task(task_text, toy_dataset, tmp_path):
@@ -94,7 +86,3 @@ def test_a_task_on_its_development_objects_is_another_task(task_text, toy_datase
     for seed in (0, 5):
         with pytest.raises(TaskError, match=f"has objects of seed {seed} itself"):
             task.on(f"seed-{seed}")
-    with pytest.raises(TaskError, match="on is 'seed-x'"):
-        task.on("seed-x")
-    with pytest.raises(TaskError, match="names no development objects"):
-        other.on("development")

@@ -15,7 +15,7 @@ import pytest
 from mock_dataset import written
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.core.errors import DatasetError, VsfsimError
+from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats import lerobot
 from vsfsim.data.formats.export import export
@@ -155,11 +155,6 @@ def test_openvsf_wants_an_arm_and_bad_words_are_told(made, tmp_path):
     with pytest.raises(DatasetError, match="was not touched by an arm"):
         export(made.path, "openvsf", tmp_path / "o")
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(VsfsimError, match=r"--to is 'lerobt'. Did you mean 'lerobot'"):
-        export(made.path, "lerobt", tmp_path / "o")
-    (tmp_path / "o").mkdir()
-    with pytest.raises(DatasetError, match="exists already"):
-        export(made.path, "webdataset", tmp_path / "o")
 
 
 def test_a_half_made_dataset_is_not_exported(made, tmp_path):

@@ -11,7 +11,7 @@ import trimesh
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
-from vsfsim.core.shape import Box, Cylinder, Family, Rod, Sphere
+from vsfsim.core.shape import Box, Cylinder, Rod, Sphere
 from vsfsim.core.solid import Solid, smallest_sine, tet_volumes
 from vsfsim.physics.mesh.discretise import build_solid
 
@@ -96,9 +96,5 @@ def test_the_smallest_sine_of_known_tetrahedra() -> None:
 
 
 def test_refusals() -> None:
-    with pytest.raises(SceneError, match=r"unknown family 'shoo'. Did you mean 'shoe'"):
-        solid_of(Family("shoo", {}), 0.01)
     with pytest.raises(SceneError, match="cells"):
         solid_of(Box((1.0, 1.0, 1.0)), 0.001)
-    with pytest.raises(SceneError, match="resolution"):
-        solid_of(Sphere(0.1), float("nan"))
