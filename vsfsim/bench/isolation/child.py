@@ -1,18 +1,30 @@
-"""A process of a method's: one that looks at it, one in which it learns, or one for a trial.
+"""A method's processes: the one that the others are forked from, the one that watches over each of them, and each.
 
-`vsfsim.bench.isolation.host` forks it into a container. What the method learned leaves the process as bytes (the
-pickled method, or the files of its `save`, and what it put into its caches), and each trial begins with these bytes
-and with nothing else.
+`main` imports what ships and what is installed, and nothing of the method's, so that a process of the method's starts
+within milliseconds and finds no trace of another one. For each, the scorer sends one end of a line, one end of a second
+line by which the process is ended, and the file for what is printed. The process goes into its container and answers
+requests (`_answer`): it looks at the method, lets it learn, or makes a trial. What the method learned leaves it as
+bytes (the pickled method, or the files of its `save`, and what it put into its caches), and each trial begins with
+these bytes and with nothing else.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
+import importlib
 import inspect
+import json
 import os
 import pickle
+import select
+import shutil
+import signal
+import socket
 import sys
 import tempfile
+import time
 import traceback
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -20,7 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.isolation.wire import Reply, encoded, files_in, packed, receive_request, unpacked, write_files
+from vsfsim.bench.isolation import box, limits
+from vsfsim.bench.isolation.wire import Reply, encoded, files_in, packed, unpacked, write_files
 from vsfsim.bench.method import (
     Method,
     build_method,
@@ -34,17 +47,171 @@ from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
 
+_DEATH_SIGNAL, _DUMPABLE, _SUBREAPER = 1, 4, 36
 OPTIONAL = ("predict_std", "stiffness", "locate", "choose")
 """Functions of a method that the scorer asks for where they exist."""
 
 
-def main(line: Connection) -> None:
+def main(given: dict[str, Any]) -> None:
+    """Import, then fork a process for each request, until the scorer closes the line.
+
+    Args:
+        given: ``control``, the descriptor of the line; ``warm``, names of modules; ``check``, operands of `_rehearse`,
+        or null; and, of every process, ``box``, of `box.enter`, or null; ``folder``, for the working folder of one
+        without a container; ``memory``, of `limits.apply`; ``cache``, the folder of kernels that are compiled already;
+        ``most``, bytes that all may print.
+    """
+    prctl(_DUMPABLE, 0)  # no other process of this user reads its memory or attaches to it
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the ends of those that watch need no notice
+    control = socket.socket(fileno=given["control"])
+    if given["check"] is not None:
+        _rehearse(**given["check"])
+    for name in given["warm"]:
+        with contextlib.suppress(Exception, SystemExit):  # the method's own process says what is missing
+            importlib.import_module(name)
+    first_gradient()
+    gc.freeze()
+    while True:
+        variables, handles, _, _ = socket.recv_fds(control, 1 << 16, 3)
+        if not variables:
+            return
+        if os.fork() == 0:
+            control.close()
+            _watch({**given, "environment": json.loads(variables)}, *handles)
+        for handle in handles:
+            os.close(handle)
+
+
+def _rehearse(name: str, parameters: dict[str, Any]) -> None:
+    """Test the contract of a method that ships: all that it loads is there for every process that is forked then."""
+    from vsfsim.bench.check import check
+
+    before = os.environ.get("OMP_NUM_THREADS")
+    os.environ["OMP_NUM_THREADS"] = "1"  # what PyTorch reads when it is imported; a fork has no other thread
+    with contextlib.suppress(Exception, SystemExit):  # the method's own process says what is wrong
+        check(name, parameters=parameters, brief=True)
+    os.environ.update({} if before is None else {"OMP_NUM_THREADS": before})
+    if before is None:
+        del os.environ["OMP_NUM_THREADS"]
+
+
+def prctl(option: int, value: int) -> None:
+    """prctl(2); nothing happens on a system without it."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0)
+
+
+def _watch(given: dict[str, Any], line: int, end: int, log: int) -> None:
+    """Fork the method's process, keep what it prints until it ends or is to end, end all that is left of it, and tell
+    how it ended. Does not return.
+
+    Args:
+        given: as of `main`, and ``environment``, variables. line: of the method's process. end: closed to end it. log:
+        file for what is printed.
+    """
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    prctl(_SUBREAPER, 1)
+    read, write = os.pipe()
+    folder = tempfile.mkdtemp(dir=given["folder"])
+    try:
+        if given["box"] is not None:
+            box.leave()
+        process = os.fork()
+        if process == 0:
+            for number in (1, 2):
+                os.dup2(write, number)
+            os.dup2(line, 3)
+            os.closerange(4, 1 << 16)
+            _begin({**given, "folder": folder})
+        os.close(line)
+        os.close(write)
+        status, usage, much = _keep(process, read, end, log, given["most"])
+        said = {"code": os.waitstatus_to_exitcode(status), "much": much,
+                "peak_mib": usage.ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)}
+    except OSError as error:
+        said = {"code": 1, "much": False, "peak_mib": 0.0, "why": str(error)}
+    shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        os.write(end, json.dumps(said).encode())
+    os._exit(0)
+
+
+def _begin(given: dict[str, Any]) -> None:
+    """In the method's process. Does not return."""
+    try:
+        prctl(_DEATH_SIGNAL, signal.SIGKILL)  # it ends with the process that watches
+        os.setsid()
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+        if given["box"] is None:
+            prctl(_DUMPABLE, 1)
+            os.chdir(given["folder"])
+        else:
+            box.enter({**given["box"], "root": given["folder"]})
+            os.close(0)
+            os.open("/dev/null", os.O_RDONLY)  # in the container it is read-only; the one from outside keeps a time
+        os.environ.update(given["environment"])
+        private_caches(Path.cwd(), given["cache"])
+        limits.apply(given["memory"], given["box"] is not None)
+        importlib.invalidate_caches()
+        _answer(Connection(3))
+    except BaseException as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+    finally:
+        os._exit(0)
+
+
+def _keep(process: int, read: int, end: int, log: int, most: int) -> tuple[int, Any, bool]:
+    """Copy what is printed until the process has ended or is to end; then end its descendants.
+
+    Returns:
+        The status of its end, what it used (`resource.struct_rusage`), and whether it printed more than ``most`` bytes.
+    """
+    handles, much, ended = [read, end], False, os.wait4(process, os.WNOHANG)
+    while ended[0] == 0:
+        ready = select.select(handles, [], [], 0.05)[0]
+        if read in ready:
+            text = os.read(read, 1 << 16)
+            much = len(text) > _append(log, text, most)
+            if not text:
+                handles.remove(read)
+        if end in ready or much:
+            os.kill(process, signal.SIGKILL)
+        ended = os.wait4(process, 0 if end in ready or much else os.WNOHANG)
+    end_descendants()
+    os.set_blocking(read, False)
+    with contextlib.suppress(OSError):
+        while text := os.read(read, 1 << 16):
+            _append(log, text, most)
+    return ended[1], ended[2], much
+
+
+def _append(log: int, text: bytes, most: int) -> int:
+    return os.write(log, text[:max(most - os.fstat(log).st_size, 0)])
+
+
+def end_descendants() -> None:
+    """Kill all that runs below this process, which adopts whatever loses its parent, so that all are its own children
+    in the end. In a container there is nothing left."""
+    until = time.monotonic() + 20.0
+    with contextlib.suppress(ChildProcessError):
+        while time.monotonic() < until:
+            for stat in Path("/proc").glob("[0-9]*/stat"):
+                with contextlib.suppress(OSError):
+                    if int(stat.read_text().rpartition(")")[2].split()[1]) == os.getpid():
+                        for number in (signal.SIGSTOP, signal.SIGKILL):  # what is stopped starts no other
+                            os.kill(int(stat.parent.name), number)
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+            time.sleep(0.002)
+
+
+def _answer(line: Connection) -> None:
     """Answer requests until the scorer closes the line."""
     server = _Server()
     sys.addaudithook(server.watch)
     with contextlib.suppress(EOFError, OSError):
         while True:
-            operation, payload = receive_request(line)
+            operation, payload = pickle.loads(line.recv_bytes())
             try:
                 reply = getattr(server, f"do_{operation}")(payload) or Reply()
             except BaseException as error:  # a method may raise anything, SystemExit included
@@ -85,8 +252,7 @@ class _Server:
         from vsfsim.bench.check import check  # half of what a process would import that is not asked to check
 
         findings = check(name, parameters=self.parameters, brief=True)
-        # where one fails, the next would fail for the same reason
-        return Reply({"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"][:1]})
+        return Reply({"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]})
 
     def do_build(self, seed: int | None) -> None:
         self.method = self.build(seed)
@@ -119,8 +285,8 @@ class _Server:
         return Reply({"offers": [name for name in OPTIONAL if callable(getattr(self.method, name, None))]})
 
     def do_choose(self, offered: Any) -> Reply:
-        chosen = checked_choice(self.method.choose(self.view, list(self.support), offered), len(offered))
-        return Reply(arrays=(np.array([float(chosen)]),))
+        return Reply({"chosen": checked_choice(self.method.choose(self.view, list(self.support), offered),
+                                               len(offered))})
 
     def do_made(self, reading: Any) -> None:
         self.support = [*self.support, reading]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import glob
 import json
-import math
 import os
+import pickle
 import select
 import shutil
 import signal
@@ -26,7 +26,7 @@ from typing import Any
 
 from vsfsim.bench.identity import named_by, package_of
 from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
-from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply, send_request
+from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply
 from vsfsim.bench.method import Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.extras import EXTRA_OF, MissingPackage
@@ -34,8 +34,8 @@ from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import methods
 from vsfsim.core.system.content import named_files
 
-_START = ("import sys, json; sys.path[:] = json.loads(sys.argv[1])['search']; "
-          "from vsfsim.bench.isolation.host import main; main(sys.argv[1:])")
+_START = ("import sys, json; given = json.load(sys.stdin); sys.path[:] = given['search']; "
+          "from vsfsim.bench.isolation.child import main; main(given)")
 _IMPORT = 120.0
 """Seconds that the import of a method's packages may take besides --timeout."""
 # calls of the method that its check makes at most, each of which may take --timeout: twelve, and six of the functions
@@ -211,15 +211,11 @@ class MethodHost:
             self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
 
     def _start(self, hide: bool, environment: Mapping[str, str]) -> Process:
-        boxed = self.isolation.sandbox != "process"
         (line, theirs), (end, watcher) = socket.socketpair(), socket.socketpair()
-        given = {"box": self._places if boxed else None, "folder": str(self._folder), "cache": kernels(),
-                 "most": LARGEST_LOG, "memory": self.isolation.memory, "environment": dict(environment)}
         try:
             with self._lock, open(self.log, "ab") as log:
-                control = self._host(hide)
-                Connection(os.dup(control.fileno())).send_bytes(json.dumps(given).encode())
-                socket.send_fds(control, [b"f"], [theirs.fileno(), watcher.fileno(), log.fileno()])
+                socket.send_fds(self._host(hide), [json.dumps(dict(environment)).encode()],
+                                [theirs.fileno(), watcher.fileno(), log.fileno()])
         except OSError as error:
             raise MethodError(f"a process of {self.name} cannot be started: {error}. {self.tail(3)}") from error
         finally:
@@ -237,15 +233,19 @@ class MethodHost:
             # Of one that ships, the contract's check loads its kernels, and compiles them for the user's own folder.
             check = {"name": self.name, "parameters": self.parameters} if (
                 self.ships and self.hides and not named_files(self.parameters, "")) else None
-            words = json.dumps({"search": self._search, "control": theirs.fileno(), "warm": warm, "check": check})
-            given = {**environment(os.environ), **({"CUDA_VISIBLE_DEVICES": ""} if hide else {}),
-                     "WARP_CACHE_PATH": kernels()}
+            given = {"search": self._search, "control": theirs.fileno(), "warm": warm, "check": check,
+                     "box": self._places if self.isolation.sandbox != "process" else None, "cache": kernels(),
+                     "folder": str(self._folder), "most": LARGEST_LOG, "memory": self.isolation.memory}
+            variables = {**environment(os.environ), **({"CUDA_VISIBLE_DEVICES": ""} if hide else {}),
+                         "WARP_CACHE_PATH": kernels()}
             with open(self.log, "ab") as log:
-                host = subprocess.Popen([sys.executable, "-c", _START, words], stdin=subprocess.DEVNULL, stdout=log,
-                                        stderr=log, cwd=self._folder, env=given, pass_fds=[theirs.fileno()],
+                host = subprocess.Popen([sys.executable, "-c", _START], stdin=subprocess.PIPE, stdout=log, stderr=log,
+                                        cwd=self._folder, env=variables, pass_fds=[theirs.fileno()],
                                         start_new_session=True)
             theirs.close()
             self._hosts[hide] = host, ours
+            with host.stdin as words:  # type: ignore[union-attr]
+                words.write(json.dumps(given).encode())
         return self._hosts[hide][1]
 
     def tail(self, lines: int = 30) -> str:
@@ -278,18 +278,16 @@ class Process:
         return self.ask("find", {"name": found, "parameters": self._host.parameters, "folder": os.getcwd()},
                         "its import", limit=None if limit is None else limit + _IMPORT)
 
-    def ask(self, operation: str, payload: Any, what: str, *, shapes: Sequence[tuple[int, ...]] | None = None,
-            most: int = 1 << 26, limit: float | None = -1.0) -> Reply:
+    def ask(self, operation: str, payload: Any, what: str, *, most: int = 1 << 26, limit: float | None = -1.0
+            ) -> Reply:
         """The answer to a request.
 
         Args:
-            operation: its name. payload: its operands. what: names it in messages. shapes: of the arrays of the answer;
-            None where the scorer looks at them itself. most: bytes of the answer without ``shapes``. limit: seconds,
-            None for no limit; default: that of the isolation.
+            operation: its name. payload: its operands, which are pickled, as the process trusts the scorer. what: names
+            it in messages. most: bytes of the answer. limit: seconds, None for no limit; default: the isolation's.
 
         Raises:
-            MethodError: the method raised, refused, took too long, answers with arrays of other shapes, or its process
-                ended; ``what`` says in which part.
+            MethodError: the method raised, refused or took too long, or its process ended; ``what`` says in which part.
         """
         limit = self._host.isolation.timeout if limit == -1.0 else limit
         timer = threading.Timer(limit or threading.TIMEOUT_MAX, self._stop, (limit, what))
@@ -298,10 +296,8 @@ class Process:
         try:
             if limit is not None:
                 timer.start()
-            send_request(self._line, operation, payload)
-            reply = receive_reply(self._line, most=most if shapes is None else 8 * sum(map(math.prod, shapes)))
-            if shapes is not None and "error" not in reply.head and [a.shape for a in reply.arrays] != list(shapes):
-                raise Garbled("arrays of other shapes")
+            self._line.send_bytes(pickle.dumps((operation, payload), protocol=5))
+            reply = receive_reply(self._line, most=most)
         except (EOFError, OSError):
             raise MethodError(self._ended(what)) from None
         except Garbled as error:

@@ -39,24 +39,6 @@ class Reply(msgspec.Struct):
     """Bytes that only another process of the same method reads."""
 
 
-def send_request(line: Connection, operation: str, payload: Any) -> None:
-    """In the scorer: ask; arrays that are read-only here are read-only there.
-
-    Raises:
-        OSError: the process has ended.
-    """
-    line.send_bytes(pickle.dumps((operation, payload), protocol=5))
-
-
-def receive_request(line: Connection) -> tuple[str, Any]:
-    """In the process: the name of what is asked and its operands.
-
-    Raises:
-        EOFError, OSError: the scorer has ended.
-    """
-    return pickle.loads(line.recv_bytes())
-
-
 def receive_reply(line: Connection, *, most: int) -> Reply:
     """In the scorer: the answer to a request.
 

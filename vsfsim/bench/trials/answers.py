@@ -7,7 +7,7 @@ from its file once for all trainings of an evaluation.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.isolation.process import Learned, MethodHost, Process
 from vsfsim.bench.isolation.wire import decoded, encoded
-from vsfsim.bench.method import LARGEST_READING, Action, Specimen, checked_choice, frozen_view
+from vsfsim.bench.method import Action, Specimen, checked_choice, checked_prediction, frozen_view
 from vsfsim.bench.metrics import FEWEST_POINTS, Answer
 from vsfsim.bench.protocol import Answers, Draw, Recording, Trial, divide, record, specimen_of, support
 from vsfsim.bench.reached_points import reached_in
@@ -165,21 +165,17 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
     """
     where = trial.where
     names, actions = [f"touch {i} of {where}" for i in subject.draw.query], subject.actions
-    asked, shapes = (actions, names), [(len(action.time), action.size) for action in actions]
     mean = std = column_mean = pose = readings_std = None
     support = [subject.recording.readings[i] for i in trial.support if not trial.offered]
     with host.trial(learned, subject.view, support, where) as process:
         offers = _adapt(process, where)
         if trial.offered:
             trial = replace(trial, support=_choose(process, subject, trial, "choose" in offers))
-        readings = process.ask("predict", asked, f"predict for {where}", shapes=shapes).arrays
-        _check_readings(readings, names)
+        readings = _predicted(process, "predict", actions, names, where)
         if "predict_std" in offers:
-            readings_std = process.ask("predict_std", asked, f"predict_std for {where}", shapes=shapes).arrays
-            _check_readings(readings_std, names)
-            for given, name in zip(readings_std, names, strict=True):
-                if (given < 0.0).any():
-                    raise MethodError(f"predict_std for {name} is negative; a standard deviation is 0 or greater.")
+            readings_std = _predicted(process, "predict_std", actions, names, where)
+            if any((given < 0.0).any() for given in readings_std):
+                raise MethodError(f"predict_std for {where} is negative; a standard deviation is 0 or greater.")
         if "stiffness" in offers and subject.asks_stiffness:
             mean, std = _stiffness(process, subject.points, where)
             if (mean < 0).any():
@@ -210,8 +206,8 @@ def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> 
     for index in trial.support:
         if chooses:
             offered = [subject.recording.queries[k].action for k in left]
-            (answer,) = process.ask("choose", offered, f"choose for {trial.where}", shapes=[(1,)]).arrays
-            index = left.pop(checked_choice(int(answer[0]) if np.isfinite(answer[0]) else None, len(left)))
+            answer = process.ask("choose", offered, f"choose for {trial.where}").head.get("chosen")
+            index = left.pop(checked_choice(answer, len(left)))
         made.append(index)
         process.ask("made", subject.recording.readings[index], f"a touch for {trial.where}")
         if chooses or len(made) == len(trial.support):
@@ -219,11 +215,11 @@ def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> 
     return tuple(made)
 
 
-def _check_readings(readings: Iterable[np.ndarray], names: Iterable[str]) -> None:
-    # The method's process has checked them with a better message; it may have been tampered with.
-    for given, name in zip(readings, names, strict=True):
-        if not (np.abs(given) <= LARGEST_READING).all():
-            raise MethodError(f"prediction for {name} is not finite, or over {LARGEST_READING:g}.")
+def _predicted(process: Process, function: str, actions: Sequence[Action], names: Sequence[str], where: str
+               ) -> tuple[np.ndarray, ...]:
+    """What ``predict`` or ``predict_std`` answers; the process has checked it, but may have been tampered with."""
+    reply = process.ask(function, (actions, names), f"{function} for {where}")
+    return tuple(checked_prediction(reply.arrays, actions, names))
 
 
 def _stiffness(process: Process, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
