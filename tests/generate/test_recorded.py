@@ -16,7 +16,7 @@ from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.openvsf import pcd_bytes
-from vsfsim.data.summary import summary
+from vsfsim.data.summary import summary_rows
 from vsfsim.data.verify import verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
@@ -152,7 +152,8 @@ def test_torques_of_an_arm_lose_weight_and_tare_and_nothing_else(plants):
         assert len(cloud) > 300 and (cloud > low - 0.02).all() and (cloud < high + 0.02).all()
         assert np.allclose(view.view.camera_pose[:3, 3], eye)
     assert verify(dataset.path).ok
-    assert "true E          none" in summary(dataset.path) and "no elements" in repr(dataset[0].truth)
+    assert ("true E", "none Pa over all elements") in summary_rows(dataset.path)
+    assert "no elements" in repr(dataset[0].truth)
 
 
 def test_pressures_of_a_bubble_become_pascals_over_the_tare(shoes):

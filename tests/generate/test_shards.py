@@ -66,12 +66,6 @@ def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp
     assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
 
 
-def test_another_number_of_shards_and_another_recipe_are_refused(scene, tmp_path, here):
-    make(planned(scene, tmp_path, objects=2, fan=Fan((0, 2))))
-    with pytest.raises(DatasetError, match="is being made in 2 shards, and --shard asks for 3"):
-        make(planned(scene, tmp_path, objects=2, fan=Fan((1, 3))))
-
-
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
     names = ["a", "b"]
     with DatasetWriter(tmp_path / "d", RECIPE, names, shard=(0, 2)):

@@ -59,7 +59,7 @@ def installed(monkeypatch):
     monkeypatch.setattr("vsfsim.core.shelf._entries", lambda group, path: {"hencky": entry} if group == LAWS.group
                         else {})
     yield
-    LAWS._rows.pop("hencky", None)
+    LAWS.data.pop("hencky", None)
 
 
 @pytest.mark.slow  # a module to compile

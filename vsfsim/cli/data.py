@@ -28,7 +28,7 @@ def verify(folder: Path, against: Path | None = None, json: JsonFile = None) -> 
 
         with Progress("verify") as progress:
             alike = compare(folder, against, progress)
-        report(alike.text(), alike.table(), json)
+        report(alike.text(), vars(alike), json)
         raise typer.Exit(0 if alike.other == 0 else 2)
     from vsfsim.data.verify import verify as run
 

@@ -10,11 +10,12 @@ import importlib.resources
 import os
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections import UserDict
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file
 from vsfsim.core.plain_text import plain
@@ -77,8 +78,27 @@ def tasks() -> dict[str, Path]:
 def families() -> list[str]:
     """Names of the procedural families: Python files of ``scenes/`` with a function ``build``, and the entry points of
     the group ``vsfsim.families``, each a module with one."""
-    shipped = {p.stem for p in folder("scenes").glob("*.py") if not p.stem.startswith("_")}
-    return sorted(shipped | {ep.name for ep in importlib.metadata.entry_points(group=FAMILY_GROUP)})
+    return _modules(folder("scenes"), FAMILY_GROUP)
+
+
+def _modules(place: Path, group: str) -> list[str]:
+    """Names of the modules of a folder, but for those that begin with ``_``, and of a group of entry points."""
+    shipped = {path.stem for path in place.glob("*.py") if not path.stem.startswith("_")}
+    return sorted(shipped | {ep.name for ep in importlib.metadata.entry_points(group=group)})
+
+
+def loaded(entry: importlib.metadata.EntryPoint, what: str, error: type[VsfsimError] = VsfsimError) -> Any:
+    """What an entry point names; ``what`` begins the message.
+
+    Raises:
+        VsfsimError: of class ``error``; it cannot be loaded.
+    """
+    try:
+        return entry.load()
+    except Exception as problem:  # a module may raise anything while it is imported
+        raise error(f"{what} '{plain(entry.name)}' ({plain(entry.value)}, entry point of {entry.group}) cannot be "
+                    f"loaded: {type(problem).__name__}: {plain(problem)}. Install its package again, or remove "
+                    f"it.") from problem
 
 
 def family(name: str, where: str) -> ModuleType:
@@ -91,11 +111,7 @@ def family(name: str, where: str) -> ModuleType:
         raise SceneError(f"{where}: unknown family '{name}'. {did_you_mean(name, families())}")
     shipped = importlib.metadata.EntryPoint(name, f"vsfsim.scenes.{name}", FAMILY_GROUP)
     entry = next(iter(importlib.metadata.entry_points(group=FAMILY_GROUP, name=name)), shipped)
-    try:
-        return entry.load()
-    except Exception as error:  # a module may raise anything while it is imported
-        raise SceneError(f"{where}: the family '{name}' ({entry.value}, entry point of {FAMILY_GROUP}) cannot be "
-                         f"loaded: {type(error).__name__}: {error}. Install its package again.") from error
+    return loaded(entry, f"{where}: the family", SceneError)
 
 
 def plug_ins(scene: Mapping[str, Any], effector: str) -> list[importlib.metadata.EntryPoint]:
@@ -157,11 +173,9 @@ def ceilings() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def effectors() -> list[str]:
-    """Names of the effectors, of what can touch an object: the files of ``vsfsim/generate/effectors/`` (a ``_`` stands
-    for a ``-`` of the name), and the entry points of the group ``vsfsim.effectors``."""
-    files = (Path(__file__).parents[1] / "generate" / "effectors").glob("*.py")
-    shipped = {path.stem.replace("_", "-") for path in files if not path.stem.startswith("_")}
-    return sorted(shipped | {ep.name for ep in importlib.metadata.entry_points(group=EFFECTOR_GROUP)})
+    """Names of the effectors, of what can touch an object: the files of ``vsfsim/generate/effectors/``, and the entry
+    points of the group ``vsfsim.effectors``."""
+    return _modules(Path(__file__).parents[1] / "generate" / "effectors", EFFECTOR_GROUP)
 
 
 def datasets() -> Path:
@@ -190,7 +204,7 @@ def dataset_folder(scene: str, *, text: str, **recipe: Any) -> Path:
 Row = TypeVar("Row")
 
 
-class Registry(MutableMapping[str, Row], Generic[Row]):
+class Registry(UserDict[str, Row]):
     """Rows by name. A row of another package is loaded when it is asked for.
 
     Args:
@@ -202,39 +216,27 @@ class Registry(MutableMapping[str, Row], Generic[Row]):
     """
 
     def __init__(self, group: str, shipped: Mapping[str, Row]):
-        self.group, self._rows = group, dict(shipped)
+        super().__init__(shipped)
+        self.group = group
 
-    def __getitem__(self, name: str) -> Row:
-        if name not in self._rows:
-            self._rows[name] = self._load(_entries(self.group, tuple(sys.path))[name])
-        return self._rows[name]
-
-    def __setitem__(self, name: str, row: Row) -> None:
-        self._rows[name] = row
-
-    def __delitem__(self, name: str) -> None:
-        del self._rows[name]
+    def __missing__(self, name: str) -> Row:
+        entry = _entries(self.group, tuple(sys.path))[name]
+        row = loaded(entry, "the row")
+        if getattr(row, "name", None) != entry.name:
+            raise VsfsimError(f"'{plain(entry.name)}' ({plain(entry.value)}, entry point of {self.group}) is the row "
+                              f"{plain(getattr(row, 'name', row), longest=80)!r}; the name of the entry point must be "
+                              f"that of its row.")
+        self.data[name] = row
+        return row
 
     def __contains__(self, name: object) -> bool:
-        return name in self._rows or name in _entries(self.group, tuple(sys.path))
+        return name in self.data or name in _entries(self.group, tuple(sys.path))
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys([*self._rows, *_entries(self.group, tuple(sys.path))]))
+        return iter(dict.fromkeys([*self.data, *_entries(self.group, tuple(sys.path))]))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
-
-    def _load(self, entry: importlib.metadata.EntryPoint) -> Row:
-        where = f"'{plain(entry.name)}' ({plain(entry.value)}, entry point of {self.group})"
-        try:
-            row = entry.load()
-        except Exception as error:  # a module may raise anything while it is imported
-            raise VsfsimError(f"{where} cannot be loaded: {type(error).__name__}: {plain(error)}. Install its package "
-                              f"again, or remove it.") from error
-        if getattr(row, "name", None) != entry.name:
-            raise VsfsimError(f"{where} is the row {plain(getattr(row, 'name', row), longest=80)!r}; the name of the "
-                              f"entry point must be that of its row.")
-        return row
 
 
 @lru_cache(maxsize=64)

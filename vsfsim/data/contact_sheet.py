@@ -25,8 +25,8 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None
 
     A touch has the same colour in both panels on the right: a dot at the target with the last 20 mm of the approach,
     and its curve. A touch without contact is a cross without a curve; a frame that did not converge is a black cross.
-    For a bubble the sheet also shows pressure over travel, the skin in the frame of largest force (dent and contact
-    forces on its nodes, along the mount's axis), and the picture of the camera inside, if it is recorded.
+    For a bubble the sheet also shows pressure over travel, and the picture of the camera inside in the frame of largest
+    force, if it is recorded.
 
     Args:
         views: one or more.
@@ -45,7 +45,7 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None
 
     air = any(touch.pressure is not None for object_view in views for touch in object_view.touches)
     inside = any(touch.inside_rgb is not None for object_view in views for touch in object_view.touches)
-    columns = 4 + 2 * air + inside
+    columns = 4 + air + inside
     figure = new_figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90,
                         layout="constrained", facecolor="white")
     if title:
@@ -58,40 +58,29 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None
         _image(row[0], seen.rgb, window, f"{object_view.name}  ({object_view.split})")
         depth = _image(row[1], np.where(seen.mask, seen.depth, np.nan), window, "depth [m]", cmap="magma_r")
         row[1].set_facecolor("0.92")
-        _bar(figure, row[1], depth)
+        figure.colorbar(depth, ax=row[1], fraction=0.04, pad=0.01).ax.tick_params(labelsize=7)
         _targets(row[2], object_view, colours, window)
         _curves(row[3], object_view, colours, "normal force [N]", lambda touch: touch.normal_force())
         if air:
             _curves(row[4], object_view, colours, "pressure change [Pa]", _pressure_change)
-            number, frame = _hardest(object_view)
-            touch = object_view.touches[number] if object_view.touches else None
-            _skin(figure, row[5], touch, frame, f"touch {number}, frame {frame}, mount frame")
-            if inside:
-                row[6].set(xticks=[], yticks=[])
-                if touch is not None and touch.inside_rgb is not None:
-                    row[6].imshow(touch.inside_rgb[frame])
-                    row[6].set_title("from inside", fontsize=9, loc="left")
+        if inside:
+            _inside(row[-1], object_view)
     if out_png is not None:
         write_figure(figure, out_png)
     return figure
 
 
 def _window(view: View) -> tuple[int, int, int, int]:
-    """Rows and columns to show: the object and a tenth around it."""
-    if not view.mask.any():
-        return 0, view.mask.shape[0], 0, view.mask.shape[1]
-    row, column = np.flatnonzero(view.mask.any(axis=1)), np.flatnonzero(view.mask.any(axis=0))
-    height, width = row[-1] - row[0] + 1, column[-1] - column[0] + 1
-    # All panels about 4:3, whatever the object, so that the rows line up.
-    tall = 1.15 * max(height, 0.75 * width) + 8
-    return (*_span(row[0], row[-1], tall, view.mask.shape[0]),
-            *_span(column[0], column[-1], tall / 0.75, view.mask.shape[1]))
-
-
-def _span(first: int, last: int, length: float, limit: int) -> tuple[int, int]:
-    """A stretch of ``length`` around first..last, moved to lie within 0..limit."""
-    start = min(max(round(0.5 * (first + last) - 0.5 * length), 0), max(limit - int(length), 0))
-    return start, min(start + int(length), limit)
+    """Rows and columns to show: the object and a tenth around it, in panels of about 4:3 so that the rows line up."""
+    mask = view.mask if view.mask.any() else np.ones_like(view.mask)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    tall = 1.15 * max(np.ptp(rows) + 1, 0.75 * (np.ptp(columns) + 1)) + 8
+    shown = []
+    for places, length, limit in ((rows, tall, len(mask)), (columns, tall / 0.75, mask.shape[1])):
+        start = min(max(round(0.5 * (places[0] + places[-1] - length)), 0), max(limit - int(length), 0))
+        shown += [start, min(start + int(length), limit)]
+    top, bottom, left, right = shown
+    return top, bottom, left, right
 
 
 def _image(axes, pixels: np.ndarray, window: tuple[int, int, int, int], title: str, **options: Any) -> Any:
@@ -101,10 +90,6 @@ def _image(axes, pixels: np.ndarray, window: tuple[int, int, int, int], title: s
     axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[])
     axes.set_title(title, fontsize=9, loc="left")
     return shown
-
-
-def _bar(figure, axes, shown: Any) -> None:
-    figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01).ax.tick_params(labelsize=7)
 
 
 def _targets(axes, object_view: ObjectView, colours: np.ndarray, window: tuple[int, int, int, int]) -> None:
@@ -145,29 +130,13 @@ def _pressure_change(touch: Touch) -> np.ndarray:
     return touch.pressure - touch.rest_pressure
 
 
-def _hardest(object_view: ObjectView) -> tuple[int, int]:
-    """Number of the touch and of its converged frame with the largest force."""
+def _inside(axes, object_view: ObjectView) -> None:
+    """What the camera in the bubble saw in the converged frame of largest force of all touches."""
+    axes.set(xticks=[], yticks=[])
     size = [np.where(touch.converged, np.linalg.norm(np.nan_to_num(touch.force), axis=1), -1.0)
             for touch in object_view.touches]
     number = int(np.argmax([values.max(initial=-1.0) for values in size])) if size else 0
-    return number, int(np.argmax(size[number])) if size else 0
-
-
-def _skin(figure, axes, touch: Touch | None, frame: int, words: str) -> None:
-    """The read-out mesh in the mount's frame: its dent as shades, contact forces on its nodes as dots."""
-    axes.set(xticks=[], yticks=[], aspect="equal")
-    if (touch is None or touch.node_position is None or touch.node_force is None or touch.node_rest is None
-        or not touch.converged[frame]):
-        axes.set_title("no frame of the skin", fontsize=9, loc="left")
-        return
-    pose = touch.mount_pose[frame]
-    local = (touch.node_position[frame].astype(float) - pose[:3, 3]) @ pose[:3, :3]
-    dent = 1e3 * (touch.node_rest[:, 2] - local[:, 2])
-    shown = axes.tripcolor(*(1e3 * touch.node_rest[:, :2].T), touch.node_triangles, dent, shading="gouraud",
-                           cmap="viridis", vmin=min(0.0, float(dent.min())), vmax=max(1e-3, float(dent.max())))
-    size = np.linalg.norm(touch.node_force[frame].astype(float), axis=1)
-    axes.scatter(*(1e3 * touch.node_rest[:, :2].T), s=60.0 * size / max(float(size.max()), 1e-12), c="white",
-                 edgecolors="black", linewidths=0.4)
-    _bar(figure, axes, shown)
-    axes.set_title(f"dent [mm]; dots: forces to {size.max():.2f} N", fontsize=9, loc="left")
-    axes.set_xlabel(words, fontsize=8)
+    if size and object_view.touches[number].inside_rgb is not None:
+        frame = int(np.argmax(size[number]))
+        axes.imshow(object_view.touches[number].inside_rgb[frame])
+        axes.set_title(f"from inside, touch {number}, frame {frame}", fontsize=9, loc="left")

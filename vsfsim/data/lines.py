@@ -2,7 +2,6 @@
 
     manifest/NAME.json    file, bytes, sha256, seed and kind of machine; written when the object file lies there whole
     manifest/kind         the kind of machine that finished a view first
-    manifest/shards       into how many shards the work is divided
     manifest/NAME.failed  how often making this view has failed, and why; of runs with `poison`
 
 Any number of machines may write at the same time: all of them would write the same bytes.
@@ -11,15 +10,13 @@ Any number of machines may write at the same time: all of them would write the s
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.data.hdf5 import encode_view
-from vsfsim.data.kept import audit_errors
-from vsfsim.data.manifest import Entry, file_name
+from vsfsim.data.manifest import Entry, entry_of, file_name
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.store import Store
@@ -40,10 +37,7 @@ def put_view(store: Store, view: ObjectView, recipe: Recipe, made_on: str) -> En
         DatasetError: a field does not fit the schema, or the store refuses.
     """
     content = encode_view(view)
-    entry = Entry(view.name, file_name(view.name), view.split, view.object_index, view.view_index, len(view.touches),
-                  sum(len(touch.time) for touch in view.touches),
-                  sum(int((~touch.converged).sum()) for touch in view.touches), len(content),
-                  hashlib.sha256(content).hexdigest(), made_on, audit_errors(view))
+    entry = entry_of(view, content, made_on)
     store.put(entry.file, content)
     put_line(store, entry, recipe)
     return entry
@@ -82,31 +76,14 @@ def check_kind(store: Store, made_on: str, *, mixed: bool) -> None:
     Raises:
         DatasetError: it is another one.
     """
-    there = _first(store, f"{FOLDER}/kind", made_on)
+    spot = f"{FOLDER}/kind"
+    if not (found := store.get(spot)) and not store.put_new(spot, made_on.encode()):
+        found = store.get(spot)
+    there = (found or b"").decode(errors="replace") or made_on
     if there != made_on and not mixed:
         raise DatasetError(f"{store.where} was begun on '{plain(there)}', and this machine is '{made_on}': they round "
                            f"otherwise, so that another machine could not make the same bytes again. Run it on "
                            f"machines of one kind, or allow it with --mixed; each file then says what made it.")
-
-
-def check_shards(store: Store, count: int) -> None:
-    """Refuse to divide the work into another number of shards than before.
-
-    Raises:
-        DatasetError: it is another one.
-    """
-    there = _first(store, f"{FOLDER}/shards", str(count))
-    if there != str(count):
-        raise DatasetError(f"{store.where} is being made in {plain(there)} shards, and --shard asks for {count}. "
-                           f"Use the same number for all, or make what is missing without --shard.")
-
-
-def _first(store: Store, name: str, word: str) -> str:
-    """What the first machine wrote into a file, which is ``word`` if this one is the first."""
-    there = store.get(name)
-    if not there and not store.put_new(name, word.encode()):
-        there = store.get(name)
-    return (there or b"").decode(errors="replace") or word
 
 
 @dataclasses.dataclass(frozen=True)

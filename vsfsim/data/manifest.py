@@ -17,8 +17,9 @@ import msgspec
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.table import Count, typed, value
-from vsfsim.data.kept import observed
+from vsfsim.data.kept import audit_errors, observed
 from vsfsim.data.recipe import Recipe
+from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import NAME
 from vsfsim.data.schema import SCHEMA_VERSION
 
@@ -67,6 +68,14 @@ class Entry:
         """As JSON values."""
         out = {**dataclasses.asdict(self), "audits": list(self.audits)}
         return {key: value for key, value in out.items() if value or key not in _OPTIONAL}
+
+
+def entry_of(view: ObjectView, content: bytes, made_on: str) -> Entry:
+    """That of an object view with the content of its file."""
+    return Entry(view.name, file_name(view.name), view.split, view.object_index, view.view_index, len(view.touches),
+                 sum(len(touch.time) for touch in view.touches),
+                 sum(int((~touch.converged).sum()) for touch in view.touches), len(content),
+                 hashlib.sha256(content).hexdigest(), made_on, audit_errors(view))
 
 
 def content_sha256(entries: tuple[Entry, ...]) -> str:

@@ -14,15 +14,6 @@ _AUDIT = {"min_det_f": ", all converged frames", "energy": " J", "penetration": 
 """Columns of the audit that are told, with what follows their numbers."""
 
 
-def summary(path: str | Path) -> str:
-    """`summary_rows` as text, one line a row.
-
-    Raises:
-        DatasetError: no finished dataset there.
-    """
-    return "\n".join(f"{key:<16}{value}" for key, value in summary_rows(path))
-
-
 def summary_rows(path: str | Path, progress: Progress | None = None) -> list[tuple[str, str]]:
     """Objects, splits, touches, frames, forces, effort, truth and size of the dataset in folder ``path``, each with its
     name.

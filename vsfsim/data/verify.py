@@ -14,9 +14,9 @@ import numpy as np
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.hdf5 import MAKE_AGAIN, examine, fault_of
-from vsfsim.data.kept import audit_errors, broken, observed
-from vsfsim.data.manifest import CARD, MANIFEST, Entry
-from vsfsim.data.records import ObjectView, Touch, values_of
+from vsfsim.data.kept import broken, observed
+from vsfsim.data.manifest import CARD, MANIFEST, Entry, entry_of
+from vsfsim.data.records import Touch, values_of
 
 BALANCE_LIMIT = 1e-3
 """Largest |force - reaction - weight| over the larger norm in a converged frame with contact; the solver's own residual
@@ -60,7 +60,7 @@ class Report:
     problems: tuple[Problem, ...] = ()
     """Empty if all is well."""
     files: int = 0
-    """Number of object files."""
+    """Number of object files that are whole."""
     touches: int = 0
     """Number of touches."""
     frames: int = 0
@@ -124,25 +124,26 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
             raise
         return Report(path, (Problem(MANIFEST, str(error), ""),))
     problems: list[Problem] = []
-    counts = {"files": 0, "touches": 0, "frames": 0, "unconverged": 0, "unresolved": 0, "untouched": 0}
-    worst = 0.0
-    errors: list[float] = []
+    whole: list[Entry] = []  # whose file is as it should be
+    unresolved, untouched, worst = 0, 0, 0.0
     listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
     for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
         problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
     for done, entry in enumerate(dataset.entries):
         progress(done, len(dataset.entries), entry.name)
-        fault = fault_of(path / entry.file, entry.sha256)
-        counts["files"] += (path / entry.file).is_file()
+        file = path / entry.file
+        fault = fault_of(file, entry.sha256)
         if fault is not None:
             problems.append(Problem(entry.file, *fault))
             continue
-        view, faults = examine(path / entry.file)
+        view, faults = examine(file)
         problems += [Problem(entry.file, what, MAKE_AGAIN) for what in faults]
         if view is None:
             continue
-        problems += _check_entry(view, entry)
-        errors += entry.audits
+        found = entry_of(view, file.read_bytes(), entry.made_on)
+        problems += [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.",
+                             MAKE_AGAIN) for key, value in vars(found).items() if value != getattr(entry, key)]
+        whole.append(found)
         for index, touch in enumerate(view.touches):
             balance = np.asarray(touch.audit["force_balance"])
             contact = contact_frames(touch)
@@ -157,15 +158,14 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
                 problems.append(Problem(
                     entry.file, f"touches/{index:03d} frame {lost[0]}: the forces on the nodes of the skin add up to "
                     f"{lost[1]:.2g} N off the force.", f"The read-out lost force; {_REPORT_IT}"))
-            counts["touches"] += 1
-            counts["frames"] += len(touch.time)
-            counts["unconverged"] += int((~touch.converged).sum())
-            counts["unresolved"] += int(unresolved_frames(touch).sum())
-            counts["untouched"] += int(not touch.touched)
-    promise = observed(dataset.recipe.options, dataset.recipe.tier, errors)
+            unresolved += int(unresolved_frames(touch).sum())
+            untouched += int(not touch.touched)
+    recipe = dataset.recipe
+    promise = observed(recipe.options, recipe.tier, [error for entry in whole for error in entry.audits])
     if promise is not None and (why := broken(promise)) is not None:
         problems.append(Problem(MANIFEST, why, "Generate it again with a smaller --accuracy."))
-    return Report(path, tuple(problems), **counts, worst_balance=worst, accuracy=promise)
+    return Report(path, tuple(problems), len(whole), sum(e.touches for e in whole), sum(e.frames for e in whole),
+                  sum(e.unconverged for e in whole), unresolved, untouched, worst, promise)
 
 
 def skin_loss(touch: Touch) -> tuple[int, float] | None:
@@ -188,33 +188,22 @@ def contact_frames(touch: Touch) -> np.ndarray:
     return touch.converged & (np.linalg.norm(np.nan_to_num(touch.force), axis=1) > CONTACT_FORCE)
 
 
-def _check_entry(view: ObjectView, entry: Entry) -> list[Problem]:
-    given = {"name": view.name, "split": view.split, "object_index": view.object_index, "view_index": view.view_index,
-             "touches": len(view.touches), "audits": audit_errors(view)}
-    return [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.", MAKE_AGAIN)
-            for key, value in given.items() if value != getattr(entry, key)]
-
-
 @dataclass(frozen=True)
 class Alike:
     """What `compare` found, in touches."""
 
-    equal: int
+    equal: int = 0
     """Every reading is equal to the bit."""
-    close: int
+    close: int = 0
     """Forces are equal to `CLOSE`."""
-    other: int
+    other: int = 0
     """The rest."""
-    worst: float
+    worst: float = 0.0
     """Largest relative difference of a force [-]."""
-    first: str
+    first: str = ""
     """The first touch that is not equal to the bit, "" if there is none."""
-    kinds: tuple[str, ...]
+    kinds: tuple[str, ...] = ()
     """Kinds of machines of the first dataset, then of the second."""
-
-    def table(self) -> dict[str, Any]:
-        """For JSON."""
-        return dataclasses.asdict(self)
 
     def text(self) -> str:
         """For the terminal."""
@@ -239,19 +228,19 @@ def compare(one: str | Path, other: str | Path, progress: Progress | None = None
     if set(a.names()) != set(b.names()):
         raise DatasetError(f"{one} and {other} hold different object views: "
                            f"{', '.join(sorted(set(a.names()) ^ set(b.names()))[:5])} in one only.")
-    counts, worst, first = [0, 0, 0], 0.0, ""
+    counts, worst, first = {"equal": 0, "close": 0, "other": 0}, 0.0, ""
     for view in a:
         for index, (p, q) in enumerate(zip(view.touches, b.load(view.name).touches, strict=True)):
             mine, theirs = values_of(p), values_of(q)
             if mine.keys() == theirs.keys() and all(np.asarray(mine[k]).tobytes() == np.asarray(theirs[k]).tobytes()
                                                     for k in mine):
-                counts[0] += 1
+                counts["equal"] += 1
                 continue
             apart = difference(p, q)
             worst, first = max(worst, apart), first or f"{view.name} touches/{index:03d}"
-            counts[1 if apart <= CLOSE else 2] += 1
+            counts["close" if apart <= CLOSE else "other"] += 1
     kinds = tuple(dict.fromkeys(e.made_on or "not recorded" for data in (a, b) for e in data.entries))
-    return Alike(counts[0], counts[1], counts[2], worst, first, kinds)
+    return Alike(**counts, worst=worst, first=first, kinds=kinds)
 
 
 def difference(one: Touch, other: Touch) -> float:

@@ -233,8 +233,6 @@ class DatasetWriter:
             if not self._fresh:
                 self._refuse_other()  # another shard was faster
         self.store.remove(MANIFEST)
-        if self.shard is not None:
-            lines.check_shards(self.store, self.shard[1])
         return made_by()
 
     def _damaged(self, finished: Dataset, files: dict[str, int]) -> bool:

@@ -31,7 +31,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.core.shelf import EFFECTOR_GROUP, effectors
+from vsfsim.core.shelf import EFFECTOR_GROUP, effectors, loaded
 from vsfsim.data.records import ObjectView, Truth
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import PressResult
@@ -148,8 +148,8 @@ def find_effector(name: str) -> Effector:
     if name not in effectors():
         raise SceneError(f"there is no effector '{name}'. {did_you_mean(name, effectors())}")
     for entry in importlib.metadata.entry_points(group=EFFECTOR_GROUP, name=name):
-        return entry.load()
-    return importlib.import_module(f"vsfsim.generate.effectors.{name.replace('-', '_')}").EFFECTOR
+        return loaded(entry, "the effector", SceneError)
+    return importlib.import_module(f"vsfsim.generate.effectors.{name}").EFFECTOR
 
 
 def kernels_of(scene: Scene, tier: str = "auto") -> list[Any]:

@@ -13,6 +13,7 @@ import socket
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import VsfsimError
@@ -71,8 +72,6 @@ def shard_of(given: str, environment: Mapping[str, str] | None = None) -> tuple[
 
 MOST_TASKS = 1000
 """Tasks of a Slurm array; `MaxArraySize` is 1001 on many clusters."""
-IMAGE = "YOUR-REGISTRY/vsfsim:latest"
-"""Of the repository's Dockerfile, which has the package with its extras `all` and `cloud`."""
 
 
 def job_file(engine: str, words: Sequence[str], shards: int, *, finish: Sequence[str], gpus: int = 0) -> str:
@@ -88,65 +87,25 @@ def job_file(engine: str, words: Sequence[str], shards: int, *, finish: Sequence
     odd = [word for word in words if not word.isprintable()]
     if odd:
         raise VsfsimError(f"{odd[0]!r} has a character that ends a line of a job's file. Rename what it names.")
-    return (_batch if engine == "slurm" else _manifest)(words, shards, shlex.join(finish), gpus)
-
-
-def _batch(words: Sequence[str], shards: int, finish: str, gpus: int) -> str:
-    if shards > MOST_TASKS:
+    if engine == "slurm" and shards > MOST_TASKS:
         raise VsfsimError(f"--shards is {shards}; a Slurm array has at most {MOST_TASKS} tasks on many clusters. "
                           f"Give fewer: a shard makes several views.")
-    return f"""#!/bin/bash
-# Submit with: sbatch FILE; when the array is done: {finish}
-# The same file may be submitted again at any time: it makes what is missing.
-#SBATCH --job-name=vsfsim
-#SBATCH --array=0-{shards - 1}
-#SBATCH --ntasks=1
-#SBATCH --cpus-per-task=2
-#SBATCH --mem-per-cpu=4G
-#SBATCH --time=240
-#SBATCH --signal=TERM@30
-#SBATCH --requeue
-{f"#SBATCH --gpus-per-task={gpus}" if gpus else "# no GPU"}
-#SBATCH --output=slurm-%A_%a.log
-srun {shlex.join(words)} --shard auto --workers "$SLURM_CPUS_PER_TASK"
-"""
-
-
-def _manifest(words: Sequence[str], shards: int, finish: str, gpus: int) -> str:
     here = [word for word in words if os.path.isabs(word.partition("=")[2] or word) or word.startswith("~")]
-    if here:
+    if engine == "k8s" and here:
         raise VsfsimError(f"'{here[0]}' is a path of this machine, which a pod does not have. Give the address of an "
                           f"object store (s3://...), or a path in the volume of the claim 'vsfsim', relative to it: "
                           f"pods work in that folder.")
-    # a name is a DNS label: small letters, digits and dashes, 63 at most; another command is another job
-    name = f"vsfsim-{hashlib.sha256(shlex.join(words).encode()).hexdigest()[:10]}"
-    limits = json.dumps({"cpu": "2", "memory": "8Gi", **({"nvidia.com/gpu": str(gpus)} if gpus else {})})
-    volume = "" if any("://" in word for word in words) else """
-        workingDir: /work
-        volumeMounts: [{name: work, mountPath: /work}]
-      volumes: [{name: work, persistentVolumeClaim: {claimName: vsfsim}}]   # read and written by all pods"""
-    return f"""# kubectl apply -f FILE; when the Job is complete: {finish}
-# Applied again after `kubectl delete job {name}`, it makes what is missing.
-apiVersion: batch/v1
-kind: Job
-metadata: {{name: {name}}}
-spec:
-  completionMode: Indexed
-  completions: {shards}
-  parallelism: {shards}
-  backoffLimitPerIndex: 6
-  maxFailedIndexes: {shards}
-  template:
-    spec:
-      restartPolicy: Never
-      terminationGracePeriodSeconds: 30
-      containers:
-      - name: vsfsim
-        image: {IMAGE}
-        command: {json.dumps([*words, "--shard", f"auto/{shards}", "--workers", "2"])}
-        resources: {{requests: {limits}, limits: {limits}}}
-        envFrom: [{{secretRef: {{name: vsfsim-store, optional: true}}}}]   # keys of the object store{volume}
-"""
+    import jinja2  # not needed on one machine
+
+    command = shlex.join(words)
+    text = Path(__file__).with_name({"slurm": "slurm.sh", "k8s": "k8s.yaml"}[engine]).read_text(encoding="utf-8")
+    return jinja2.Template(text, trim_blocks=True, keep_trailing_newline=True).render(
+        command=command, finish=shlex.join(finish), shards=shards, gpus=gpus,
+        # a name is a DNS label: small letters, digits and dashes, 63 at most; another command is another job
+        name=f"vsfsim-{hashlib.sha256(command.encode()).hexdigest()[:10]}",
+        words=json.dumps([*words, "--shard", f"auto/{shards}", "--workers", "2"]),
+        limits=json.dumps({"cpu": "2", "memory": "8Gi", **({"nvidia.com/gpu": str(gpus)} if gpus else {})}),
+        on_volume=not any("://" in word for word in words))
 
 
 def submit(words: Sequence[str], shards: int, *, gpus: int = 0) -> None:
