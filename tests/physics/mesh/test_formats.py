@@ -115,7 +115,7 @@ def test_ply_of_every_order(order: str) -> None:
     for real, index in (("float", "int"), ("double", "ushort")):
         assert volume(ply_block(order, real, index), "a.ply") == pytest.approx(6.0)
     for faces in (6, 99):
-        with pytest.raises(MeshError, match=r"announces .* (it ends after 12|counts and content do not agree)"):
+        with pytest.raises(MeshError, match=r"announces .* counts and content do not agree"):
             volume(ply_block(order, faces=faces), "a.ply")
     if order != "ascii":
         one, other = (b"big", b"little") if "big" in order else (b"little", b"big")
@@ -173,10 +173,10 @@ def test_a_part_inside_another_is_a_cavity_whatever_way_it_is_wound(flips: tuple
             ball.invert()
     trimesh.util.concatenate([outer, inner]).export(tmp_path / "b.stl")
     surface = read_surface(MeshFile(str(tmp_path / "b.stl")))
-    assert (surface.cavities, surface.parts) == (1, 1)
+    assert surface.parts == 1
     solid = fill_mesh_file(MeshFile(str(tmp_path / "b.stl")), resolution=0.01)
     assert solid.volume() == pytest.approx(abs(outer.volume) - abs(inner.volume), rel=0.02)
-    assert any("cavities 1 for 1" in note for note in solid.notes)
+    assert not any("departs" in note for note in solid.notes), "the cavity's surface is near the filling's"
 
 
 def test_the_same_surface_gives_the_same_body_in_every_format(tmp_path: Path) -> None:
@@ -213,24 +213,24 @@ def stl_block(attribute: int = 0) -> bytes:
 
 
 @pytest.mark.parametrize(("name", "content", "told"), [
-    ("a.stl", stl_block(0x8FFF), "colours of the file's faces"), ("a.stl", stl_block(), None),
+    ("a.stl", stl_block(0x8FFF), "file's colours"), ("a.stl", stl_block(), None),
     ("a.off", "OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1 255 0 0\n3 0 1 3\n3 1 2 3\n3 2 0 3\n",
-     "colours of the file's faces"),
+     "file's colours"),
+    ("a.obj", "v 0 0 0 1 0 0\n" + obj_block((0, 0, 0), (1, 1, 1)), "file's colours"),
     ("a.obj", "usemtl red\n" + obj_block((0, 0, 0), (1, 1, 1)), "lines usemtl"),
-    ("a.obj", "vt 0 0\n" + obj_block((0, 0, 0), (1, 1, 1)), "lines vt"),
     ("a.obj", obj_block((0, 0, 0), (1, 1, 1)) + "curv 0 1 1 2\nl 1 2\n", "lines curv, l")])
 def test_what_of_a_file_is_not_used_is_told(name: str, content: str | bytes, told: str | None) -> None:
     notes = parse(content.encode() if isinstance(content, str) else content, Path(name)).notes
     assert len(notes) == (told is not None) and all(str(told) in note for note in notes)
 
 
-def test_up_and_colours(tmp_path: Path) -> None:
+def test_up(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.1, 0.06, 0.04))
     box.visual.vertex_colors = np.tile([[255, 0, 0, 255]], (8, 1))
     box.export(tmp_path / "b.ply")
     solid = fill_mesh_file(MeshFile(str(tmp_path / "b.ply"), 1.0, "y"), resolution=0.01)
     assert np.ptp(solid.vertices, axis=0) == pytest.approx([0.1, 0.04, 0.06], abs=1e-6)
-    assert solid.appearance is not None and solid.appearance.albedo[0] == pytest.approx([1, 0, 0])
+    assert any("file's colours are not used" in note for note in solid.notes)
 
 
 def test_double_sided_and_touching_parts(tmp_path: Path) -> None:

@@ -1,5 +1,4 @@
-"""What a filling has of its scan, in numbers: box, volume, cavities, parts, and the distance between the two; and what
-it stands on."""
+"""What a filling has of its scan, in numbers: box, volume, and the distance between the two; and what it stands on."""
 
 from __future__ import annotations
 
@@ -13,7 +12,6 @@ from vsfsim.core.errors import MeshError
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
 from vsfsim.physics.mesh.repair import Surface, signed_volume
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
-from vsfsim.physics.mesh.validity import body_of_each_tet, shells
 
 BASE = 0.01
 """Height of the part of a scan whose nodes are its base face, over the scan's: below it the filling is cut flat [-]."""
@@ -39,10 +37,6 @@ class Account:
     """Edges of the bounding box of scan and filling (3,), (3,) [m]."""
     volume: tuple[float, float]
     """Of scan and filling [m^3]."""
-    cavities: tuple[int, int]
-    """Of scan and filling."""
-    parts: tuple[int, int]
-    """Of scan and filling; parts of a scan that overlap make one of the filling."""
     distance: float
     """Largest distance of the scan's surface from the filling's [m]."""
     names: tuple[str, str] = ("scan", "filling")
@@ -61,10 +55,8 @@ class Account:
         (scan, filling), off = self.names, self.off
         text = (f"{filling.capitalize()} against {scan}: box {box[1]} for {box[0]} mm, volume "
                 f"{1e6 * self.volume[1]:.4g} for {1e6 * self.volume[0]:.4g} cm^3 ({100 * off['volume']:+.1f} %), "
-                f"cavities {self.cavities[1]} for {self.cavities[0]}, parts {self.parts[1]} for {self.parts[0]}, "
                 f"surfaces {1e3 * self.distance:.2g} mm apart at most.")
         told = [f"{name} {100 * abs(value):.1f} %" for name, value in off.items() if abs(value) > TOLD]
-        told += [f"cavities {self.cavities[1]} for {self.cavities[0]}"] * (self.cavities[0] != self.cavities[1])
         return text + (f" The {filling} departs from the {scan} by more than {100 * TOLD:g} %: {', '.join(told)}."
                        if told else "")
 
@@ -104,12 +96,9 @@ def account(surface: Surface, volume: float, vertices: np.ndarray, tets: np.ndar
         vertices: of the filling, in the frame of ``surface`` (n, 3) [m].
         tets: of the filling (m, 4).
     """
-    faces, _ = boundary_faces(tets)
-    hollow = sum(signed_volume(vertices, shell) < 0.0 for shell in shells(faces))
     return Account((surface.extents, np.ptp(vertices[np.unique(tets)], axis=0)),
-                   (volume, float(tet_volumes(vertices, tets).sum())), (surface.cavities, hollow),
-                   (surface.parts, int(body_of_each_tet(tets).max()) + 1),
-                   _apart(surface, SurfaceDistance(vertices, faces)))
+                   (volume, float(tet_volumes(vertices, tets).sum())),
+                   _apart(surface, SurfaceDistance(vertices, boundary_faces(tets)[0])))
 
 
 def of_tip(surface: Surface, extents: np.ndarray, spacing: float, coefficients: np.ndarray,
@@ -128,8 +117,6 @@ def of_tip(surface: Surface, extents: np.ndarray, spacing: float, coefficients: 
         phi = ndimage.convolve1d(phi, [1 / 6, 2 / 3, 1 / 6], axis=axis)
     volume = spacing**3 * float(np.clip(0.5 - phi / spacing, 0.0, 1.0).sum())
     return Account((surface.extents, extents), (scan_volume(surface), volume),
-                   (surface.cavities, ndimage.label(phi > 0.0)[1] - 1),
-                   (surface.parts, ndimage.label(phi < 0.0, np.ones((3, 3, 3)))[1]),
                    _apart(surface, distance), ("file", "distance grid"))
 
 

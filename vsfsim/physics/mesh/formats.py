@@ -1,4 +1,4 @@
-"""Readers of surface meshes: OBJ, PLY, STL and OFF become corners, triangles and a colour.
+"""Readers of surface meshes: OBJ, PLY, STL and OFF become corners and triangles.
 
 Formats: Wavefront OBJ (appendix B1 of the Advanced Visualizer manual), PLY (Turk 1994), STL (3D Systems 1989), OFF
 (Geomview). An index is resolved where it stands in the file, and what a header announces is compared with what follows.
@@ -23,7 +23,7 @@ from vsfsim.core.errors import MeshError
 
 FORMATS = (".obj", ".ply", ".stl", ".off")
 """File formats that are read."""
-_FACE_COLOURS = "The colours of the file's faces are not used: give colours to its vertices."
+_COLOURS = "The file's colours are not used: an object of a scene has one look."
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,6 @@ class Facets:
     """Corners (n, 3)."""
     faces: np.ndarray
     """Triangles (f, 3); a polygon was cut into triangles."""
-    colours: np.ndarray | None = None
-    """Of the corners, sRGB in 0..1 (n, 3), or None."""
     notes: tuple[str, ...] = field(default=())
     """What of the file is not used, one sentence each."""
 
@@ -101,6 +99,7 @@ def _obj(content: bytes) -> Facets:
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     unused: set[str] = set()
+    coloured = False
     for number, line in enumerate(_lines(content), 1):
         if line.rstrip().endswith("\\"):
             raise _Bad(f"line {number} ends in a backslash, and programs differ on whether the next line belongs to it")
@@ -112,7 +111,8 @@ def _obj(content: bytes) -> Facets:
         if words[0] == "v":
             if len(words) not in (4, 5, 7, 8):
                 raise _Bad(f"line {number} gives a vertex {len(words) - 1} numbers, and it needs three")
-            vertices.append([_number(w, number, float) for w in words[1:]])
+            vertices.append([_number(w, number, float) for w in words[1:]][:3])
+            coloured |= len(words) > 5  # x y z r g b, or x y z w r g b; a lone fourth number is a weight
         elif words[0] in ("f", "fo"):
             given = [_number(word.split("/", 1)[0], number, int) for word in words[1:]]
             # a negative index counts back from the last vertex before this line
@@ -121,13 +121,10 @@ def _obj(content: bytes) -> Facets:
                 raise _Bad(f"line {number} names vertex {0 if 0 in given else min(given)}, and {len(vertices)} come "
                            "before it")
         unused |= {words[0]} & _OBJ_UNUSED
-    points = np.array([v[:3] for v in vertices], float).reshape(-1, 3)
-    # x y z r g b, or x y z w r g b; a lone fourth number is the weight of a rational curve
-    tail = [v[-3:] for v in vertices if len(v) in (6, 7)]
-    colours = np.array(tail, float) if tail and len(tail) == len(vertices) else None
+    points = np.array(vertices, float).reshape(-1, 3)
     notes = (f"The file's lines {', '.join(sorted(unused))} are not used: a scan is its faces, one body of the scene's "
              f"material and of one colour.",) if unused else ()
-    return Facets(points, _triangles(points, polygons), _unit(colours), notes)
+    return Facets(points, _triangles(points, polygons), (*notes, *[_COLOURS] * coloured))
 
 
 # ---------------------------------------------------------------------------------------------- PLY
@@ -138,77 +135,58 @@ _PLY_TYPES = {"char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h"
 """Of each name of a type its letter in `struct`."""
 
 
-@dataclass
-class _Element:
-    name: str
-    count: int
-    properties: list[tuple[str, str, str | None]]  # name, type, type of the length of a list
-
-
 def _ply(content: bytes) -> Facets:
     content = content.removeprefix(codecs.BOM_UTF8)
     head = re.match(rb"ply[ \t]*(\r\n|\n|\r)", content)
     end = head and re.search(rb"(?:\r\n|[\r\n])end_header[ \t]*" + head[1], content)
     if not end:
         raise _Bad("it has no PLY header, which begins with the line 'ply' and ends with the line 'end_header'")
-    body, form, elements = content[end.end():], "", list[_Element]()
+    body, form = content[end.end():], ""
+    # of each element its properties, of each property its type and that of a list's length
+    elements: list[tuple[str, int, list[tuple[str, str, str | None]]]] = []
     for number, line in enumerate(_lines(content[:end.start()])[1:], 2):
         match line.split():
             case ["format", form, *_]:
                 pass
-            case ["element", name, count] if count.isascii() and count.isdecimal():
-                elements.append(_Element(name, int(count), []))
+            case ["element", name, given] if given.isascii() and given.isdecimal():
+                elements.append((name, int(given), []))
             case ["property", "list", length, kind, name]:
-                elements[-1].properties.append((name, _PLY_TYPES[kind], _PLY_TYPES[length]))
+                elements[-1][2].append((name, _PLY_TYPES[kind], _PLY_TYPES[length]))
             case ["property", kind, name]:
-                elements[-1].properties.append((name, _PLY_TYPES[kind], None))
+                elements[-1][2].append((name, _PLY_TYPES[kind], None))
             case ["comment" | "obj_info", *_] | []:
                 pass
             case _:
                 raise _Bad(f"line {number} of its header, '{line[:40]}', is not known")
-    names = [(e.name, *of) for e in elements for of in [(), *((name,) for name, _, _ in e.properties)]]
+    names = [(name, *of) for name, _, own in elements for of in [(), *((one,) for one, _, _ in own)]]
     if len(set(names)) < len(names):
         raise _Bad("its header names an element or a property twice")
     if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise _Bad(f"its format is '{form}'; ascii, binary_little_endian and binary_big_endian are known")
-    if any(e.name == "tristrips" for e in elements):
+    if ("tristrips",) in names:
         raise _Bad("it has strips of triangles, and single faces are read")
-    if any(e.count > len(content) for e in elements):
+    counts = ", ".join(f"{count} of {name}" for name, count, _ in elements)
+    if any(count > len(content) for _, count, _ in elements):
         raise _Bad("its header announces more rows than the file has bytes")
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
     source = _PlyBody(order, body if order else body.split())
-    rows = {element.name: _rows(element, source) for element in elements}
+    rows: dict[str, dict[str, tuple[Any, ...]]] = {}
+    try:
+        for name, count, own in elements:
+            table = [[source.take(kind, source.take(length, 1)[0]) if length else source.take(kind, 1)[0]
+                      for _, kind, length in own] for _ in range(count)]
+            rows[name] = dict(zip((one for one, _, _ in own), zip(*table)))
+    except IndexError:
+        raise _Bad(f"its header announces {counts}, and less follows: counts and content do not agree") from None
     left = source.left[source.at:]
     if left.strip(b"\r\n\0 ") if isinstance(left, bytes) else left:
-        raise _Bad(f"its header announces {', '.join(f'{e.count} of {e.name}' for e in elements)}, and more data "
-                   "follow: counts and content do not agree")
+        raise _Bad(f"its header announces {counts}, and more follows: counts and content do not agree")
     corner = rows["vertex"]
     points = np.stack([np.asarray(corner[axis], float) for axis in "xyz"], axis=1)
-    polygons = next((v for k, v in rows.get("face", {}).items() if k in ("vertex_indices", "vertex_index")), [])
-    polygons = [list(map(operator.index, p)) for p in polygons]
-    colours = None
-    shades = next((n for n in (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"),
-                               ("r", "g", "b")) if set(n) <= set(corner)), None)
-    notes = []
-    if shades:
-        colours = _unit(np.stack([np.asarray(corner[n], float) for n in shades], axis=1),
-                        whole=np.asarray(corner[shades[0]]).dtype.kind in "iu")
-    elif {"red", "green", "blue"} <= set(rows.get("face", {})):
-        notes.append(_FACE_COLOURS)
-    return Facets(points, _triangles(points, polygons), colours, tuple(notes))
-
-
-def _rows(element: _Element, source: _PlyBody) -> dict[str, list[Any]]:
-    """Every property by its name: a number a row, or of a list a tuple."""
-    out: dict[str, list[Any]] = {name: [] for name, _, _ in element.properties}
-    for done in range(element.count):
-        try:
-            for name, kind, length in element.properties:
-                found = source.take(kind, source.take(length, 1)[0] if length else 1)
-                out[name].append(found if length else found[0])
-        except IndexError:
-            raise _Bad(f"its header announces {element.count} of {element.name}, and it ends after {done}") from None
-    return out
+    faces = next((v for k, v in rows.get("face", {}).items() if k in ("vertex_indices", "vertex_index")), ())
+    polygons = [list(map(operator.index, face)) for face in faces]
+    coloured = any({"red", "diffuse_red", "r"} & set(own) for own in rows.values())
+    return Facets(points, _triangles(points, polygons), (_COLOURS,) * coloured)
 
 
 @dataclass
@@ -267,8 +245,8 @@ def _stl(content: bytes) -> Facets:
         table = np.frombuffer(content, row, count, 84)
         points = table["corner"].reshape(-1, 3).astype(float)
         if table["attribute"].any():
-            notes = (_FACE_COLOURS,)
-    return Facets(points, np.arange(len(points)).reshape(-1, 3), notes=notes)
+            notes = (_COLOURS,)
+    return Facets(points, np.arange(len(points)).reshape(-1, 3), notes)
 
 
 def _off(content: bytes) -> Facets:
@@ -282,14 +260,14 @@ def _off(content: bytes) -> Facets:
     table = np.array([[_number(w, line, float) for w in words] for line, words in rows[1:1 + corners]], float)
     if table.shape[1] not in (3, 6, 7):
         raise _Bad(f"its vertices have {table.shape[1]} numbers; three, or three and a colour, are known")
-    polygons, coloured = [], False
+    polygons, coloured = [], table.shape[1] > 3
     for line, words in rows[1 + corners:]:
         count = _number(words[0], line, int)
         if not 0 <= count < len(words):
             raise _Bad(f"a face announces {count} corners and has {len(words) - 1}")
         polygons.append([_number(w, line, int) for w in words[1:1 + count]])
         coloured |= len(words) > 1 + count
-    return Facets(table[:, :3], _triangles(table, polygons), _unit(table[:, 3:6]), (_FACE_COLOURS,) * coloured)
+    return Facets(table[:, :3], _triangles(table, polygons), (_COLOURS,) * coloured)
 
 
 # ---------------------------------------------------------------------------------------------- polygons
@@ -329,11 +307,3 @@ def _cut(at: np.ndarray, polygon: list[int]) -> list[list[int]]:
         out.append([polygon[ring[k - 1]], polygon[ring[k]], polygon[ring[(k + 1) % len(ring)]]])
         del ring[k]
     return [*out, [polygon[r] for r in ring]]
-
-
-def _unit(colours: np.ndarray | None, *, whole: bool | None = None) -> np.ndarray | None:
-    """Colours in 0..1 (n, 3), of bytes or of fractions."""
-    if colours is None or not colours.size or not np.isfinite(colours).all():
-        return None
-    bytes_ = bool(colours.max() > 1.0) if whole is None else whole
-    return np.clip(colours / (255.0 if bytes_ else 1.0), 0.0, 1.0)

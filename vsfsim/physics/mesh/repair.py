@@ -1,7 +1,7 @@
 """A user's surface mesh, in metres about the centre of its box, with every part wound by its nesting.
 
 One reader for objects and probes. Corners that lie on each other are joined, faces given twice or without an area are
-left out, holes are closed by a fan about the middle of their rim. A part inside another is a cavity, whatever way it is
+left out, holes are closed by a fan over their rim. A part inside another is a cavity, whatever way it is
 wound; a part inside a cavity is solid again.
 """
 
@@ -43,16 +43,12 @@ class Surface:
     """Triangles (f, 3), wound outwards: away from the solid."""
     centre: np.ndarray
     """Of the bounding box, in the file's frame, upright (3,) [m]."""
-    cavities: int
-    """Parts that bound a cavity."""
     parts: int
     """Parts that bound a solid."""
     watertight: bool
     """Whether every edge has two faces, wound alike."""
     overlap: bool
     """Whether parts may overlap: their boxes do, and neither lies in the other."""
-    colour: np.ndarray | None
-    """Mean colour, sRGB in 0..1 (3,), or None."""
     notes: tuple[str, ...]
     """One sentence per repair."""
 
@@ -127,16 +123,14 @@ def read_surface(shape: MeshFile) -> Surface:
     if spread[2] < 1e-4 * spread[0]:
         raise MeshError(f"mesh file '{path}' is a flat sheet ({' x '.join(f'{e:.4g}' for e in size)} m) and "
                         "encloses no volume; give it thickness, e.g. with a solidify modifier.")
-    colour = _mean_colour(file, vertices, notes)
-    vertices, faces = _joined(vertices, file.faces, notes, path)
-    faces = _wound_alike(vertices, faces, notes)
-    vertices, faces = _capped(vertices, faces, notes)
-    vertices, faces, cavities, parts, overlap = _by_nesting(vertices, faces, notes)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    moved = 0.5 * (low + high)
+    mesh = trimesh.Trimesh(*_joined(vertices, file.faces, notes, path), process=False)
+    _wind_alike(mesh, notes)
+    _cap(mesh, notes)
+    vertices, faces, parts, overlap = _by_nesting(np.asarray(mesh.vertices), np.asarray(mesh.faces), notes)
+    moved = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     mesh = trimesh.Trimesh(vertices - moved, faces, process=False)
-    return Surface(vertices - moved, faces, centre + moved, cavities, parts,
-                   bool(mesh.is_watertight and mesh.is_winding_consistent), overlap, colour, tuple(notes))
+    return Surface(vertices - moved, faces, centre + moved, parts,
+                   bool(mesh.is_watertight and mesh.is_winding_consistent), overlap, tuple(notes))
 
 
 def _finite(file: Facets, path: Path) -> Facets:
@@ -146,26 +140,13 @@ def _finite(file: Facets, path: Path) -> Facets:
     if bad:
         raise MeshError(f"mesh file '{path}': {bad} of {len(vertices)} vertices are not finite numbers (NaN or "
                         "infinite); export the mesh again.")
-    return Facets(vertices, faces.reshape(-1, 3), None if file.colours is None else file.colours[used], file.notes)
+    return Facets(vertices, faces.reshape(-1, 3), file.notes)
 
 
 def _metres_per_unit(shape: MeshFile, longest: float) -> float:
     if shape.scale is not None:
         return shape.scale
     return 1e-3 if longest > LARGEST else 1.0
-
-
-def _mean_colour(file: Facets, vertices: np.ndarray, notes: list[str]) -> np.ndarray | None:
-    if file.colours is None:
-        return None
-    a, b, c = (vertices[file.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if not area.sum() > 0.0:
-        return None
-    colour = np.average(file.colours[file.faces].mean(axis=1), axis=0, weights=area)
-    notes.append(f"The body has the mean colour of the scan, ({', '.join(f'{255 * v:.0f}' for v in colour)}) of 255; "
-                 "its pattern is not shown.")
-    return colour
 
 
 def _joined(vertices: np.ndarray, faces: np.ndarray, notes: list[str], path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -209,70 +190,32 @@ def _once(faces: np.ndarray, notes: list[str]) -> np.ndarray:
     return kept
 
 
-def _edges(faces: np.ndarray) -> np.ndarray:
-    """Directed edges (3 f, 2) of triangles (f, 3), face by face."""
-    return faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-
-
 def _open_edges(faces: np.ndarray) -> int:
-    _, count = np.unique(np.sort(_edges(faces), axis=1), axis=0, return_counts=True)
+    _, count = np.unique(np.sort(trimesh.geometry.faces_to_edges(faces), axis=1), axis=0, return_counts=True)
     return int((count != 2).sum())
 
 
-def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
+def _wind_alike(mesh: trimesh.Trimesh, notes: list[str]) -> None:
     if mesh.is_winding_consistent:
-        return faces
+        return
+    given = np.array(mesh.faces)
     trimesh.repair.fix_winding(mesh)
-    made = np.asarray(mesh.faces)
-    turned = int((made != faces).any(axis=1).sum())
+    turned = int((np.asarray(mesh.faces) != given).any(axis=1).sum())
     if turned:  # which of the two sides agree is decided later
-        notes.append(f"Faces were wound inconsistently; turned {min(turned, len(faces) - turned)} of {len(faces)} to "
+        notes.append(f"Faces were wound inconsistently; turned {min(turned, len(given) - turned)} of {len(given)} to "
                      f"agree with their neighbours.")
-    return made
 
 
-def _capped(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Holes closed by a fan about the middle of their rim."""
-    edges = _edges(faces)
-    _, which, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    rim = edges[count[which.reshape(-1)] == 1]
-    crowded = int((count > 2).sum())
-    if not len(rim) and not crowded:
-        return vertices, faces
-    after: dict[int, list[int]] = {}
-    for a, b in rim[:, ::-1].tolist():  # a cap runs along the rim the other way
-        after.setdefault(a, []).append(b)
-    caps: list[list[int]] = []
-    middles: list[np.ndarray] = []
-    left = 0
-    for start in list(after):
-        while after.get(start):
-            loop, at = [start], after[start].pop()
-            while at != start and after.get(at):
-                loop.append(at)
-                at = after[at].pop()
-            if at != start or len(loop) < 3:
-                left += len(loop)
-                continue
-            if len(loop) == 3:
-                caps.append(loop)
-                continue
-            middles.append(vertices[loop].mean(axis=0))
-            tip = len(vertices) + len(middles) - 1
-            caps += [[a, b, tip] for a, b in zip(loop, loop[1:] + loop[:1], strict=True)]
-    closed = np.concatenate([vertices, *(m[None] for m in middles)]) if middles else vertices
-    area = _area(closed, np.array(caps, int).reshape(-1, 3))
-    share = area / (area + _area(vertices, faces))
-    notes.append(f"Not watertight: {len(rim)} open edges and {crowded} edges with more than two faces"
-                 + (f"; holes were closed, {100 * share:.2g} % of the surface" if caps else "")
-                 + (f"; {left} open edges bound no hole and were left to the filler." if left else "."))
-    return closed, np.concatenate([faces, np.array(caps, int).reshape(-1, 3)])
-
-
-def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+def _cap(mesh: trimesh.Trimesh, notes: list[str]) -> None:
+    """Close holes by a fan over their rim."""
+    _, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    if (count == 2).all():
+        return
+    given, area = len(mesh.faces), mesh.area
+    trimesh.repair.fill_holes(mesh, use_fan=True)
+    notes.append(f"Not watertight: {int((count == 1).sum())} open edges and {int((count > 2).sum())} edges with more "
+                 f"than two faces" + (f"; holes were closed, {100 * (1.0 - area / mesh.area):.2g} % of the surface."
+                                      if len(mesh.faces) > given else "."))
 
 
 def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -282,47 +225,39 @@ def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
-def _by_nesting(vertices: np.ndarray, faces: np.ndarray,
-                notes: list[str]) -> tuple[np.ndarray, np.ndarray, int, int, bool]:
-    """Parts wound by their nesting, loose debris left out: vertices, faces, cavities, solids, whether parts overlap."""
+def _by_nesting(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray, int, bool]:
+    """Parts wound by their nesting, loose debris left out: vertices, faces, solids, whether parts overlap."""
     adjacency = trimesh.Trimesh(vertices, faces, process=False).face_adjacency
-    part = joined(np.arange(adjacency.size)[:, None] // 2, adjacency.ravel(), len(faces))
+    part = trimesh.graph.connected_component_labels(adjacency, node_count=len(faces))
     part = part if part.max() < 2000 else np.zeros_like(part)
     members = [np.flatnonzero(part == p) for p in range(part.max() + 1)]
     volume = np.array([signed_volume(vertices, faces[m]) for m in members])
-    spots = [vertices[np.unique(faces[m])] for m in members]
-    spots = [s[::max(1, len(s) // 24)] for s in spots]
-    low = np.array([vertices[np.unique(faces[m])].min(axis=0) for m in members])
-    high = np.array([vertices[np.unique(faces[m])].max(axis=0) for m in members])
+    corners = [vertices[np.unique(faces[m])] for m in members]
+    low, high = np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
     depth = np.zeros(len(members), int)
     meets = np.zeros((len(members),) * 2, bool)
     for i, j in np.argwhere((low[:, None] <= high[None]).all(axis=2) & (high[:, None] >= low[None]).all(axis=2)):
         if i == j:
             continue
-        inside = np.abs(winding_number(vertices, faces[members[j]], spots[i]))
+        spots = corners[i][::max(1, len(corners[i]) // 24)]
+        inside = np.abs(winding_number(vertices, faces[members[j]], spots))
         if (inside > 0.5).mean() > 0.9 and abs(volume[i]) < abs(volume[j]):
             depth[i] += 1
         elif (inside > 0.2).any():
             meets[i, j] = meets[j, i] = True
-    faces = faces.copy()
-    turned = solid_inside = 0
-    for p, mine in enumerate(members):
-        if (volume[p] > 0.0) != (depth[p] % 2 == 0):
-            faces[mine] = faces[mine][:, ::-1]
-            turned += len(mine)
-            solid_inside += depth[p] % 2
-    if turned:
-        notes.append(f"{turned} of {len(faces)} faces were inside out; turned them round."
-                     + (f" {solid_inside} parts inside another were wound as solids and are cavities." if solid_inside
-                        else ""))
+    hollow = depth % 2 == 1
+    wrong = (volume > 0.0) == hollow
+    faces = np.where(wrong[part][:, None], faces[:, ::-1], faces)
+    if wrong.any():
+        cavities = int((wrong & hollow).sum())
+        notes.append(f"{int(wrong[part].sum())} of {len(faces)} faces were inside out; turned them round."
+                     + (f" {cavities} parts inside another were wound as solids and are cavities." if cavities else ""))
     size = np.abs(volume)
     # what lies in a cavity is loose, and so is what nothing touches
-    loose = (depth % 2 == 0) & (size <= DEBRIS * size.max()) & ~meets.any(axis=1)
+    loose = ~hollow & (size <= DEBRIS * size.max()) & ~meets.any(axis=1)
     if loose.any():
         notes.append(f"Dropped {int(loose.sum())} loose pieces, {100 * size[loose].sum() / size.sum():.2g} % of the "
                      "volume.")
-        faces = faces[np.concatenate([members[p] for p in np.flatnonzero(~loose)])]
-    used, local = np.unique(faces, return_inverse=True)
-    stay = depth[~loose]
-    return (vertices[used], local.reshape(-1, 3), int((stay % 2).sum()), int((stay % 2 == 0).sum()),
+    used, local = np.unique(faces[~loose[part]], return_inverse=True)
+    return (vertices[used], local.reshape(-1, 3), int((~hollow & ~loose).sum()),
             bool(meets[~loose][:, ~loose].any()))

@@ -15,7 +15,7 @@ import trimesh
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
-from vsfsim.core.solid import Appearance, Solid, tet_volumes
+from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, level, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
@@ -61,13 +61,8 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float) -> Solid:
 def _filled(shape: MeshFile, resolution: float, content: bytes) -> Solid:
     surface = read_surface(shape)
     vertices, tets, shift, notes = fill(surface, resolution, Path(shape.path))
-    look = None
-    if surface.colour is not None:
-        linear = np.where(surface.colour <= 0.04045, surface.colour / 12.92,
-                          ((surface.colour + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-        look = Appearance(linear[None], ("plain",), np.ones(1), np.zeros(1))
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=(*surface.notes, *notes),
-                 appearance=look, nearest=functools.partial(nearest_on, surface.vertices - shift, surface.faces))
+                 nearest=functools.partial(nearest_on, surface.vertices - shift, surface.faces))
 
 
 def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
@@ -132,9 +127,8 @@ def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Fi
 
 def _misses(filling: _Filling) -> float:
     """What a finer lattice is tried for; corners that are cut by a part of an element are told, and no reason."""
-    found = filling.account
-    lost = 1.0 if found.cavities[1] < found.cavities[0] and found.off["volume"] > TOLD else 0.0
-    return max(abs(found.off["volume"]), found.off["box"], lost)
+    off = filling.account.off
+    return max(abs(off["volume"]), off["box"])
 
 
 def _filling(surface: Surface, volume: float, vertices: np.ndarray, tets: np.ndarray, notes: list[str],

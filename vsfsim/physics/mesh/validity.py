@@ -126,13 +126,6 @@ def body_of_each_tet(tets: np.ndarray) -> np.ndarray:
     return joined(np.sort(tets[:, TET_FACES].reshape(-1, 3), axis=1), np.repeat(np.arange(len(tets)), 4), len(tets))
 
 
-def shells(faces: np.ndarray) -> list[np.ndarray]:
-    """Triangles (f, 3) of a closed boundary, parted into those that edges join."""
-    edge = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    part = joined(edge, np.repeat(np.arange(len(faces)), 3), len(faces))
-    return [faces[part == p] for p in range(part.max() + 1)]
-
-
 def pinched_vertices(tets: np.ndarray) -> np.ndarray:
     """Vertices where the boundary is not one sheet: its faces there form more than one fan (k,).
 
