@@ -40,8 +40,6 @@ def test_the_old_spelling_of_measure_works_and_names_the_new_one(vsfsim, tmp_pat
      "no parameter 'spcing'. Did you mean 'spacing'?"),
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-mini-v1"),
      "vsfsim generate shoes-v3-mini --objects"),
-    (("verify", "nowhere"), "there is no folder of a dataset 'nowhere'"),
-    (("leaderboard", "--task", "x.toml"), "there is no task file (.toml) 'x.toml'"),
 ])
 def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_path):
     out = vsfsim(*words, cwd=tmp_path)

@@ -112,15 +112,6 @@ def test_the_name_of_a_score_cannot_leave_its_folder(vsfsim, folder, task, toy_d
     assert "\x1b" not in json.loads(path.read_text())["method"]
 
 
-def test_the_record_command_writes_what_the_board_reads(vsfsim, folder, monkeypatch, task):
-    from vsfsim.bench.admission import fingerprint
-
-    monkeypatch.setattr(fingerprint, "record_path", lambda one: folder / "records" / f"{one.name}.json")
-    out = vsfsim("measure", "record", "toy", "--task", "toy-v1.toml", cwd=folder)
-    assert out.returncode == 0 and "3 views, 36 touches" in out.stdout, out.stderr
-    assert fingerprint.shipped_record(task).task == "toy-v1"
-
-
 def test_two_evaluations_do_not_write_one_result(task, toy_dataset, tmp_path):
     """Two that were started by mistake took each other's kept answers, and one removed what the other needed."""
     out = tmp_path / "results" / "mine.json"

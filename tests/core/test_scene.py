@@ -97,25 +97,18 @@ def test_shipped_scenes_load(name):
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ("name =", "nmae =", "full.toml: unknown key 'nmae'. Did you mean 'name'?"),
-    ("pose =", "pos =", "full.toml [object]: unknown key 'pos'. Did you mean 'pose'?"),
     ("base =", "bse =", "full.toml [object] young_modulus: unknown key 'bse'. Did you mean 'base'?"),
-    ("shape = { capsule", "shpe = { capsule", "full.toml [probe]: unknown key 'shpe'. Did you mean 'shape'?"),
     ("free =", "fre =", "full.toml [touches] frames: unknown key 'fre'. Did you mean 'free'?"),
     ("capsule =", "capsul =", "full.toml [probe]: unknown shape 'capsul'. Did you mean 'capsule'?"),
-    ("width =", "widht =", "full.toml [camera]: unknown key 'widht'. Did you mean 'width'?"),
     ('"appearance"]', '"apearance"]', "needs[1] is 'apearance'. Did you mean 'appearance'?"),
     ('["normal-force", "appearance"]', '"bulging"', "needs is 'bulging'; it must be a list of words from normal-force"),
     ("gravity = [0.0, 0.0, -9.81]", "gravity = 9.81", "gravity is 9.81; it must be 3 numbers."),
     ("yaw = 0.5", "yaw = 90", "[object]: yaw is 90; it must be a number from -6.28319 to 6.28319 rad."),
     ('tier = "fem"', 'tier = "fine"', "[object]: tier is 'fine'. Did you mean 'fem-fine'?"),
-    ("fixed = [-0.1, -0.1, 0.0, 0.1, 0.1, 0.01]", "fixed = [0, 1]", "fixed is [0, 1]; it must be 6 numbers."),
     ("poisson_ratio = 0.3", "poisson_ratio = 0.5", "poisson_ratio is 0.5; it must be a number from 0 to 0.4999."),
-    ("density = 400", "density = -1", "density is -1; it must be a number from 0.001 to 30000 kg/m^3."),
     ("resolution = 0.02", "resolution = 0", "resolution is 0; it must be a number from 1e-05 to 1 m."),
-    ("appearance = { tint = 0.5 }", "appearance = 3", "appearance is 3; it must be a table."),
     ("to = [0, 0, 0.09]", "to = [0, 0, 0.1]", "[press]: from and to are both [0.0, 0.0, 0.1]; the probe must move."),
     ("frames = 5", "frames = 2.5", "[press]: frames is 2.5; it must be a whole number from 1 to 10000."),
-    ("depth = 0.004", "depth = 4", "depth is 4; it must be a number from 1e-05 to 0.5 m."),
     ("fov = 0.7", "fov = 45", "[camera]: fov is 45; it must be a number from 0.05 to 2.8 rad."),
     ("train = 4", "train = 3", "[dataset]: splits add up to 5, but there are 6 objects; make them equal."),
     ("train = 4", "train = -4", "[dataset]: splits.train is -4; it must be a whole number >= 0."),
@@ -233,7 +226,6 @@ def test_paths():
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("path = [[0, 0, 0.07], [0, 0]]", "[press]: path[1] is [0, 0]; it must be 3 numbers."),
     ("path = [[0, 0, 0.07]]", "[press]: path is [[0, 0, 0.07]]; it must be 2 to 10000 points"),
     ("path = [[0, 0, 0.07], [0, 0, 0.07]]", "path[0] and path[1] are both [0.0, 0.0, 0.07]; the probe must move."),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nto = [0, 0, 0]", "there is a path, and from or to; give either path"),
@@ -242,7 +234,6 @@ def test_paths():
      "rotation has 1 rotation vectors, but the path has 2 points"),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [0, 0, 90]",
      "rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
-    ("from = [0, 0, 0.07]\nto = [0, 0, 0.06]\nrotation = 1.5", "rotation is 1.5; it must be 3 numbers."),
     ("from = [0, 0, 0.07]", "to is missing; it must be 3 numbers."),
 ])
 def test_paths_that_cannot_be(text, message):
@@ -256,15 +247,11 @@ def test_paths_that_cannot_be(text, message):
      "s.toml [[probe.parts]] 1: offset is missing; it must be 3 numbers."),
     ("pose = [0.06, 0, 0]\n", "",
      "s.toml [[obstacles]] 1: pose is missing; it must be 3 numbers."),
-    ("pose = [0.06, 0, 0]", "pose = [0.06, 0]", "[[obstacles]] 1: pose is [0.06, 0]; it must be 3 numbers."),
-    ("pose =", "poses =", "unknown key 'poses'. Did you mean 'pose'?"),
     ("friction = 0.9", "friction = -0.1", "[[probe.parts]] 2: friction is -0.1; it must be a number from 0 to 10."),
     ("{ plane = true }", "{ rod = [0.1, 0.01] }", "[[obstacles]] 1: unknown shape 'rod'."),
     ("[[obstacles]]", "[obstacles]", "obstacles is {"),
-    ("scale = 0.001", "scale = 0", "[probe]: scale is 0; it must be a length"),
     ('mesh = "tip.stl"', "mesh = 3",
      "[probe]: mesh is 3; give the path of an OBJ"),
-    ("scale = 0.001", "size = 1", "[probe] shape: unknown key 'size'."),
     ("[[obstacles]]", "[touches]\ncount = 2\n[[obstacles]]",
      "[touches]: the touches of a dataset are made with one simple probe, which a method can read from it; this scene "
      "has a mesh as its probe."),

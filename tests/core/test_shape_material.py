@@ -48,9 +48,7 @@ def test_a_probe_survives_its_table(shape):
     ({"sphere": -0.1}, "sphere: radius is -0.1"), ({"sphere": True}, "sphere: radius is True"),
     ({"sphere": 1e-9}, "at least 1e-05"), ({"sphere": float("nan")}, "sphere: radius is nan"),
     ({"cylinder": 0.1}, "cylinder is 0.1; give [radius, height] in metres."),
-    ({"rod": [0.2, 5e3]}, "rod: radius is 5000.0"),
     ({"mesh": "a.obj", "scal": 1.0}, "x shape: unknown key 'scal'. Did you mean 'scale'?"),
-    ({"mesh": "a.obj", "scale": 0}, "scale is 0"),
 ])
 def test_object_shapes_that_cannot_be(table, message):
     with pytest.raises(SceneError, match=re.escape(message)):
@@ -107,10 +105,8 @@ def test_a_region_takes_the_scenes_value_then_the_familys():
     (-1e5, "x: young_modulus is -100000.0; it must be a Young's modulus, a positive number of pascals, 1 to 1e13"),
     ("1e5", "young_modulus is '1e5'"), (float("nan"), "young_modulus is nan"), (1e14, "young_modulus is 1"),
     ({"bse": 1e5}, "x young_modulus: unknown key 'bse'. Did you mean 'base'?"),
-    ({"base": -1.0}, "x young_modulus: base is -1.0"),
     ({"regions": 3.0}, "regions is 3.0; it must be a table"), ({"regions": {"sole": -1.0}},
                                                          "young_modulus: regions.sole is -1.0"),
-    ({"base": 1e5, "inclusions": [3]}, "young_modulus inclusions[0] is 3"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1]}]},
      "inclusions[0] is {'sphere': [0, 0, 0, 1]}; give `value` and one of sphere, box, capsule, e.g. "),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 1], "value": 1e5}]},
@@ -119,7 +115,6 @@ def test_a_region_takes_the_scenes_value_then_the_familys():
      "sphere[3] is 0; it must be a number > 0.0"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, float("nan"), 0, 0.01], "value": 1e5}]},
      "sphere[1] is nan; it must be a finite number"),
-    ({"base": 1e5, "inclusions": {"sphere": [0, 0, 0, 0.01], "value": 1e5}}, "young_modulus: inclusions is"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1], "value": -2.0}]}, "inclusions[0]: value is -2.0"),
     ({"inclusions": [{"sphere": [0, 0, 0, 1], "value": 1e5}]}, "has inclusions but no base"),
 ])

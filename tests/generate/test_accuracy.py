@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import BLOCK
+from small_scenes import BLOCK, CAMERA
 from test_tradeoff import Imagined
 from typer.testing import CliRunner
 
@@ -24,10 +24,7 @@ count = 2
 depth = 0.004
 approach = 0.004
 frames = { free = 1, in = 1, hold = 0, out = 0 }
-[camera]
-width = 48
-height = 36
-distance = 0.25
+""" + CAMERA + """
 [dataset]
 objects = 2
 splits = { train = 2 }

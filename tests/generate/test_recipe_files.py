@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 import trimesh
+from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import load_scene
@@ -25,15 +26,7 @@ shape = { sphere = 0.01 }
 count = 1
 depth = 0.003
 frames = { free = 1, in = 2, hold = 0, out = 0 }
-[camera]
-width = 48
-height = 32
-distance = 0.3
-[dataset]
-objects = 2
-views = 1
-splits = { train = 1, test = 1 }
-"""
+""" + CAMERA + TWO_OBJECTS
 
 
 @pytest.fixture

@@ -33,29 +33,11 @@ pytest.importorskip("yaml")
 TASK = """
 name = "recorded-v1"
 description = "Predict what was read of real objects."
-[dataset]
-folder = "recorded"
-scene = "real"
-seed = 0
-objects = 4
-views = 1
-touches = 4
-[protocol]
-folds = 2
-shots = [0, 2]
-draws = 1
-trainings = 1
-query = 2
-seed = 0
-[observation]
-kind = "{kind}"
-[noise]
-force_std = 0.0
-tare_frames = 0
-seed = 0
-[metrics]
-primary = "rmse_ratio"
-ranking_shot = 2
+dataset = {{ folder = "recorded", scene = "real", seed = 0, objects = 4, views = 1, touches = 4 }}
+protocol = {{ folds = 2, shots = [0, 2], draws = 1, trainings = 1, query = 2, seed = 0 }}
+observation = {{ kind = "{kind}" }}
+noise = {{ force_std = 0.0, tare_frames = 0, seed = 0 }}
+metrics = {{ primary = "rmse_ratio", ranking_shot = 2 }}
 """
 
 

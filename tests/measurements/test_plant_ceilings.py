@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from measurements.plant_ceilings import (
-    REACH,
     class_means,
-    displaced,
     error,
     measure,
     predicted,
-    waves,
     with_classes,
 )
 from vsfsim.core.scene import load_scene
@@ -40,16 +37,6 @@ def scene(folder, *, plant, yields):
 def plant(tmp_path_factory):
     path = scene(tmp_path_factory.mktemp("plants"), plant="orange-tree", yields="true")
     return grow(load_scene(find_scene(path)).sample(0), 0)
-
-
-def test_a_displacement_is_smooth_and_as_long_as_asked(plant):
-    way = 0.005 * waves(plant.nodes, np.random.default_rng(0))
-    assert np.sqrt((way**2).sum(axis=1).mean()) == pytest.approx(0.005)
-    moved = displaced(plant, way)
-    np.testing.assert_allclose(moved.nodes - plant.nodes, way, atol=1e-12)
-    step = np.linalg.norm(way[1:] - way[plant.parent[1:]], axis=1)
-    assert np.all(step < 6.0 * 0.005 * plant.lengths()[1:] / REACH)
-    assert np.array_equal(displaced(plant, 0.0 * way).nodes, plant.nodes)
 
 
 def test_classes_have_one_modulus_each_and_their_wires_follow(plant):

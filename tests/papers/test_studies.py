@@ -160,21 +160,6 @@ def test_every_experiment_is_on_a_claim():
     assert asked and set(asked) <= keys
 
 
-def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
-    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
-    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("24", "2").replace("touches = 23", "touches = 9"))
-    told, blind = worlds.dataset("springs"), worlds.dataset("springs-blind")
-    assert worlds.dataset("springs").sha256 == told.sha256
-    shows = [(a.view.rgb != b.view.rgb).any() for a, b in zip(told, blind)]
-    assert shows == [False, True], "every second block's picture is reversed"
-    assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, blind))
-    looks = worlds.dataset("springs-looks")
-    colours = [{tuple(c) for c in one.view.rgb[one.view.mask]} for one in looks]
-    assert all(len(found) == 2 for found in colours) and not colours[0] & colours[1], "each block has its own"
-    assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, looks))
-    assert worlds.task("springs").protocol.folds == 4
-
-
 def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     half = study.variant("half")

@@ -10,7 +10,7 @@ import trimesh
 import warp as wp
 
 from vsfsim.core.errors import MeshError
-from vsfsim.core.shape import Box, Capsule, MeshFile, Plane, Sphere
+from vsfsim.core.shape import Box, MeshFile, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
@@ -121,21 +121,6 @@ def test_beyond_the_grid_the_gap_never_overestimates_and_is_right_in_size(ball, 
     assert np.isfinite(curvature).all() and outside.any()
     assert np.abs(np.linalg.norm(normal[outside], axis=1) - 1.0).max() < 1e-12
     assert (np.einsum("ni,ni->n", normal, x)[outside] > 0.0).all()
-
-
-def test_many_bodies_in_one_struct(ball, device, tmp_path):
-    box = trimesh.creation.box((0.02, 0.01, 0.03))
-    box.apply_translation((1.0, 0.0, 0.0))
-    box.export(tmp_path / "box.stl")
-    shapes = [ball, Plane(), MeshFile(str(tmp_path / "box.stl"), 1.0), Capsule(0.01, 0.03), ball]
-    bodies = RigidBodies(shapes)
-    assert len(bodies) == 5 and bodies.shapes == tuple(shapes)
-    x = shell(500, 0.005, 0.04)[0]
-    for k in range(5):
-        assert np.abs(evaluate(bodies, k, x, device)[0] - bodies.distance(k, x)).max() < 1e-15
-    # the box's own frame is the centre of its bounding box
-    assert bodies.reaches[2] == pytest.approx(0.5 * np.linalg.norm((0.02, 0.01, 0.03)), rel=1e-6)
-    assert sdf.support(shapes[2], np.array([0.0, 1.0, 0.0])) == pytest.approx(0.005, rel=1e-5)
 
 
 def broken(kind):

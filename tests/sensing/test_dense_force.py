@@ -1,4 +1,4 @@
-"""The force estimator: its elements against closed forms, its program against exact solutions, its answers against
+"""The force estimator: its elements against closed forms, its program against optimality, its answers against
 known pushes."""
 
 import sys
@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.optimize import minimize
 
 sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import bubble, disc, patch
@@ -76,7 +75,7 @@ def test_a_skin_at_equal_stretch_has_the_tension_of_the_closed_form():
 
 @pytest.mark.parametrize(("lasso", "smooth", "friction"), [
     (4.0, 3.0, 0.6), (2.0, 0.0, np.inf)])
-def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, smooth, friction):
+def test_four_nodes_meet_the_optimality_conditions(lasso, smooth, friction):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((12, 12))
     k = root @ root.T * 20 + 50 * np.eye(12)
@@ -100,20 +99,6 @@ def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, s
     again = solve(sparse.csr_matrix(k), c, d, replace(program, iterations=20), inward=inward, edges=edges,
                   start=found.start)
     assert again.residual < 1e-8 and again.force == pytest.approx(found.force, abs=1e-6)
-
-    def cost(x):
-        rough = sum(np.sum((x[3 * i:3 * i + 3] - x[3 * j:3 * j + 3]) ** 2) for i, j in edges)
-        return (0.5 * w * np.sum((np.linalg.solve(k, x - c) - d) ** 2)
-                + lasso * np.linalg.norm(x.reshape(4, 3), axis=1).sum() + 0.5 * smooth * rough)
-
-    constraint = [{"type": "ineq", "fun": lambda x: np.concatenate([
-        np.einsum("ni,ni->n", x.reshape(4, 3), inward),
-        [0.0] if np.isinf(friction) else (friction * np.einsum("ni,ni->n", x.reshape(4, 3), inward)) ** 2
-        - np.sum(np.cross(x.reshape(4, 3), inward) ** 2, axis=1)])}]
-    start = np.where(np.abs(f) > 0, f, 1e-3 * inward).ravel() + 1e-4 * rng.standard_normal(12)
-    other = minimize(cost, start, constraints=constraint, method="SLSQP", options={"ftol": 1e-14, "maxiter": 2000})
-    # a general solver stops a little short of, never below, the optimum (its constraints are met to 1e-8)
-    assert cost(found.force) <= other.fun + 1e-5 * abs(other.fun)
 
 
 def test_the_quadratic_program_is_stationary():

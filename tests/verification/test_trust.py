@@ -23,15 +23,6 @@ def test_every_press_is_a_scene_that_touches_first_where_its_reference_does(tmp_
             assert poses[-1, 0, 0, 3] == pytest.approx(cell.at) and len(poses) == (3 if slide else FRAMES)
 
 
-def test_presses_take_every_reference_in_turn_and_are_the_same_every_time():
-    found = [ask(3, number, KNOWN) for number in range(4 * len(KNOWN))]
-    assert found == [ask(3, number, KNOWN) for number in range(4 * len(KNOWN))]
-    assert {one.reference for one in found[:len(KNOWN)]} == set(range(len(KNOWN)))
-    assert {one.tier for one in found} == {"linear", "fem-coarse", "fem"}
-    assert {one.way for one in found} == {"press", "slide", "scan"}
-    assert not [one for one in found if one.tier == "linear" and cell_of(KNOWN[one.reference]).foam]
-
-
 def test_a_press_of_a_known_force_is_judged_frame_by_frame():
     """The thickest reference of one material under a ball, at `fem-coarse`."""
     number = next(k for k, one in enumerate(KNOWN) if cell_of(one).body[0] != "sphere" and not one["press"]["parts"]

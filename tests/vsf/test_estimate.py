@@ -7,7 +7,6 @@ import pytest
 from scipy import sparse
 from scipy.optimize import lsq_linear, nnls
 
-from vsfsim.vsf.estimate import pivoting
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.pivoting import kkt_residual
 from vsfsim.vsf.estimate.structured import structured_std
@@ -133,13 +132,3 @@ def test_twenty_thousand_particles_and_nine_hundred_readings():
     size = np.abs(w.T @ z).max() / 0.15**2
     assert np.abs(gradient[free]).max() <= 1e-9 * size and gradient[~free].min() >= -1e-9 * size
     assert 0 < (~free).sum()
-
-
-def test_a_sparse_problem_without_a_small_side_has_no_dense_matrix(monkeypatch):
-    w, z = presses(700, 60, 12, 1)
-    given = {"noise_std": 0.15, "prior_mean": 50.0, "prior_var": 1e4}
-    dense = map_estimate(w, z, **given)
-    monkeypatch.setattr(pivoting, "_DENSE", 10)
-    assert 0 < np.count_nonzero(dense == 0.0) < 700
-    assert pivoting._sparse_hessian(w) is not None
-    np.testing.assert_allclose(map_estimate(w, z, **given), dense, rtol=1e-8, atol=1e-9 * dense.max())

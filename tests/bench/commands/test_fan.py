@@ -38,20 +38,6 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["row.json"]
 
 
-def test_a_shard_of_a_row_with_a_file_of_its_own_can_be_finished(folded, toy_dataset, tmp_path):
-    """The file that --out names, and answers of another version of the method beside it."""
-    for value in (3.0, 2.0):
-        rows = {tmp_path / "mine.json": Choice("toy_methods:Constant", "", {"value": value})}
-        for k in range(2):
-            assert not list(evaluate_all(folded, rows, dataset=toy_dataset.path, check=False, fan=Fan((k, 2))))
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("mine.parts/*/*.answers")}
-    assert len(before) == 6, "three trainings of each"
-    made = evaluate("toy_methods:Constant", folded, toy_dataset, parameters={"value": 2.0}, check=False,
-                    out=tmp_path / "mine.json")
-    assert made.parameters == {"value": 2.0} and made.timing["fits"] == 3
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.json"]
-
-
 def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
     words = ["evaluate", "--task", "t.toml", "--on", "slurm", "--shards=4", "--print", "--all"]
     assert shard_words(words) == ["vsfsim", "evaluate", "--task", "t.toml", "--all"]
