@@ -26,10 +26,3 @@ def from_above(poses):
     start = poses[0].copy()
     start[..., 2, 3] += 0.06
     return start
-
-
-def dense(stiffness):
-    """A contact stiffness as tables (k, 3 s, 3 s), sparse on a CPU."""
-    if hasattr(stiffness, "matrices"):
-        return np.stack([matrix.toarray() for matrix in stiffness.matrices])
-    return stiffness.cpu().numpy()

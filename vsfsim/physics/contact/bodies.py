@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.core.shape import MeshFile, Plane, ProbeShape
+from vsfsim.core.shape import MeshFile, ProbeShape
 from vsfsim.physics.contact import sdf
 
 
@@ -39,11 +39,6 @@ class RigidBodies:
 
     def __len__(self) -> int:
         return len(self.shapes)
-
-    @property
-    def flat(self) -> bool:
-        """Whether all of them are planes."""
-        return all(isinstance(shape, Plane) for shape in self.shapes)
 
     def distance(self, k: int, points: np.ndarray) -> np.ndarray:
         """Signed distance (...,) [m] of ``points`` (..., 3) in the frame of body ``k``; as the kernels' `gap`."""

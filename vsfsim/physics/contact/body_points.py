@@ -21,18 +21,18 @@ that of the indentation that is missing down to the depth `SOFT` h, and that of 
 
 import functools
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 import warp as wp
+from scipy.spatial import cKDTree
 
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
-from vsfsim.physics.contact.patch import PENALTY, Patch, poisson_ratio
+from vsfsim.physics.contact.patch import NO_PART, PENALTY, Patch, poisson_ratio
 from vsfsim.physics.elements import closest_point
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import real, vec3
@@ -48,35 +48,13 @@ _NEAR = 0.3  # gap up to which a point of a body is kept ready, over the element
 _FACING = -0.1  # largest cosine between the outward directions of a body and of the object where they meet
 _GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over h
 _TINY = 1e-4  # depth at which a point is added or taken away, over the element size
+_APART = 10.0  # of the mesh's size: distance in which points of different faces are put apart
 _RENEWALS = 3  # times in a step; a body that is then inside is marked all the same, see `intrusion`
 
 
-@dataclass(frozen=True)
-class Met:
-    """The points of the bodies that one touch meets (n)."""
-
-    sample: np.ndarray
-    """Which of the points (n,)."""
-    face: np.ndarray
-    """Boundary triangle that each meets (n,)."""
-    values: np.ndarray
-    """Shape values of the place on it (n, 6)."""
-    normal: np.ndarray
-    """Direction in which the object is left there (n, 3) [-], world."""
-    gap: np.ndarray
-    """Gap there when it was found (n,) [m], negative inside."""
-
-    def pick(self, which: np.ndarray) -> "Met":
-        """Some of them."""
-        return Met(self.sample[which], self.face[which], self.values[which], self.normal[which], self.gap[which])
-
-    def places(self, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Where they lie (n, 3) [m] on ``faces`` (f, 6) whose nodes are at ``points`` (m, 3) [m]."""
-        return np.einsum("na,nac->nc", self.values, points[faces[self.face]])
-
-
-NONE = Met(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), np.zeros((0, 3)), np.zeros(0))
-"""No point."""
+_MET = np.dtype([("sample", np.int64), ("face", np.int64), ("values", float, 6), ("normal", float, 3), ("gap", float)])
+# a point of a body that a touch meets: which of the points, the boundary triangle that it meets, the shape values of
+# the place on it, the direction in which the object is left there [-], world, and the gap [m], negative inside
 
 
 class BodyPoints:
@@ -89,8 +67,8 @@ class BodyPoints:
         device: Warp device.
     """
 
-    met: list[Met]
-    """What each touch meets (B)."""
+    met: list[np.ndarray]
+    """The points that each touch meets (B), (n,) of `_MET`."""
     spot: np.ndarray
     """The points in the frames of their bodies (m, 3) [m]."""
     body: np.ndarray
@@ -110,7 +88,7 @@ class BodyPoints:
         self.least = size if len(self.spot) else 0.0
         self._soft = min(SOFT * size, _SMALL * least)
         self._size, self._near = size, min(_NEAR * size, 2.0 * least)
-        self.met = [NONE] * batch
+        self.met = [np.zeros(0, _MET)] * batch
         self._renewals = 0
         if len(self.spot):
             self._kernels = kernels()
@@ -121,15 +99,20 @@ class BodyPoints:
         """A step begins: the points may be found again."""
         self._renewals = 0
 
-    def stiffness(self, met: Met) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stiffness below the soft depth (n,) [N/m], the part of it that acts down to there (n,) [-], and that depth
-        (n,) [m]."""
-        young = self.model.surface_modulus[met.face]
+    def parts(self, touch: int, patch: Patch) -> np.ndarray:
+        """The points that a touch meets, as parts (n,) of `PART` with one point each, of its ``patch``."""
+        met, faces = self.met[touch], self.model.mesh.faces
+        young, length = self.model.surface_modulus[met["face"]], self._length[met["sample"]]
         most = _AREA * PENALTY * young * self._size
-        length = self._length[met.sample]
         plane = young / (1.0 - (poisson_ratio(self.model) or 0.0) ** 2)
         soft = plane * np.where(length > 0.0, _LINE * length, self._soft)
-        return most, np.minimum(soft / most, 1.0), np.full(len(young), self._soft)
+        out = np.repeat(NO_PART, len(met))
+        out["local"][:, :faces.shape[1]] = np.searchsorted(patch.nodes, faces[met["face"]])
+        out["shape"][:, 0], out["stiffness"][:, 0], out["leave"] = met["values"], most, met["normal"]
+        out["key"] = len(faces) + met["sample"]
+        out["host"], out["spot"] = self.body[met["sample"]], self.spot[met["sample"]]
+        out["share"], out["soft"] = np.minimum(soft / most, 1.0), self._soft
+        return out
 
     def renew(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor,
               patches: Sequence[Patch]) -> tuple[list[int], np.ndarray]:
@@ -150,9 +133,9 @@ class BodyPoints:
         changed = []
         points = self.model.mesh.points
         for b, new in zip(columns.tolist(), self._find(columns, pose, u, self._near), strict=True):
-            known = np.isin(new.face, patches[b].faces)
-            outside[b, new.face[~known & (new.gap < 0.0)]] = True
-            new = new.pick(known)
+            known = np.isin(new["face"], patches[b].faces)
+            outside[b, new["face"][~known & (new["gap"] < 0.0)]] = True
+            new = new[known]
             moved = points + u[:, b].cpu().numpy().reshape(-1, 3)
             if outside[b].any() or self._differ(self.met[b], new, pose[b], moved):
                 self.met[b] = new
@@ -179,27 +162,26 @@ class BodyPoints:
             return more
         way = float(np.linalg.norm((poses[1] - poses[0])[..., :3, 3], axis=-1).max())
         for b, new in zip(columns.tolist(), self._find(columns, poses[1], u, self._near + way), strict=True):
-            new = new.pick(np.isin(new.face, patches[b].faces) & ~np.isin(new.sample, self.met[b].sample))
-            if len(new.sample):
-                both = zip(astuple(self.met[b]), astuple(new), strict=True)
-                self.met[b], more = Met(*(np.concatenate(pair) for pair in both)), True
+            new = new[np.isin(new["face"], patches[b].faces) & ~np.isin(new["sample"], self.met[b]["sample"])]
+            if len(new):
+                self.met[b], more = np.concatenate([self.met[b], new]), True
         return more
 
-    def _differ(self, old: Met, new: Met, pose: np.ndarray, points: np.ndarray) -> bool:
+    def _differ(self, old: np.ndarray, new: np.ndarray, pose: np.ndarray, points: np.ndarray) -> bool:
         """Whether the contact at ``new`` is another than that at ``old``, with the nodes at ``points`` (n, 3) [m] and
         the bodies at ``pose`` (K, 4, 4)."""
         place, depth = np.full((2, len(self.spot), 3), np.nan), np.zeros((2, len(self.spot)))
         for k, met in enumerate((old, new)):
-            at = self.body[met.sample]
-            spot = pose[at, :3, 3] + np.einsum("nij,nj->ni", pose[at, :3, :3], self.spot[met.sample])
-            place[k, met.sample] = met.places(self.model.mesh.faces, points)
-            depth[k, met.sample] = np.einsum("nc,nc->n", met.normal, spot - place[k, met.sample]).clip(max=0.0)
+            sample, at = met["sample"], self.body[met["sample"]]
+            spot = pose[at, :3, 3] + np.einsum("nij,nj->ni", pose[at, :3, :3], self.spot[sample])
+            place[k, sample] = np.einsum("na,nac->nc", met["values"], points[self.model.mesh.faces[met["face"]]])
+            depth[k, sample] = np.einsum("nc,nc->n", met["normal"], spot - place[k, sample]).clip(max=0.0)
         shift = np.linalg.norm(place[0] - place[1], axis=1)  # NaN of points that only one of them has
         most = np.where(np.isnan(shift), _TINY * self._size, _GAP * self._soft)
         acts = depth.min(axis=0) < 0.0
         return bool(((np.abs(depth[0] - depth[1]) > most) | (acts & (shift > _SHIFT * self._size))).any())
 
-    def _find(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, near: float) -> list[Met]:
+    def _find(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, near: float) -> list[np.ndarray]:
         k, device, count = self._kernels, self.device, len(columns)
         host = columns.cpu().numpy()
         moved = u[:, columns].view(-1, 3, count).permute(2, 0, 1)
@@ -207,87 +189,89 @@ class BodyPoints:
         turn, origin = pose[host][:, :, :3, :3][:, self.body], pose[host][:, :, :3, 3][:, self.body]
         spot = origin + np.einsum("kmij,mj->kmi", turn, self.spot)
         outward = np.einsum("kmij,mj->kmi", turn, self._outward)
-        face = torch.full((count, len(self.spot)), -1, dtype=torch.int32, device=device)
-        values = torch.zeros((count, len(self.spot), 6), dtype=torch.float64, device=device)
-        normal = torch.zeros((count, len(self.spot), 3), dtype=torch.float64, device=device)
-        gap = torch.zeros((count, len(self.spot)), dtype=torch.float64, device=device)
-        wp.launch(k.find, dim=face.shape, device=device, inputs=[
+        met = np.zeros((count, len(self.spot)), _MET)
+        met["sample"] = np.arange(len(self.spot))
+        face = torch.full(met.shape, -1, dtype=torch.int32, device=device)
+        values, normal, gap = (torch.zeros((*met.shape, *more), dtype=torch.float64, device=device)
+                               for more in ((6,), (3,), ()))
+        wp.launch(k.find, dim=met.shape, device=device, inputs=[
             wp.from_torch(self._faces.expand(count, -1, -1)), near, 1e-3 * self._size,
             wp.array(spot, dtype=k.vec3, device=device), wp.array(outward, dtype=k.vec3, device=device),
             wp.from_torch(x, dtype=k.vec3), wp.from_torch(closest_point.balls(x, self._faces), dtype=k.vec4),
-            wp.from_torch(face),
-            wp.from_torch(values, dtype=k.vec6), wp.from_torch(normal, dtype=k.vec3), wp.from_torch(gap)])
-        out = []
-        for f, v, n, g in zip(*(t.cpu().numpy() for t in (face, values, normal, gap)), strict=True):
-            on = np.flatnonzero(f >= 0)
-            out.append(Met(on, f[on].astype(np.int64), v[on], n[on], g[on]))
-        return out
+            wp.from_torch(face), wp.from_torch(values, dtype=k.vec6), wp.from_torch(normal, dtype=k.vec3),
+            wp.from_torch(gap)])
+        for name, found in (("face", face), ("values", values), ("normal", normal), ("gap", gap)):
+            met[name] = found.cpu().numpy()
+        return [own[own["face"] >= 0] for own in met]
 
 
-@dataclass(frozen=True)
-class Padded:
+class Padded(NamedTuple):
     """The patches of B touches and the points of bodies that they meet, padded to s nodes and f parts."""
 
     nodes: np.ndarray
     """Nodes of the patches (B, s); -1 is padding."""
-    member: np.ndarray
-    """Boundary triangles of the patches (B, F) bool."""
-    local: np.ndarray
-    """Positions in `nodes` of the nodes of each part (B, f, 6)."""
-    shape: np.ndarray
-    """Shape values of the points of the parts (B, f, 6, 6)."""
-    stiffness: np.ndarray
-    """Of each contact point (B, f, 6) [N/m]; a point of a body is the first of a part of its own."""
-    key: np.ndarray
-    """Of each part (B, f): its boundary triangle, or F and the number of the point of a body; -1 is padding."""
-    area: np.ndarray
-    """Of each part (B, f) [m^2], 0 of points of bodies."""
-    host: np.ndarray
-    """The body whose point a part is (B, f); -1 for parts of a face."""
-    spot: np.ndarray
-    """That point in the frame of its body (B, f, 3) [m]."""
-    leave: np.ndarray
-    """Direction in which it leaves the object (B, f, 3) [-]."""
-    share: np.ndarray
-    """Share of the stiffness of points of bodies that acts at first (B, f) [-]."""
-    soft: np.ndarray
-    """Depth down to which it does (B, f) [m]."""
+    parts: np.ndarray
+    """Their parts, then those of points of bodies (B, f) of `PART`."""
 
     def places(self, touch: int, points: np.ndarray) -> np.ndarray:
         """The contact points of a touch (6 f, 3) [m] on a mesh whose nodes are at ``points`` (n, 3) [m]."""
-        return (self.shape[touch] @ points[self.nodes[touch][self.local[touch]]]).reshape(-1, 3)
+        own = self.parts[touch]
+        return (own["shape"] @ points[self.nodes[touch][own["local"]]]).reshape(-1, 3)
 
 
-def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoints) -> Padded:
-    """The patches (B) of a mesh with the boundary triangles ``faces`` (F, 6 or 3), of ``least`` parts, and the points
-    of bodies that they meet."""
-    member = np.zeros((len(patches), len(faces)), bool)
-    parts = []
-    for p, met, row in zip(patches, points.met, member, strict=True):
-        row[p.faces] = True
-        n, more = len(met.sample), (len(met.sample), 6)
-        local, shape, stiffness = np.zeros(more, np.int64), np.zeros((*more, 6)), np.zeros(more)
-        local[:, :faces.shape[1]], shape[:, 0] = np.searchsorted(p.nodes, faces[met.face]), met.values
-        stiffness[:, 0], share, soft = points.stiffness(met)
-        none = np.zeros((len(p.local), 3))
-        of_face = p.local, p.shapes, p.stiffness, np.repeat(p.faces, p.cuts**2), p.area, none[:, 0] - 1, none, none
-        of_body = (local, shape, stiffness, len(faces) + met.sample, np.zeros(n), points.body[met.sample],
-                   points.spot[met.sample], met.normal)
-        parts.append([*(np.concatenate(both) for both in zip(of_face, of_body, strict=True)),
-                      *(np.concatenate([none[:, 0], own]) for own in (share, soft))])
-    local, shape, stiffness, key, area, host, *others = (
-        _stacked(own, least, fill) for own, fill in zip(zip(*parts, strict=True), (
-            0, 0, 0, -1, 0, -1, 0, 0, 0, 0), strict=True))
-    return Padded(_stacked([p.nodes for p in patches], 1, -1), member, local.astype(np.int32), shape, stiffness, key,
-                  area, host.astype(np.int32), *others)
+def pad(patches: Sequence[Patch], least: int, points: BodyPoints) -> Padded:
+    """The patches (B), of ``least`` parts, and the points of bodies that they meet."""
+    parts = [np.concatenate([p.parts, points.parts(b, p)]) for b, p in enumerate(patches)]
+    return Padded(_stacked([p.nodes for p in patches], 1, np.array([-1])), _stacked(parts, least, NO_PART))
 
 
-def _stacked(rows: Sequence[np.ndarray], least: int, fill: int) -> np.ndarray:
-    """Arrays (n, ...) padded to their longest, or to ``least``."""
-    out = np.full((len(rows), max(least, *map(len, rows)), *rows[0].shape[1:]), fill, rows[0].dtype)
-    for own, row in zip(out, rows, strict=True):
-        own[:len(row)] = row
-    return out
+def _stacked(rows: Sequence[np.ndarray], least: int, fill: np.ndarray) -> np.ndarray:
+    """Arrays (n,) padded by ``fill`` (1,) to their longest, or to ``least``."""
+    width = max(least, *map(len, rows))
+    return np.stack([np.concatenate([row, np.repeat(fill, width - len(row))]) for row in rows])
+
+
+def remember(tensors: tuple[torch.Tensor, ...], kept: tuple[torch.Tensor, ...], points: tuple[Padded, Padded],
+             touches: Sequence[int], rest: np.ndarray, moved: torch.Tensor, turn: np.ndarray) -> None:
+    """Write the friction state of some ``touches`` into the ``tensors`` of their contact points: anchors (B, 6 f, 3)
+    [m], their owners (B, 6 f), limits (B, 6 f) [N] and normals of the tangent planes (B, 6 f, 3) [-].
+
+    Every point takes what the nearest of the old points on its face, or the same point of a body, remembers: its
+    anchor moved along, its limit scaled by the stiffness. One whose face was not in the patch remembers nothing.
+
+    Args:
+        tensors, touches: see above.
+        kept: such tensors of the old points.
+        points: the old points and those of the tensors.
+        rest: positions of the mesh's nodes at rest (n, 3) [m].
+        moved: their displacements at the beginning of the step (3 n, B) [m].
+        turn: rotations of the bodies then (B, K, 3, 3).
+    """
+    old, new = points
+    if old is new:
+        at = list(touches)
+        for mine, theirs in zip(tensors, kept, strict=True):
+            mine[at] = theirs[at]
+        return
+    apart = _APART * float(np.ptp(rest, axis=0).max())
+    for b in touches:
+        before = rest + moved[:, b].cpu().numpy().reshape(-1, 3)
+        was, now = (np.flatnonzero(p.parts["stiffness"][b]) for p in points)
+        for mine, nothing in zip(tensors, (0.0, -1, 0.0, 0.0), strict=True):
+            mine[b] = nothing
+        if not len(was):
+            continue
+        there, here = (np.column_stack([p.places(b, rest)[at], apart * p.parts["key"][b, at // 6]])
+                       for p, at in zip(points, (was, now), strict=True))
+        away, near = cKDTree(there).query(here)
+        now, was = now[away < 0.5 * apart], was[near[away < 0.5 * apart]]
+        anchor, owner, limit, across = (t[b].cpu().numpy()[was] for t in kept)
+        body = np.where(owner < -1, -2 - owner, np.maximum(owner, 0))
+        shift = new.places(b, before)[now] - old.places(b, before)[was]
+        ratio = new.parts["stiffness"][b].ravel()[now] / old.parts["stiffness"][b].ravel()[was]
+        for mine, values in zip(tensors, (anchor + np.einsum("qji,qj->qi", turn[b, body], shift), owner, limit * ratio,
+                                          across), strict=True):
+            mine[b, now] = torch.as_tensor(values, device=mine.device)
 
 
 @functools.cache

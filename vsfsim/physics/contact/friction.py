@@ -6,8 +6,8 @@
 u is the tangential way of a point from its anchor, the place where it last stuck, and k its tangential stiffness. The
 limit tau = mu f_n is held fixed while Newton's method brings the forces into balance: the problem then has a potential.
 Afterwards it is renewed from the normal force that was found, until it no longer changes, and the law is Coulomb's.
-Rigid bodies (`rigid_kernels`), two deformable surfaces (`pair.kernels`) and rods (`rods.kernels.contact_law`) use these
-functions; each keeps its anchors in its own way.
+Contact points of a surface (`kernels`) and rods (`rods.kernels.contact_law`) use these functions; each keeps its
+anchors in its own way.
 
 Where friction lifts a point off and the next iteration brings it back, the full change of its limit would be made and
 undone for ever. So from the thirteenth renewal of a step on half of every change is made. The half that is held back

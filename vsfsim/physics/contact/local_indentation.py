@@ -89,15 +89,16 @@ class LocalIndentation:
         self._on = on and nu is not None and any(self._round)
         self._gaps, self._factor, self._missing = gaps, FITTED * (1.0 - (nu or 0.0) ** 2), missing
         self._points = points.transpose(0, 1).contiguous()
-        face = np.where(padded.key < len(faces), padded.key, -1)
+        parts = padded.parts
+        face = np.where(parts["key"] < len(faces), parts["key"], -1)
         edge = np.append(np.sqrt(2.0 * model.mesh.face_area()), 0.0)[face]
-        of_body = (padded.host >= 0)[:, :, None]
+        of_body = (parts["host"] >= 0)[:, :, None]
         # area and curvature of each point; edge of the elements at each part, 0 at padding and points of bodies
         self._cover, self._bent, self._edge, self._of_body, self._body_share, self._body_soft = (
             torch.as_tensor(a, device=points.device) for a in (
-                (padded.area[:, :, None] * WEIGHTS).reshape(len(face), -1),
-                np.append(curvature, 0.0)[face].repeat(6, axis=1), edge, of_body, padded.share[:, :, None],
-                padded.soft))
+                (parts["area"][:, :, None] * WEIGHTS).reshape(len(face), -1),
+                np.append(curvature, 0.0)[face].repeat(6, axis=1), edge, of_body, parts["share"][:, :, None].copy(),
+                parts["soft"].copy()))
         self._deepest = _SMALL * min((r for r in radii if r > 0.0), default=0.0)
         self._share, self._soft = law
         self._set(torch.ones_like(self._share), (SATURATED * self._edge).clamp(max=self._deepest))

@@ -11,6 +11,7 @@ and soft enough that float64 keeps its digits. The solver inverts this block exa
 """
 
 import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +110,19 @@ def poisson_ratio(model: Model) -> float | None:
     return None
 
 
+PART = np.dtype([("local", np.int32, 6), ("shape", float, (6, 6)), ("stiffness", float, 6), ("area", float),
+                 ("key", np.int64), ("host", np.int32), ("spot", float, 3), ("leave", float, 3), ("share", float),
+                 ("soft", float)])
+"""Six contact points of a part of a face, or one of a body. local: positions of its nodes among those of the patch, of
+which a linear face has three, and any number in the other columns; shape: shape values of the points on the nodes;
+stiffness: w_q of each point [N/m]; area [m^2], 0 of points of bodies; key: its boundary triangle, or their number and
+that of the point of a body, -1 for padding; host: the body whose point it is, -1 for parts of faces; spot: that point
+in the body's frame [m]; leave: direction in which it leaves the object [-]; share, soft: share of the stiffness of a
+point of a body that acts at first [-], and the depth down to which it does [m]."""
+NO_PART = np.array([(0, 0.0, 0.0, 0.0, -1, -1, 0.0, 0.0, 0.0, 0.0)], PART)
+"""Padding (1,)."""
+
+
 @dataclass(frozen=True)
 class Patch:
     """The boundary triangles that one touch can reach."""
@@ -117,15 +131,8 @@ class Patch:
     """Indices of the triangles (f,), increasing."""
     nodes: np.ndarray
     """Their nodes (s,), increasing."""
-    local: np.ndarray
-    """Positions in `nodes` of the nodes of each part of a face (f parts, 6), the parts of one face together. A linear
-    face has three nodes, and any number in the other columns."""
-    stiffness: np.ndarray
-    """w_q of each Gauss point (f parts, 6) [N/m]."""
-    shapes: np.ndarray
-    """Shape values of the points on the nodes (f parts, 6 points, 6 nodes)."""
-    area: np.ndarray
-    """Of each part (f parts,) [m^2]."""
+    parts: np.ndarray
+    """The parts of the faces (f parts,) of `PART`, those of one face together."""
     cuts: np.ndarray
     """Parts along the edge of each triangle (f,)."""
 
@@ -145,14 +152,40 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
     """
     corners = mesh.faces.shape[1]
     nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
-    padded = np.zeros((len(faces), 6), np.int64)
-    padded[:, :corners] = local.reshape(len(faces), corners)
     pressure_per_metre = stiff[0] * PENALTY * modulus / np.maximum(np.sqrt(area), _LEAST * stiff[1])
-    parts = cuts**2
-    stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
-    shapes = np.concatenate([np.zeros((0, 6, 6)), *(shape_table(corners, int(c)) for c in cuts)])
-    return Patch(faces, nodes, *(np.repeat(a, parts, axis=0) for a in (padded, stiffness)), shapes,
-                 np.repeat(area / parts, parts), cuts)
+    of = np.repeat(np.arange(len(faces)), cuts**2)
+    parts = np.repeat(NO_PART, len(of))
+    parts["key"], parts["area"] = faces[of], (area / cuts**2)[of]
+    parts["local"][:, :corners] = local.reshape(len(faces), corners)[of]
+    parts["stiffness"] = (parts["area"] * pressure_per_metre[of])[:, None] * WEIGHTS
+    parts["shape"] = np.concatenate([np.zeros((0, 6, 6)), *(shape_table(corners, int(c)) for c in cuts)])
+    return Patch(faces, nodes, parts, cuts)
+
+
+def neighbours(mesh: QuadraticMesh, faces: np.ndarray) -> np.ndarray:
+    """The boundary triangles that share a node with some of ``faces`` (f,), these included."""
+    near = np.zeros(len(mesh.points), bool)
+    near[mesh.faces[faces]] = True
+    return np.flatnonzero(near[mesh.faces].any(axis=1))
+
+
+def grow(patches: list[Patch], cuts: np.ndarray, touches: Sequence[int], met: np.ndarray, cut: np.ndarray,
+         mesh: QuadraticMesh, make: Callable[[int, np.ndarray], Patch]) -> None:
+    """Grow the patches (B) of some ``touches``, in place.
+
+    Args:
+        patches, touches: see above.
+        cuts: parts along the edge of each boundary triangle (B, F), likewise in place.
+        met: triangles outside the patches that meet a body (B, F) bool.
+        cut: triangles that get more points (B, F) bool.
+        mesh: the mesh.
+        make: the patch of a touch over some triangles (f,).
+    """
+    for b in touches:
+        extra = np.flatnonzero(met[b])
+        if len(extra) or cut[b].any():
+            cuts[b, cut[b]] = np.array([*CUTS[1:], CUTS[-1]])[np.searchsorted(CUTS, cuts[b, cut[b]])]
+            patches[b] = make(b, np.union1d(patches[b].faces, neighbours(mesh, extra)))
 
 
 def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ class Contact:
     kernels: Any
     """The kernels of these points."""
     _sets: list[dict[str, torch.Tensor]]  # the tensors of the points, of some or of all each, by their names there
-    _memory: tuple[str, ...]  # names of those that remember friction
+    _memory = "anchor", "owner", "limit", "across"  # names of those that remember friction
 
     dof: torch.Tensor
     """Degrees of freedom of the patches (B, 3 s); -1 is padding."""
@@ -64,25 +64,19 @@ class Contact:
     solid: bool
     """Whether rigid bodies touch a solid."""
     batch: int
+    faces: Callable[[torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
+    """Nodes and shape values of the parts of some touches (k,), see `stiffness`."""
+    own_stiffness: Callable[..., torch.Tensor]
+    """Stiffness of the contact points of some touches (k, p, 3, 3) [N/m], of some with the geometric term, see
+    `stiffness`."""
+    _launch: Callable[[Any, torch.Tensor], None]  # runs a kernel over the points of some touches (k,)
     _overlap: torch.Tensor  # how deep bodies lie in one another by the geometry at the last `extend_patch` (B,) [m]
     _passage: Any  # that check; its ``tolerance`` is the depth above which a body counts as inside [m]
-
-    def faces(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Nodes and shape values of the parts of the touches ``columns`` (k,), see `stiffness`."""
-        raise NotImplementedError
-
-    def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
-        """Stiffness of the contact points (k, p, 3, 3) [N/m]; ``geometric``: see `stiffness`."""
-        raise NotImplementedError
 
     @property
     def turn(self) -> tuple[int, torch.Tensor] | None:
         """See `stiffness.assembled`, of all touches."""
         return None
-
-    def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
-        """Run a kernel over the points of the touches ``columns`` (k,)."""
-        raise NotImplementedError
 
     def _all(self, name: str, columns: torch.Tensor) -> torch.Tensor:
         return torch.cat([points[name][columns].flatten(1) for points in self._sets], dim=1)
@@ -180,22 +174,23 @@ class Contact:
         """Forces at the contact points (k, p, 3) [N] as forces on the nodes (k, 3 s) [N]."""
         return nodal_sums(*self.faces(columns), force, self.free.shape[1] // 3).flatten(1)
 
-    def _assembled(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> ContactStiffness:
-        turn = self.turn and (self.turn[0], self.turn[1][columns])
-        return assembled(*self.faces(columns), self.own_stiffness(columns, geometric), self.free[columns],
-                         whole=self.has_friction, turn=turn)
-
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> ContactStiffness:
         """Contact stiffness on the patches, in series with springs that carry the bodies.
 
         ``geometric``: the touches whose stiffness has its geometric term (k,) bool; deep inside a body that term is
         large and wrong."""
-        own = self._assembled(columns, geometric)
+        own = self.assembled(columns, geometric)
         return own if self.springs is None else own.in_series(self.springs.compliance(columns, own.dof))
+
+    def assembled(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> ContactStiffness:
+        """The same of bodies that do not give way."""
+        turn = self.turn and (self.turn[0], self.turn[1][columns])
+        return assembled(*self.faces(columns), self.own_stiffness(columns, geometric), self.free[columns],
+                         whole=self.has_friction, turn=turn)
 
     def block(self, columns: torch.Tensor) -> ContactStiffness:
         """The contact stiffness in series with the compliance of the bodies at rest, and of springs."""
-        own = self._assembled(columns)
+        own = self.assembled(columns)
         compliance = self.response.between(columns, own.dof)
         if self.springs is not None:
             compliance = compliance + self.springs.compliance(columns, own.dof)

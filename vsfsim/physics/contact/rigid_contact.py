@@ -12,15 +12,15 @@ import numpy as np
 import torch
 import warp as wp
 
+from vsfsim.core.shape import Plane
 from vsfsim.physics.contact import body_points, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.body_points import BodyPoints
+from vsfsim.physics.contact.body_points import BodyPoints, remember
 from vsfsim.physics.contact.body_samples import inner_radius
-from vsfsim.physics.contact.growth import grow, remember
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.mount import Mount, Springs
-from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, sheet_contact
+from vsfsim.physics.contact.patch import CUTS, Patch, at_points, grow, make_patch, sheet_contact
 from vsfsim.physics.contact.points import Contact, bound
 from vsfsim.physics.contact.reach import Gaps, plan
 from vsfsim.physics.linear.rest_factor import Response, response
@@ -63,8 +63,6 @@ class RigidContact(Contact):
     """Outward normal of that body where it touches (B, 6 f, 3) [-]."""
     force: torch.Tensor
     """Contact force at each Gauss point (B, 6 f, 3) [N]."""
-    # of friction: anchors in the frame of their body, their owners, limits and normals of the tangent planes
-    _memory = "anchor", "owner", "limit", "across"
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  linear: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
@@ -91,7 +89,8 @@ class RigidContact(Contact):
         # whether friction limits follow the normal forces once they were renewed, see `coulomb`
         self.follows = not self.solid
         # measure at which the friction limits are renewed for the first time in a step
-        self.friction_updated_below, self.flat = 0.03 if self.solid else 0.3, bodies.flat
+        self.friction_updated_below = 0.03 if self.solid else 0.3
+        self.flat = all(isinstance(s, Plane) for s in bodies.shapes)
         # 1 for touches whose friction limits are those of the normal forces at every evaluation, not of the last
         # `update_friction` (B,)
         self.coulomb = torch.zeros_like(self._overlap)
@@ -106,8 +105,8 @@ class RigidContact(Contact):
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        padded = self._padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points)
-        listed, faces, nodes = padded.nodes, padded.local.shape[1], padded.nodes.shape[1]
+        padded = self._padded = body_points.pad(self.patches, self._parts, self._body_points)
+        listed, parts, faces, nodes = padded.nodes, padded.parts, padded.parts.shape[1], padded.nodes.shape[1]
         tensor = functools.partial(torch.as_tensor, device=self.device)
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
@@ -117,12 +116,16 @@ class RigidContact(Contact):
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
         # of every contact point; a padded part has all its nodes at 0 and no stiffness
-        self._local, self._values, self._stiffness = map(tensor, (padded.local, padded.shape, padded.stiffness))
-        self._member, self._of_body = tensor(padded.member), tensor(padded.host >= 0)
+        self._local, self._values, self._stiffness = (
+            tensor(parts[name].copy()) for name in ("local", "shape", "stiffness"))
+        self._member, self._of_body = torch.zeros_like(tensor(self._cuts), dtype=torch.bool), tensor(parts["host"] >= 0)
+        for row, patch in zip(self._member, self.patches, strict=True):
+            row[tensor(patch.faces)] = True
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         self._points, found = bound(k.Points, {
             "shape": self._values, "local": self._local, "stiffness": self._stiffness,
-            "host": padded.host, "spot": padded.spot, "leave": padded.leave,
+            **{name: parts[name] for name in ("host", "spot", "leave")},
+            "bodies": self._gaps.set, "count": len(self.bodies),
             "coulomb": self.coulomb, "coefficient": self._coefficient, "onset": self._onset, "x": self._x,
             "x_before": self._x_before, "origin": self._now[0], "turn": self._now[1],
             "origin_before": self._before[0], "turn_before": self._before[1]}, (batch, faces, 6), self.device)
@@ -136,7 +139,7 @@ class RigidContact(Contact):
                                                self.dof, device=self.device)
         missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
-        self._local_indentation = LocalIndentation(self.model, padded, self._gaps, at_rest, (
+        self.local_indentation = LocalIndentation(self.model, padded, self._gaps, at_rest, (
             found["share"], found["soft"]), on=self._sinks, missing=missing or None)
 
     @property
@@ -194,7 +197,7 @@ class RigidContact(Contact):
         return pose if self.springs is None else self.springs.poses(pose)
 
     def _sink(self, pose: np.ndarray) -> None:
-        self._local_indentation.move(self._held_at(pose))
+        self.local_indentation.move(self._held_at(pose))
         if self.springs is not None:
             self.springs.seen()
 
@@ -218,7 +221,7 @@ class RigidContact(Contact):
     def _launch(self, kernel: Any, columns: torch.Tensor) -> None:
         """Run a kernel over the parts of faces of ``columns`` (k,)."""
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-            self._points, self._gaps.set, len(self.bodies), wp.from_torch(columns.to(torch.int32))])
+            self._points, wp.from_torch(columns.to(torch.int32))])
 
     def _sprung(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `Springs.settle`."""
@@ -256,7 +259,7 @@ class RigidContact(Contact):
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
         own = (self._sets[0]["energy"][columns] * self._of_body[columns]).sum(dim=1)
-        return own + self._local_indentation.energy(self.gap[columns], self._stiffness[columns], columns)
+        return own + self.local_indentation.energy(self.gap[columns], self._stiffness[columns], columns)
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces on the nodes of the patches (k, 3 s) [N]."""
@@ -278,25 +281,19 @@ class RigidContact(Contact):
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Number of points in contact (k,), the radius of a circle of their area over the element size there (k,) [-],
         and the same of the contact with each body (k, K) [-]."""
-        return self._local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
-
-    @property
-    def local_acts(self) -> np.ndarray:
-        """See `LocalIndentation.acts`."""
-        return self._local_indentation.acts()
+        return self.local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
 
     def local_share(self, columns: torch.Tensor) -> torch.Tensor:
         """See `LocalIndentation.share`."""
         gone = self.places(columns, (self._x - self.rest.view_as(self._x))[columns])
         gone = (gone * self.normal[columns]).sum(dim=2)
-        return self._local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
+        return self.local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
 
     def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
         own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=self.kernels.vec3)
         part = torch.ones((len(columns), self._local.shape[1]), dtype=torch.float64, device=self.device)
         wp.launch(self.kernels.reach, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-            self._points, self._gaps.set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._core, own,
-            wp.from_torch(part)])
+            self._points, wp.from_torch(columns.to(torch.int32)), self._core, own, wp.from_torch(part)])
         return part.amin(dim=1) if part.shape[1] else part.new_ones(len(columns))
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:

@@ -7,9 +7,7 @@ and its place on a face of another surface.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
-import scipy.sparse as sp
 import torch
 
 
@@ -19,39 +17,22 @@ class ContactStiffness:
 
     dof: torch.Tensor
     """Degrees of freedom of the patches that it connects (k, m); the first again is padding."""
-    matrices: list[sp.csr_matrix] | torch.Tensor
-    """C between them (m, m) [N/m], sparse of each touch on a CPU, (k, m, m) on a GPU; on a GPU in series with a
-    compliance all of the operator."""
-    factors: tuple[torch.Tensor, torch.Tensor] | None = None
-    """LU factors of 1 + A C (k, m, m) and their pivots (k, m), in series with a compliance A on a CPU."""
+    matrix: torch.Tensor
+    """C between them (k, m, m) [N/m]."""
 
     def __getitem__(self, which: torch.Tensor) -> ContactStiffness:
-        own = self.matrices
-        some = own[which] if isinstance(own, torch.Tensor) else [
-            own[b] for b in (which.nonzero()[:, 0] if which.dtype == torch.bool else which).tolist()]
-        return ContactStiffness(self.dof[which], some, self.factors and (self.factors[0][which],
-                                                                         self.factors[1][which]))
+        return ContactStiffness(self.dof[which], self.matrix[which])
 
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
         dof = self.dof[:, :, None]
-        own = v.gather(1, dof)
-        if self.factors is not None:
-            own = torch.linalg.lu_solve(*self.factors, own)
-        force = self.matrices @ own if isinstance(self.matrices, torch.Tensor) else stacked(
-            [torch.as_tensor(c @ x.numpy()) for c, x in zip(self.matrices, own, strict=True)])
-        return torch.zeros_like(v).scatter_add_(1, dof, force)
+        return torch.zeros_like(v).scatter_add_(1, dof, self.matrix @ v.gather(1, dof))
 
     def in_series(self, compliance: torch.Tensor) -> ContactStiffness:
         """T = (C^-1 + A)^-1 = C (1 + A C)^-1 with a symmetric compliance A (k, m, m) [m/N] between `dof`: the contact
         forces under displacements of the patches when the body responds with A."""
-        if isinstance(self.matrices, torch.Tensor):
-            bracket = compliance @ self.matrices
-            bracket.diagonal(dim1=1, dim2=2).add_(1.0)
-            return replace(self, matrices=self.matrices @ torch.linalg.inv_ex(bracket)[0])
-        bracket = stacked([torch.as_tensor(c.T @ a.numpy()).T  # A C = (C^T A)^T
-                           for c, a in zip(self.matrices, compliance, strict=True)])
+        bracket = compliance @ self.matrix
         bracket.diagonal(dim1=1, dim2=2).add_(1.0)
-        return replace(self, factors=torch.linalg.lu_factor(bracket))
+        return replace(self, matrix=torch.linalg.solve_ex(bracket, self.matrix, left=False)[0])
 
 
 def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor, *,
@@ -89,14 +70,4 @@ def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, fr
     dof = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :m]
     dof = torch.where(torch.arange(m, device=free.device) < count, dof, dof[:, :1])
     row, col = place[of, row], place[of, col]
-    if free.device.type != "cpu":
-        return ContactStiffness(dof, free.new_zeros(len(dof), m, m).index_put_((of, row, col), pairs, accumulate=True))
-    ends = torch.searchsorted(of, torch.arange(len(dof) + 1)).tolist()
-    return ContactStiffness(dof, [
-        sp.csr_matrix((pairs[a:b].numpy(), (row[a:b].numpy(), col[a:b].numpy())), shape=(m, m))
-        for a, b in pairwise(ends)])
-
-
-def stacked(parts: list[torch.Tensor]) -> torch.Tensor:
-    """As `torch.stack`, without a copy of a single one."""
-    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
+    return ContactStiffness(dof, free.new_zeros(len(dof), m, m).index_put_((of, row, col), pairs, accumulate=True))

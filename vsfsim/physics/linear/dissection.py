@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.sparse.csgraph import breadth_first_order, maximum_bipartite_matching
 
 _LEAF = 12  # nodes that are not cut any further: a dense front of 36 unknowns
 _LARGE = 60  # nodes above which all axes are tried: there cuts cost most
@@ -105,19 +105,15 @@ def vertex_cover(part: sp.coo_matrix, left: np.ndarray) -> np.ndarray:
     there, col = np.unique(col, return_inverse=True)
     edges = sp.csr_matrix((np.ones(len(row)), (row, col)), shape=(len(here), len(there)))
     partner = maximum_bipartite_matching(edges, perm_type="column")  # of each row a column, -1 none
-    matched_row = np.full(len(there), -1)
-    matched_row[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
-    # König: from the rows without a partner along any edge to a column, and back along its matching
-    reached_row, reached_col = partner < 0, np.zeros(len(there), bool)
-    fresh = reached_row
-    while fresh.any():
-        columns = (edges.T @ fresh.astype(float)) > 0
-        columns &= ~reached_col
-        reached_col |= columns
-        fresh = np.zeros(len(here), bool)
-        fresh[matched_row[columns]] = True
-        fresh &= ~reached_row
-        reached_row |= fresh
-    out[here[~reached_row]] = True
-    out[there[reached_col]] = True
+    matched, alone = np.flatnonzero(partner >= 0), np.flatnonzero(partner < 0)
+    # König: from the rows without a partner, which a source leads to, along any edge to a column, and back along its
+    # matching
+    n, source = len(here), len(here) + len(there)
+    leaves = np.concatenate([row, n + partner[matched], np.full(len(alone), source)])
+    enters = np.concatenate([n + col, matched, alone])
+    ways = sp.csr_matrix((np.ones(len(leaves)), (leaves, enters)), shape=(source + 1, source + 1))
+    reached = np.zeros(source + 1, bool)
+    reached[breadth_first_order(ways, source, return_predecessors=False)] = True
+    out[here[~reached[:n]]] = True
+    out[there[reached[n:source]]] = True
     return out

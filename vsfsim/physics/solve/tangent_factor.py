@@ -74,13 +74,13 @@ class TangentFactors:
         self._elasticity.tangent(wp.from_torch(column.to(torch.int32)), wp.from_torch(u), projected=True)
         values = np.zeros((len(order.neighbours), 3, 3))
         self._elasticity.add_matrices(int(column[0]), order, values)
-        stiffness = self._contact.stiffness(column)
-        touched = stiffness.matrices[0].tocoo()  # of bodies that do not give way
-        dof = self._contact.dof[int(column[0])][stiffness.dof[0]].numpy()
-        row, col = dof[touched.row], dof[touched.col]
+        stiffness = self._contact.assembled(column)
+        matrix = stiffness.matrix[0].numpy()
+        there = matrix.nonzero()
+        row, col = self._contact.dof[int(column[0])][stiffness.dof[0]].numpy()[np.array(there)]
         at = order.find(row // 3, col // 3)
         on = (at >= 0) & (row >= 0) & (col >= 0)
-        np.add.at(values, (at[on], row[on] % 3, col[on] % 3), touched.data[on])
+        np.add.at(values, (at[on], row[on] % 3, col[on] % 3), matrix[there][on])
         free = self._model.free.reshape(-1, 3)
         values *= free[order.owners][:, :, None] * free[order.neighbours][:, None, :]
         diagonal = order.owners == order.neighbours

@@ -47,7 +47,6 @@ class PairContact(Contact):
     # rubber mostly sticks
     friction_updated_below = 0.3
     solid, flat, follows = False, False, False
-    _memory = "anchored", "anchor_face", "anchor_shape", "limit", "across"
 
     rotation: torch.Tensor
     """Rotations of the sensor at present (B, 3, 3) [-]."""
@@ -74,13 +73,13 @@ class PairContact(Contact):
         self._rest = torch.as_tensor(np.concatenate([rest, np.tile(own, (self.batch, 1, 1))], axis=1), device=device)
         # positions now, when the step began, and where the surfaces would be if both had kept their shapes
         self.x, self.x_before, self.x_swept = (self._rest.clone() for _ in range(3))
+        self._overlap, self.coulomb = (torch.zeros_like(self.mask[:, 0]) for _ in range(2))
         self.sides = make_sides(model, sensor, reach, nodes, width, {
-            "coefficient": float(friction), "x": self.x, "x_before": self.x_before, "x_swept": self.x_swept},
-            device=device)
+            "coefficient": friction, "coulomb": self.coulomb, "x": self.x, "x_before": self.x_before,
+            "x_swept": self.x_swept}, device=device)
         self._sets = [side.tensors for side in self.sides]
         self.response = PairResponse(model, sensor, self.dof[:, :3 * width], device=device)
         self._passage = PairOverlap(model, sensor, device=device)
-        self._overlap, self.coulomb = (torch.zeros_like(self.mask[:, 0]) for _ in range(2))
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
         # the touches whose points in contact were looked at last, and these
         self._known: tuple[torch.Tensor, list[torch.Tensor]] | None = None
@@ -154,7 +153,7 @@ class PairContact(Contact):
         out = torch.zeros(self.batch, dtype=torch.bool, device=self.device)
         for side in self.sides:
             at, node = (side.tensors["gap"] < 0.0).nonzero(as_tuple=True)
-            face = side.tensors["face"][at, node].long()
+            face = side.tensors["body"][at, node].long()
             change = side.blended(self.x)[at, face] - side.tensors["smooth"][at, face]
             change = change.norm(dim=2).amax(dim=1)
             out[at[change > _TURNED]] = True
@@ -186,9 +185,9 @@ class PairContact(Contact):
             on = (side.tensors["gap"][columns] < 0.0) | (side.tensors["limit"][columns] > 0.0)
             node = first_of(on)
             chosen = on.gather(1, node).to(torch.float64)
-            for face, shape, force in (("face", "shape", "push"), ("anchor_face", "anchor_shape", "drag")):
-                there, weight, pull, stiffness = (side.tensors[name][columns[:, None], node] for name in (
-                    face, shape, force, f"{force}_stiffness"))
+            for names in (("body", "there", "force", "stiff"), ("owner", "anchor", "drag", "drag_stiff")):
+                there, weight, pull, stiffness = (side.tensors[name][columns[:, None], node] for name in names)
+                there = torch.where(there < -1, -2 - there, there)  # an owner that may still move
                 corners = side.tensors["faces"][columns[:, None], there.long().clamp(min=0)].long()
                 nodes = torch.cat([side.first + node[:, :, None], corners], dim=2)
                 parts.append((torch.nn.functional.pad(nodes, (0, 7 - nodes.shape[2])),

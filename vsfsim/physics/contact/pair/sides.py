@@ -49,7 +49,8 @@ class Side:
     """
 
     tensors: dict[str, torch.Tensor]
-    """All of them by name, as the struct ``Side`` of the kernels says."""
+    """All of them by name, as the struct ``Points`` of the kernels says, without the axis of the one point of a node.
+    """
     around: torch.Tensor
     """Corners that share the node of each corner (B, F n, most), as face x n + node with n nodes a face; -1 is
     padding."""
@@ -115,14 +116,19 @@ def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: 
 
 def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarray, count: Sequence[int],
           both: Mapping[str, Any], device: str) -> Side:
-    points, tensors = bound(kernels().Side, {
-        **both, "first": first, "corners": faces.shape[2], "facet": facet, "stiffness": stiffness, "faces": faces,
-        "count": np.array(count), "candidates": np.full((*stiffness.shape, CANDIDATES), -1),
-        "smooth": np.zeros((*faces.shape, 3))}, stiffness.shape, device)
+    # every node is a part with one point: beside the corners of a face that it is on, the fourth node of the part
+    batch, n = stiffness.shape
+    node = np.broadcast_to(first + np.arange(n)[:, None], (batch, n, 1))
+    points, tensors = bound(kernels().Points, {
+        **both, "corners": faces.shape[2], "stiffness": stiffness[:, :, None], "faces": faces,
+        "local": np.concatenate([facet, node, node, node], axis=2), "shape": np.tile(np.eye(6)[3], (batch, n, 1, 1)),
+        "count": np.array(count), "candidates": np.full((batch, n, CANDIDATES), -1),
+        "smooth": np.zeros((*faces.shape, 3)), "onset": 0.0,
+        "coefficient": np.full(faces.shape[1], both["coefficient"])}, (batch, n, 1), device)
     tensors["gap"].fill_(1e30)
-    tensors["face"].fill_(-1)
+    tensors["owner"].fill_(-1)
     around = torch.as_tensor(_around(np.asarray(faces), count), device=device)
-    return Side(tensors, around, first, points)
+    return Side({name: t[:, :, 0] if t.shape[2:3] == (1,) else t for name, t in tensors.items()}, around, first, points)
 
 
 def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:
