@@ -123,7 +123,7 @@ def test_a_method_sees_no_gpu_where_it_is_to_use_none(one_trial, monkeypatch, tm
 
 def test_wrong_limits_are_refused():
     for words, message in (({"sandbox": "docker"}, "--sandbox is 'docker'"), ({"timeout": 0.0}, "--timeout is 0.0"),
-                           ({"memory": math.nan}, "--memory is nan"), ({"workers": 0}, "--workers is 0")):
+                           ({"memory": math.nan}, "--memory is nan")):
         with pytest.raises(MethodError, match=message):
             Isolation(**words)
     assert "VSFSIM_DATASETS" not in limits.environment({"VSFSIM_DATASETS": "x", "HOME": "y"})

@@ -48,7 +48,7 @@ from vsfsim.data.dataset import Dataset
 def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "",
-             out: str | Path | None = None, preset: str = "", processes: int = 1, keep: str = "", check: bool = True,
+             out: str | Path | None = None, preset: str = "", keep: str = "", check: bool = True,
              training: Training = PLAIN, progress: Progress = lambda *_: None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
@@ -60,7 +60,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
         parameters: of the method's constructor, over its defaults and those of ``preset``.
         seeds: draws of the support set, None for the task's own number.
-        workers: trials that run at the same time. processes: trainings that do, each in a process of its own.
+        workers: trainings and trials that run at the same time, each in a process of its own.
         timeout: seconds that one call of the method may take, None for no limit.
         memory: memory that a process of the method may allocate [GiB], None for no limit.
         sandbox: "namespaces", a container, which hides files and network, or "process"; "" for the strongest one that
@@ -87,8 +87,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json" if out is None else Path(out)
         (made,) = evaluate_all(wanted, {path: row}, dataset=dataset, again=True, seeds=seeds, workers=workers,
-                               timeout=timeout, memory=memory, sandbox=sandbox, processes=processes, keep=keep,
-                               check=check, training=training, progress=progress)
+                               timeout=timeout, memory=memory, sandbox=sandbox, keep=keep, check=check,
+                               training=training, progress=progress)
     if made.failure is not None:
         raise made.failure
     assert made.result is not None
@@ -130,9 +130,9 @@ class Made:
 
 def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path | Dataset | None = None,
                  again: bool = False, seeds: int | None = None, workers: int = 1, timeout: float | None = None,
-                 memory: float | None = None, sandbox: str = "", processes: int = 1, keep: str = "",
-                 check: bool = True, training: Training = PLAIN, fan: Fan = HERE,
-                 progress: Progress = lambda *_: None) -> Iterator[Made]:
+                 memory: float | None = None, sandbox: str = "", keep: str = "", check: bool = True,
+                 training: Training = PLAIN, fan: Fan = HERE, progress: Progress = lambda *_: None
+                 ) -> Iterator[Made]:
     """Make results on a task.
 
     An interrupted evaluation goes on where it stopped. A method that fails is reported, and the next one runs.
@@ -141,8 +141,8 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
         task: the task. rows: what to evaluate, by the result file. again: make results that are there again; else one
         is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
         whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, keep, check, training: as of
-        `evaluate`; a row whose predictions are missing is made again. processes: trainings of all rows that run at the
-        same time. fan: where the trainings run. progress: of them, called with (done, of how many, what).
+        `evaluate`, of all rows together; a row whose predictions are missing is made again. fan: where the trainings
+        run. progress: of them, called with (done, of how many, what).
 
     Yields:
         Those that are there already and ceilings, then the others as they are ready; a shard yields only these and
@@ -155,7 +155,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
         if choice.method not in ceilings():
             check_name(choice.method)
     data = open_dataset(task, dataset.path if isinstance(dataset, Dataset) else dataset)
-    isolation, wanted = Isolation(sandbox, timeout, memory, workers), list[Evaluation]()
+    isolation, wanted = Isolation(sandbox, timeout, memory), list[Evaluation]()
     for path, choice in rows.items():
         known = None if again else _kept(path, task, data.sha256, choice, seeds)
         if known is not None and (not keep or beside(path).is_file()):
@@ -166,15 +166,15 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
         elif fan.shard is None:  # a ceiling has no trainings; the call that scores makes it
             try:
                 yield Made(path, evaluate_ceiling(
-                    choice.method, task, data, path, parameters=choice.parameters, keep=keep, processes=processes,
+                    choice.method, task, data, path, parameters=choice.parameters, keep=keep, workers=workers,
                     progress=progress))
             except Interrupted:
                 raise
             except VsfsimError as error:
                 yield Made(path, failure=error)
     # one after the other, unless trainings of several run at the same time
-    for some in ([wanted] if processes > 1 or fan != HERE else [[one] for one in wanted]):
-        yield from make(some, processes, check=check, fan=fan, progress=progress)
+    for some in ([wanted] if workers > 1 or fan != HERE else [[one] for one in wanted]):
+        yield from make(some, workers, check=check, fan=fan, progress=progress)
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
@@ -220,13 +220,13 @@ def own(result: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
-def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan: Fan = HERE,
+def make(rows: Sequence[Evaluation], workers: int, *, check: bool = True, fan: Fan = HERE,
          progress: Progress = lambda *_: None) -> Iterator[Made]:
     """Make results side by side.
 
     Args:
         rows: what to make; their results must have different paths.
-        processes: trainings that run at the same time, each with one thread unless the environment says otherwise.
+        workers: trainings and trials that run at the same time, each in a process of its own.
         check: test each method's contract on mock objects first.
         fan: where the jobs run; a shard makes its share of the trainings and scores nothing.
         progress: called with (trials done, of how many, what is going on).
@@ -251,8 +251,6 @@ def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan:
                     mine = [job for job in row.jobs
                             if fan.shard is None or next(counted) % fan.shard[1] == fan.shard[0]]
                     jobs = [job for job in row.left if job in mine]
-                    if not fan.ray:
-                        row.read(jobs, reader)
                 except VsfsimError as error:
                     yield Made(row.path, failure=error)
                     continue
@@ -263,7 +261,7 @@ def make(rows: Sequence[Evaluation], processes: int, *, check: bool = True, fan:
                 left[row.path] = len(jobs)
                 if not jobs and fan.shard is None:
                     yield _finished(row)
-            made = _by_ray(queue, fan, trials) if fan.ray else _by_threads(queue, processes, reader, trials)
+            made = _by_ray(queue, fan, trials) if fan.ray else _by_threads(queue, workers, reader, trials)
             for number, failure in made:
                 row, _ = queue[number]
                 left[row.path] -= 1
@@ -304,10 +302,10 @@ def _finished(row: Evaluation) -> Made:
         return Made(row.path, failure=error)
 
 
-def _by_threads(queue: Sequence[tuple[Evaluation, Job]], processes: int, reader: Reader, trials: _Count
+def _by_threads(queue: Sequence[tuple[Evaluation, Job]], workers: int, reader: Reader, trials: _Count
                 ) -> Iterator[tuple[int, VsfsimError | None]]:
     """The number of each job in ``queue`` as it ends, with what went wrong."""
-    gpus, failed = _gpus(), set[Path]()
+    gpus, failed, jobs = _gpus(), set[Path](), max(1, min(workers, len(queue)))
 
     def work(number: int) -> VsfsimError | None:
         row, job = queue[number]
@@ -315,13 +313,14 @@ def _by_threads(queue: Sequence[tuple[Evaluation, Job]], processes: int, reader:
             return MethodError("not made")
         one = gpus and row.parameters.get("device") == "cuda"
         try:
-            row.make(job, reader, trials.tell, {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if one else {})
+            row.make(job, reader, workers // jobs, trials.tell,
+                     {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if one else {})
         except VsfsimError as error:
             failed.add(row.path)
             return error
         return None
 
-    with ThreadPoolExecutor(processes) as pool:
+    with ThreadPoolExecutor(jobs) as pool:
         numbers = {pool.submit(work, number): number for number in range(len(queue))}
         try:
             for ready in as_completed(numbers):

@@ -65,8 +65,8 @@ def evaluate(task: TaskName, machines: Machines,
              method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method)] = None,
              every: Annotated[bool, typer.Option("--all")] = False, preset: str = "", dataset: DatasetFolder = None,
              out: Path | None = None, seeds: Several = None, parameters: Parameters = None, workers: AtLeastOne = 1,
-             processes: AtLeastOne = 1, timeout: float | None = None, memory: float | None = None, keep: str = "",
-             sandbox: str = "", json: JsonFile = None) -> None:
+             timeout: float | None = None, memory: float | None = None, keep: str = "", sandbox: str = "",
+             json: JsonFile = None) -> None:
     """Score methods on a task.
 
     Prints a table; every number goes into a JSON file. Finished parts are kept, and the same command goes on after an
@@ -76,13 +76,12 @@ def evaluate(task: TaskName, machines: Machines,
         method: Name of a method (`vsfsim methods`), or module:attribute; may be given again. Ceilings: resim, the true
             object; fem-map, its mesh.
         every: All methods that ship, with all their presets; results that are there already are kept. With --set
-            device=cuda:0 those use the GPU that it makes faster; with device=cuda each training of several --processes
+            device=cuda:0 those use the GPU that it makes faster; with device=cuda each training of several --workers
             uses one of all GPUs.
         preset: Settings of a method that ships: paper, exact or tuned; default those of its constructor.
         out: Result file, or with --all a folder of them; default: results/TASK/METHOD.json.
         seeds: Draws of the support set; default: the task's number. With cross-validation, of one training.
-        workers: Trials that run at the same time.
-        processes: Trainings that run at the same time, each in a process of its own; with --all, of all rows.
+        workers: Trainings and trials that run at the same time, each in a process of its own; with --all, of all rows.
         timeout: Seconds that one call of the method may take; default: no limit.
         memory: Memory that a process of the method may allocate [GiB]; default: what the machine has.
         keep: predictions: also write every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view
@@ -127,8 +126,7 @@ def evaluate(task: TaskName, machines: Machines,
     made, show, tables = [], str(json) != "-", not every and fan == HERE
     with Progress(" ".join(["evaluate", *names])) as progress:
         for one in evaluate_all(wanted, paths, dataset=dataset, again=tables, seeds=seeds, workers=workers,
-                                timeout=timeout, memory=memory, sandbox=sandbox, processes=processes, keep=keep,
-                                fan=fan, progress=progress):
+                                timeout=timeout, memory=memory, sandbox=sandbox, keep=keep, fan=fan, progress=progress):
             if tables and one.failure is not None:
                 raise one.failure
             if show and not tables:

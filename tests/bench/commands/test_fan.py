@@ -33,7 +33,7 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
         assert not list(tmp_path.glob("*.json"))
     parts = list((tmp_path / "row.parts").glob("*/*.answers"))
     assert len(parts) == 3, "the trainings of three folds"
-    (last,) = evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset.path, check=False, processes=2)
+    (last,) = evaluate_all(folded, {tmp_path / "row.json": ROW}, dataset=toy_dataset.path, check=False, workers=2)
     assert last.state == "made" and rows_of(Result.load(last.path)) == rows_of(made)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["row.json"]
 

@@ -53,14 +53,14 @@ def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
 
 
 def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, parameters: Mapping[str, Any],
-                     processes: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None,
+                     workers: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None,
                      keep: str = "") -> Result:
     """The result of a ceiling: the same answers at every number of touches, unless it takes a support.
 
     Args:
         name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. out: result file; finished
         answers are kept beside it until all are made, and taken up again. parameters: over those of its function.
-        processes: answers at the same time. progress: called with (answers made, of how many, object). keep: as of
+        workers: answers at the same time. progress: called with (answers made, of how many, object). keep: as of
         `vsfsim.bench.evaluate.evaluate`.
 
     Raises:
@@ -89,8 +89,8 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
     said: dict[tuple[str, tuple[int, ...]], tuple[int, list[np.ndarray]]] = {}
     with contextlib.ExitStack() as held:
         each: Callable[..., Iterator[Any]] = map
-        if processes > 1:
-            each = held.enter_context(ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"))).map
+        if workers > 1:
+            each = held.enter_context(ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))).map
         work = partial(_answered, part, identity, entry, dataset.recipe, given)
         for which, answer in zip(asked, each(work, list(asked), list(asked.values())), strict=True):
             said[which] = answer

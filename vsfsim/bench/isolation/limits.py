@@ -47,8 +47,6 @@ class Isolation:
     """Seconds that one call of the method may take, None for no limit."""
     memory: float | None = None
     """Memory that each of its processes may allocate [GiB], None for what the machine has."""
-    workers: int = 1
-    """Trials that run at the same time."""
 
     def __post_init__(self) -> None:
         if self.sandbox == "":
@@ -62,8 +60,6 @@ class Isolation:
         for name, value in (("--timeout", self.timeout), ("--memory", self.memory)):
             if value is not None and not 0.0 < value < 1e9:
                 raise MethodError(f"{name} is {value}; it must be greater than 0.")
-        if self.workers < 1:
-            raise MethodError(f"--workers is {self.workers}; it must be at least 1.")
 
 
 def strongest() -> str:

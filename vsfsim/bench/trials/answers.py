@@ -6,6 +6,7 @@ from its file once for all trainings of an evaluation.
 
 from __future__ import annotations
 
+import threading
 import zlib
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -101,6 +102,7 @@ class Reader:
     """
 
     def __init__(self) -> None:
+        self._lock = threading.RLock()
         self._specimens: dict[tuple[Hashable, ...], Specimen] = {}
         self._subjects: dict[tuple[Hashable, ...], Subject] = {}
 
@@ -114,10 +116,11 @@ class Reader:
             TaskError: it does not hold what the task reads.
         """
         key = _readings(task, dataset, name)
-        if key not in self._specimens:
-            view = dataset.blind().load(name)
-            self._specimens[key] = specimen_of(view, record(view, task))
-        return self._specimens[key]
+        with self._lock:
+            if key not in self._specimens:
+                view = dataset.blind().load(name)
+                self._specimens[key] = specimen_of(view, record(view, task))
+            return self._specimens[key]
 
     def subject(self, task: Task, dataset: Dataset, name: str) -> Subject:
         """A test object as a method meets it.
@@ -130,12 +133,13 @@ class Reader:
         """
         readings = _readings(task, dataset, name)
         key = (*readings, task.protocol, task.primary)  # a study asks a task by a protocol of its own
-        if key not in self._subjects:
-            view, places = dataset.shown(name)
-            recording = record(view, task)
-            self._subjects[key] = Subject.of(view, places, recording, task, dataset)
-            self._specimens.setdefault(readings, specimen_of(view, recording))
-        return self._subjects[key]
+        with self._lock:
+            if key not in self._subjects:
+                view, places = dataset.shown(name)
+                recording = record(view, task)
+                self._subjects[key] = Subject.of(view, places, recording, task, dataset)
+                self._specimens.setdefault(readings, specimen_of(view, recording))
+            return self._subjects[key]
 
 
 def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:

@@ -10,7 +10,7 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +25,7 @@ from vsfsim.bench.protocol import Answers, Trial
 from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import ALL, Task
 from vsfsim.bench.trials.answers import Done, Reader, asked_of, load, run_trial, save
-from vsfsim.bench.trials.score import maps_of, result_of
+from vsfsim.bench.trials.score import result_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.system.content import differences, file_sha256
@@ -171,28 +171,16 @@ class Evaluation:
         """The jobs that are not kept."""
         return [job for job in self.jobs if load(self._file(job)) is None]
 
-    def read(self, jobs: Sequence[Job], reader: Reader) -> None:
-        """Read in advance what some jobs need.
-
-        Raises:
-            TaskError: the dataset does not hold what the task reads.
-        """
-        # a smaller share of the training objects is drawn for each training by itself
-        for job in jobs:
-            for name in job.test:
-                reader.subject(self.task, self.dataset, name)
-            for name in job.train if self.training.objects == 1.0 else ():
-                reader.specimen(self.task, self.dataset, name)
-
     # ------------------------------------------------------------------ one job
 
-    def make(self, job: Job, reader: Reader, tell: Callable[[int, str], None] = lambda *_: None,
+    def make(self, job: Job, reader: Reader, workers: int = 1, tell: Callable[[int, str], None] = lambda *_: None,
              environment: Mapping[str, str] | None = None) -> None:
         """Train, run the trials, and keep the answers.
 
         Args:
-            job: the job. reader: what reads the object views, or has read them. tell: called with (trials done since
-            the last call, what is going on). environment: further variables of the method's processes.
+            job: the job. reader: what reads the object views. workers: trials at the same time.
+            tell: called with (trials done since the last call, what is going on). environment: further variables of the
+            method's processes.
 
         Raises:
             MethodError: the method raises, answers with something that cannot be scored, or was changed meanwhile.
@@ -213,7 +201,7 @@ class Evaluation:
                                         asked_of(subjects[name], label, run, self.task.protocol))
             return number
 
-        with ThreadPoolExecutor(self.isolation.workers) as pool:
+        with ThreadPoolExecutor(workers) as pool:
             try:
                 waiting = [pool.submit(one, number) for number in range(len(asked))]
                 for ready in as_completed(waiting):
@@ -248,7 +236,7 @@ class Evaluation:
             MethodError: an answer is missing.
         """
         answers, done = self.answers()
-        said, task, plain = self.said, self.task, not self.training.table()
+        said, task, study = self.said, self.task, self.training.table()
         if self.keep:
             curves.save(answers, task, self.dataset, self.runs, self.path)
         timing = {"meta_fit_s": sum(job.meta_fit_s for job in done), "fits": len(done),
@@ -265,9 +253,9 @@ class Evaluation:
             parameters=dict(said.parameters), timing=timing, notes=tuple(notes), preset=self.preset,
             peak_memory_mib=round(max(job.peak_memory_mib for job in done), 1),
             package={"name": said.package, "version": said.version}, isolation=self.isolation.sandbox,
-            contents={**self.contents, **opened}, data=fingerprint.beside_record(task, self.dataset) if plain else {},
-            study=self.training.table(), versions={**versions_of(self.method), **versions()},
-            maps=maps_of(answers, task, self.dataset) if plain else {})
+            contents={**self.contents, **opened}, study=study,
+            data={} if study else fingerprint.beside_record(task, self.dataset),
+            versions={**versions_of(self.method), **versions()})
         result.save(self.path)
         log_of(self.path).unlink(missing_ok=True)
         if text := "".join(log.read_text(errors="replace") for log in sorted(self.parts.glob("*.log"))):

@@ -28,13 +28,21 @@ from vsfsim.data.provenance import made_by
 
 
 def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: tuple[int, ...], **said: Any) -> Result:
-    """The result of all answers to a task.
+    """The result of all answers to a task; the truth is read here, after the method has answered.
 
     Args:
         answers: of every object, shot and run. task, dataset: of the questions. seeds: numbers of the runs. said:
         further fields of `Result`, at least ``method`` and ``entry``.
     """
-    rows, readings = _every_row(answers, task, dataset)
+    rows: Rows = {answer: [] for answer in Answer}
+    readings, maps = dict[str, list](), dict[str, list]()
+    for name in dict.fromkeys(a.trial.subject for a in answers):
+        _add(name, [a for a in answers if a.trial.subject == name], task, dataset, rows, readings, maps)
+    order = {(a.trial.subject, a.trial.shot, a.trial.seed): index for index, a in enumerate(answers)}
+    for of_answer in rows.values():
+        of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
+    if task.protocol.folds:
+        stored([*rows[Answer.READINGS], *rows[Answer.READING_STD]])
     asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings, task.observation.size)}
     scores = {metric: by_shot for answer in Answer
               for metric, by_shot in scores_of(answer, asked[answer], task.protocol.labels, seeds).items()}
@@ -43,33 +51,17 @@ def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: t
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
         observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
         scores=scores, queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), readings=readings,
-        machine=machine(), made_by=made_by(),
+        machine=machine(), made_by=made_by(), maps={} if fields.get("study") else maps,
         answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
                  if answer is not Answer.READINGS and rows[answer]}, **fields)
 
 
-def _every_row(answers: Sequence[Answers], task: Task, dataset: Dataset) -> tuple[Rows, dict[str, list]]:
-    """The rows of all answers in their order, and `Result.readings`."""
-    rows: Rows = {answer: [] for answer in Answer}
-    readings: dict[str, list] = {}
-    for name in dict.fromkeys(a.trial.subject for a in answers):
-        found, summary = rows_of(name, [a for a in answers if a.trial.subject == name], task, dataset)
-        for answer in Answer:
-            rows[answer] += found[answer]
-        for column, values in summary.items():
-            readings.setdefault(column, []).extend(values)
-    order = {(a.trial.subject, a.trial.shot, a.trial.seed): index for index, a in enumerate(answers)}
-    for of_answer in rows.values():
-        of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
-    if task.protocol.folds:
-        stored([*rows[Answer.READINGS], *rows[Answer.READING_STD]])
-    return rows, readings
+def _add(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset, rows: Rows, readings: dict[str, list],
+         maps: dict[str, list]) -> None:
+    """Add the rows of one test object, the summary of its query readings (`Result.readings`), and its `Result.maps`.
 
-
-def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset) -> tuple[Rows, Mapping[str, list]]:
-    """The rows of one test object, and the summary of its query readings (`Result.readings`).
-
-    The truth is read here, after the method has answered.
+    Of a task with cross-validation, maps are the stiffness that the method gave beside the truth, in the first run at
+    the shot that ranks and for the first view of each object, because all of them would be most of a result file.
 
     Args:
         name: of the object view. answers: of its trials. task, dataset: of the evaluation.
@@ -77,11 +69,12 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
     view = dataset.load(name)
     assert view.truth is not None
     draw, recording, ranked = divide(view, task.protocol), record(view, task), task.metric.answer
-    known = view.truth.probe_stiffness[reached_in(view, view.truth.probe_points)]
+    near = reached_in(view, view.truth.probe_points)
+    places, known = view.truth.probe_points[near], view.truth.probe_stiffness[near]
     usable = known > 0.0  # ratios are scored; a cone that met nothing has none
     inclusions = Inclusions.of(dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None
     columns = Columns.of(view.truth.probe_points, view) if ranked is Answer.MASK else None
-    rows: Rows = {answer: [] for answer in Answer}
+    mapped = (task.ranking_shot, 0) if task.protocol.folds and view.view_index == 0 else None
 
     def keep(answer: Answer, given: Answers, values: Mapping[str, Any]) -> None:
         rows[answer].append({"object": name, "shot": given.trial.shot, "seed": given.trial.seed, **values})
@@ -97,35 +90,29 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
             stiffness = {"mean": given.mean[usable], "truth": known[usable],
                          "std": None if given.std is None else given.std[usable]}
             keep(Answer.STIFFNESS, given, record_scores(Answer.STIFFNESS, [stiffness]))
+        if given.mean is not None and (given.trial.shot, given.trial.seed) == mapped:
+            _extend(maps, _map_of(name, places, known, given.mean, given.std))
         if given.column_mean is not None and columns is not None and inclusions is not None:
             values = {"value": columns.largest(given.column_mean), "stiff": columns.covers(inclusions)}
             keep(Answer.MASK, given, record_scores(Answer.MASK, [values]))
         if given.pose is not None and inclusions is not None and ranked is Answer.POSE:
             poses = {"estimate": given.pose, "truth": inclusions.known_object()[2]}
             keep(Answer.POSE, given, record_scores(Answer.POSE, [poses]))
-    return rows, readings_of([(recording, draw.query)])
+    _extend(readings, readings_of([(recording, draw.query)]))
 
 
-def maps_of(answers: Iterable[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
-    """`Result.maps` of a task with cross-validation: the stiffness that the method gave beside the truth, in the first
-    run at the shot that ranks and for the first view of each object, because all of them would be most of a result
-    file; three digits of each number."""
-    shown = {e.name for e in dataset.entries if e.view_index == 0} if task.protocol.folds else set()
-    out: dict[str, list] = {}
-    for given in answers:
-        if given.mean is None or given.trial.subject not in shown or (given.trial.shot, given.trial.seed) != (
-                task.ranking_shot, 0):
-            continue
-        view = dataset.load(given.trial.subject)
-        assert view.truth is not None
-        near = reached_in(view, view.truth.probe_points)
-        std = np.zeros(len(given.mean)) if given.std is None else given.std
-        steps = np.clip(np.rint(view.truth.probe_points[near] / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
-        numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (
-            view.truth.probe_stiffness[near], given.mean, std)]
-        for column, values in zip(MAP_COLUMNS, [[view.name] * len(steps), *steps.T.tolist(), *numbers], strict=True):
-            out.setdefault(column, []).extend(values)
-    return out
+def _extend(columns: dict[str, list], more: Mapping[str, list]) -> None:
+    for column, values in more.items():
+        columns.setdefault(column, []).extend(values)
+
+
+def _map_of(name: str, places: np.ndarray, truth: np.ndarray, mean: np.ndarray, std: np.ndarray | None
+            ) -> dict[str, list]:
+    """Columns of `Result.maps`, with three digits of each number."""
+    steps = np.clip(np.rint(places / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
+    numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (
+        truth, mean, np.zeros(len(mean)) if std is None else std)]
+    return dict(zip(MAP_COLUMNS, [[name] * len(steps), *steps.T.tolist(), *numbers], strict=True))
 
 
 def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:
