@@ -60,22 +60,21 @@ def leaderboard(task: str) -> str:
 
 def study(name: str, size: str = "mini") -> str:
     """The table of `vsfsim papers study NAME` from the results that ship; a variant without one has no row."""
-    from papers.report import cells, on_other_data, title
+    from papers.report import cells, remarks, title
     from papers.study import load_study
 
     one = load_study(name)
     found = results(name, size)
     head, rows = cells(one, found)
-    note = "".join([f" {one.note}" if one.note else "", *(f" {line[0].upper()}{line[1:]}."
-                                                          for line in on_other_data(found, BOARDS))])
+    note = "".join([f" {one.note}" if one.note else "", *(f" {line[0].upper()}{line[1:]}." for line in remarks(found))])
     return (f"<!-- vsfsim papers study {name} --size {size} -->\n{one.title} ({one.source}): "
             f"{title(one, size, found)}; \\* told apart by two standard errors.{note}\n\n"
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
 
 
 def claims() -> str:
-    """The table of `vsfsim papers claims` from the results that ship, and what experiments say."""
-    from papers.claims import HEAD, HOLDS, RULE, all_verdicts, cells, conclusions, counts, superseded
+    """The table of `vsfsim papers claims` from the results that ship, and what is different here."""
+    from papers.claims import HEAD, HOLDS, RULE, all_verdicts, cells, counts, superseded
 
     found = all_verdicts(boards=BOARDS, made=False)
     numbered = list(enumerate(found, start=1))
@@ -84,12 +83,10 @@ def claims() -> str:
         rows = [[f"**{cell}**" if cell == HOLDS else cell for cell in cells(k, v)]
                 for k, v in numbered if v.task == task]
         tables.append(f"## On `{task}`\n\n" + piped(list(HEAD), rows))
-    lines = [f"- {line}." for line in conclusions(found)]
     notes = [f"- {line}" for line in superseded(found)] + [f"- {k}: {v.claim.note}." for k, v in numbered
                                                            if v.claim.note]
     return (f"<!-- vsfsim papers claims -->\n{counts(found)} {RULE}\n\n" + "\n".join(tables)
-            + "\n## What experiments say of claims that do not hold or cannot be told\n\n" + "\n".join(lines)
-            + "\n\n## What is different here\n\n" + "\n".join(notes) + "\n")
+            + "\n## What is different here\n\n" + "\n".join(notes) + "\n")
 
 
 def audits() -> str:

@@ -2,8 +2,7 @@
 
 Claims stand in the files of the studies: one says that one variant errs less than another, or that two are equal.
 `papers.decide` answers it twice: whether the *direction* is the claimed one, and whether the *size* is at least half of
-the paper's. Where a result is missing, the claim cannot be told and the command that makes it is printed. Experiments
-say why a claim does not hold: each asks the same of other data.
+the paper's. Where a result is missing, the claim cannot be told and the command that makes it is printed.
 """
 
 from __future__ import annotations
@@ -25,46 +24,11 @@ from vsfsim.core.text_table import text_table
 PLAIN = ("sbml-plants", "sbml-shoes", "vsf-inclusion", "vsf-localization")
 """Studies of plain rows of the leaderboards. Their claims come first, and are asked of rows of another preset too."""
 
-DATA = "data"
-"""What an experiment changes that asks a world in which the papers' model is exact: what fails there, too, is the
-method's. Any other experiment that fails rules out what it changes, and no more."""
-
-TRAININGS = 3
-"""Of a method, at least, before its failure on data that fit its model counts as its own."""
-
 ANGLE = 15.0
 """An object whose pose is found within this angle counts as found [degrees]."""
 
 NOT_ASKED = Answers(UNTOLD, "", (1.0, 1.0))
 """Before all claims are answered together."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """The same as a claim asks, asked of other data."""
-
-    key: str
-    """Of the claim."""
-    changes: str
-    """What it changes; `DATA` where it asks data that fit the method's model."""
-    study: str
-    """Name of the study that it is part of."""
-    answer: str
-    """`HOLDS`, `FAILS` or `UNTOLD`."""
-    difference: Difference | None
-    """Better minus worse over objects; None where a result is missing."""
-
-    @property
-    def conclusion(self) -> str:
-        """What it says of a claim that does not hold."""
-        where = f"in study {self.study}"
-        if self.difference is None:
-            return f"{where} nothing is stored"
-        d = f"{self.difference.mean:+.3f} ± {self.difference.error:.3f}, {self.difference.objects} objects"
-        return {HOLDS: f"at fault: {self.changes}; {where} it holds ({d})",
-                FAILS: f"not at fault: {self.changes}; {where} it does not hold either ({d})"
-                       + (", so the method" if self.changes == DATA and self.difference.trainings >= TRAININGS else ""),
-                UNTOLD: f"open: {self.changes}; {where} it cannot be told either ({d})"}[self.answer]
 
 
 @dataclass(frozen=True)
@@ -74,7 +38,7 @@ class Verdict:
     claim: Asked
     """The claim."""
     key: str
-    """By which experiments name it."""
+    """Its study and text."""
     task: str
     """Name of the task that asks it here."""
     ours: str
@@ -83,8 +47,6 @@ class Verdict:
     """Better minus worse over objects; None where a result is missing."""
     command: str
     """Which made the results, with their files, or would make the missing ones."""
-    experiments: tuple[Experiment, ...] = ()
-    """On the same claim."""
     answers: Answers = NOT_ASKED
     """Among all claims (`all_verdicts`)."""
 
@@ -101,7 +63,7 @@ class Verdict:
 
 def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,
                  made: bool = True) -> list[Verdict]:
-    """All claims, those on plain rows first, with the experiments on them; all together are one family.
+    """All claims, those on plain rows first; all together are one family.
 
     Args:
         size: of the tasks; "" for the first of `SIZES`, claim by claim, that has results. preset: of the methods in
@@ -122,34 +84,23 @@ def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Boa
 
 def verdicts(asked: Sequence[Study], size: str, boards: dict[str, Board] | None = None,
              made: bool = True) -> list[Verdict]:
-    """The claims of some studies beside their stored results, with their experiments, not answered yet.
-
-    An experiment changes what a claim is asked of, so that one on tasks of another size counts as well where there is
-    none of this size.
+    """The claims of some studies on tasks of a size beside their stored results, not answered yet.
 
     Args:
         asked: the studies. size: of the tasks. boards, made: as of `papers.results.stored`.
     """
-    claims, experiments = list[Verdict](), list[tuple[Study, Verdict]]()
-    for study in asked:
-        used = {side[0] for one in (*study.claims, *study.experiments) for side in (one.better, one.worse)}
+    claims = []
+    for study in (one for one in asked if size in one.tasks):
+        used = {side[0] for one in study.claims for side in (one.better, one.worse)}
         wanted = [v for v in study.variants if v.name in used]
-        sizes = sorted(study.tasks or [size], key=lambda one: one != size)  # the one that is asked first
-        found = {one: {name: f for name, f in stored(study, one, wanted, boards, made).items() if f.stands}
-                 for one in (sizes if study.experiments else [size])}
-        if size in study.tasks:
-            claims += [_verdict(study, size, one, found[size]) for one in study.claims]
-        for one in study.experiments:
-            several = [_verdict(study, size, one, found[size]) for size in sizes]
-            experiments.append((study, next((v for v in several if v.difference is not None), several[0])))
-    told = [Experiment(v.claim.text, v.claim.note, study.name, answer.direction, v.difference)
-            for (study, v), answer in zip(experiments, answers([v.question for _, v in experiments]), strict=True)]
-    return [dataclasses.replace(v, experiments=tuple(one for one in told if one.key == v.key)) for v in claims]
+        found = {name: one for name, one in stored(study, size, wanted, boards, made).items() if one.stands}
+        claims += [_verdict(study, size, one, found) for one in study.claims]
+    return claims
 
 
 def _verdict(study: Study, size: str, asked: Asked, found: Mapping[str, Found]) -> Verdict:
-    sides, key = (asked.better, asked.worse), asked.key or f"{study.name}/{asked.text}"
-    command, task = f"vsfsim papers study {study.name} --size {size}", study.tasks.get(size, study.name)
+    sides, key, task = (asked.better, asked.worse), f"{study.name}/{asked.text}", study.tasks[size]
+    command = f"vsfsim papers study {study.name} --size {size}"
     if any(name not in found for name, _ in sides):
         return Verdict(asked, key, task, "no result", None, command)
     command += f" ({', '.join(dict.fromkeys(found[name].path.name for name, _ in sides))})"
@@ -204,9 +155,6 @@ def text(verdicts: Sequence[Verdict]) -> str:
     rows = [cells(k, v) for k, v in enumerate(verdicts, start=1)]
     lines = [text_table(list(HEAD), rows), "", counts(verdicts), RULE, *superseded(verdicts)]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
-    why = conclusions(verdicts)
-    if why:
-        lines += ["", "Of claims that do not hold or cannot be told, by experiments:", *(f"  {line}" for line in why)]
     for words, there in (("Made by:", True), ("Missing; these commands make them:", False)):
         by_command = _numbers({k: v.command for k, v in enumerate(verdicts, start=1)
                                if (v.difference is not None) == there})
@@ -238,13 +186,6 @@ def superseded(verdicts: Sequence[Verdict]) -> list[str]:
             for task, numbers in measured.items() if load_task(task).superseded_by]
 
 
-def conclusions(verdicts: Sequence[Verdict]) -> list[str]:
-    """What experiments say of claims that do not hold or cannot be told, each with the claim's number."""
-    return [f"{k}: {e.conclusion}" for k, v in enumerate(verdicts, start=1) for e in v.experiments
-            if v.answers.direction != HOLDS and v.difference is not None and e.difference is not None]
-
-
 def table(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
     """The verdicts for JSON."""
-    return [{**asdict(v), "paper": said(v.claim.figures, v.claim.words),
-             "conclusions": [e.conclusion for e in v.experiments]} for v in verdicts]
+    return [{**asdict(v), "paper": said(v.claim.figures, v.claim.words)} for v in verdicts]

@@ -69,7 +69,7 @@ def study(machines: Machines,
     boards: dict = {}
     found = [(one, size, stored(one, size, boards=boards)) for one in known]
     numbers = [tables.table(*one) for one in found]
-    report("\n\n".join(tables.text(*one, boards) for one in found), numbers[0] if len(numbers) == 1 else numbers, json)
+    report("\n\n".join(tables.text(*one) for one in found), numbers[0] if len(numbers) == 1 else numbers, json)
     if reasons:
         raise TaskError("\n\n".join(f"{'; '.join(which)}: {message}" for message, which in reasons.items()))
 
@@ -79,7 +79,7 @@ def claims(preset: str = "tuned", size: str = "", json: JsonFile = None) -> None
     """Hold the papers' claims against stored results.
 
     Reads the results that ship, those in results/TASK and those of `vsfsim papers study`. Each verdict names the
-    commands behind it; of a claim that does not hold, experiments say what is at fault.
+    commands behind it.
 
     Args:
         preset: Settings of the methods whose results count: paper, exact or tuned.

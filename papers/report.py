@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from papers.results import Found, differences
+from papers.results import Found, on_other_data
 from papers.study import Study
 from vsfsim.bench.board.compare import ByObject, Paired, interval, paired
-from vsfsim.bench.leaderboard import Board, interval_text, unit_of
+from vsfsim.bench.leaderboard import interval_text, unit_of
 from vsfsim.core.text_table import text_table
 
 RANKING = "5"
@@ -86,26 +86,22 @@ def title(study: Study, size: str, found: Mapping[str, Found]) -> str:
             f"from '{study.baseline}'; size {size}")
 
 
-def text(study: Study, size: str, found: Mapping[str, Found], boards: dict[str, Board] | None = None) -> str:
-    """The study for a terminal; ``boards`` as of `papers.results.stored`."""
+def text(study: Study, size: str, found: Mapping[str, Found]) -> str:
+    """The study for a terminal."""
     lines = [f"{study.name}: {study.title} ({study.source})", title(study, size, found), "",
-             text_table(*cells(study, found)), *on_other_data(found, {} if boards is None else boards)]
+             text_table(*cells(study, found)), *remarks(found)]
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
         lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name} --size {size}` makes them"]
     return "\n".join(lines + (["", study.note] if study.note else []))
 
 
-def on_other_data(found: Mapping[str, Found], boards: dict[str, Board]) -> list[str]:
-    """A line for earlier rows, one for the variants that were made on other data than the first one, and one for those
-    that were made on the same data, made again; ``boards`` as of `papers.results.stored`."""
-    odd, first = differences(found, boards) if len(found) > 1 else {}, next(iter(found), "")
-    earlier, other, again = (", ".join(f"'{name}'" for name in names) for names in (
-        [name for name, one in found.items() if not one.stands], [name for name in odd if odd[name]],
-        [name for name in odd if not odd[name]]))
+def remarks(found: Mapping[str, Found]) -> list[str]:
+    """A line for earlier rows, and one for the variants that were made on other data than the first one."""
+    earlier, other = (", ".join(f"'{name}'" for name in names) for names in (
+        [name for name, one in found.items() if not one.stands], on_other_data(found)))
     lines = {f"earlier rows, of a method or a scorer that is gone: {earlier}; no claim rests on them": earlier,
-             f"made on other data than '{first}': {other}; make them again": other,
-             f"on the data of '{first}' made again by a machine that rounds otherwise: {again}": again}
+             f"made on other data than '{next(iter(found), '')}': {other}; make them again": other}
     return [line for line, names in lines.items() if names]
 
 

@@ -18,7 +18,7 @@ from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Protocol, Task, load_task
 from vsfsim.bench.trials.jobs import Evaluation
 from vsfsim.bench.trials.training import models_of
-from vsfsim.core.errors import TaskError, VsfsimError
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import folder, scenes
 from vsfsim.core.system.engines import HERE, Fan
 
@@ -184,29 +184,14 @@ def make_missing(studies: Sequence[Study], size: str, processes: int,
         yield jobs[made.path][0], str(made.failure or "")
 
 
-def differences(found: Mapping[str, Found], boards: dict[str, leaderboard.Board]) -> dict[str, bool]:
-    """Variants of the same query touches as the first one with other readings, by name: whether that is more than the
-    same dataset differs by when it is made again on a machine that rounds otherwise.
-
-    A result of a study keeps no fingerprints of its data. Its data are the task's if a row of the task's leaderboard
-    that was made on them is ranked.
+def on_other_data(found: Mapping[str, Found]) -> list[str]:
+    """Variants of the same query touches as the first one with other readings, by more than the same dataset differs by
+    when it is made again on a machine that rounds otherwise.
 
     Args:
-        found: results by variant. boards: as of `stored`; others are added.
+        found: results by variant.
     """
-    out, first = {}, next(iter(found.values())).result
-    for name, one in found.items():
-        apart = readings_apart(one.result.readings, first.readings)
-        if apart is not None and apart > SAME_READINGS:
-            out[name] = not _ranked_data(one.result.task, boards).issuperset(
-                (one.result.dataset_sha256, first.dataset_sha256))
-    return out
-
-
-def _ranked_data(task: str, boards: dict[str, leaderboard.Board]) -> set[str]:
-    """Datasets of the ranked rows of a task; none of a world, which has no leaderboard."""
-    try:
-        board = board_of(task, boards)
-    except TaskError:
-        return set()
-    return {row.result.dataset_sha256 for row in board.rows if row.rank is not None or row.mark == EARLIER}
+    first = next(iter(found.values()), None)
+    apart = {name: readings_apart(one.result.readings, first.result.readings) for name, one in found.items()
+             } if first is not None else {}
+    return [name for name, difference in apart.items() if difference is not None and difference > SAME_READINGS]

@@ -27,7 +27,7 @@ from vsfsim.core.shelf import folder
 from vsfsim.core.table import Count, Positive, Share, T, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 
-SIZES = ("standard", "superseded", "mini")
+SIZES = ("standard", "mini")
 """Of tasks, in the order in which a claim takes the first that has results."""
 
 
@@ -79,10 +79,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class Asked:
-    """``[[claim]]`` or ``[[experiment]]`` on one, which two variants decide."""
+    """``[[claim]]``, which two variants decide."""
 
     text: str
-    """In our words; of an experiment the key of its claim."""
+    """In our words."""
     better: tuple[str, str]
     """Variant and shot that are claimed to be better."""
     worse: tuple[str, str]
@@ -98,9 +98,7 @@ class Asked:
     equal: bool = False
     """The claim is that they cannot be told apart."""
     note: str = ""
-    """What is different here, or of an experiment what it changes."""
-    key: str = ""
-    """By which experiments name the claim; default: the study's name, a slash and the text."""
+    """What is different here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,8 +139,6 @@ class Study:
     """Models of each class."""
     claims: tuple[Asked, ...] = ()
     """Of the paper."""
-    experiments: tuple[Asked, ...] = ()
-    """On claims that do not hold: each asks the same of other data."""
 
     @property
     def class_of(self) -> dict[str, str]:
@@ -281,20 +277,18 @@ def load_study(name: str) -> Study:
 def parse_study(text: str, path: Path) -> Study:
     """Like `load_study`, from text; ``path`` names it in messages."""
     given, where = parse_toml(text, path, "study", TaskError), str(path)
-    rows = {key: given.pop(key, []) for key in ("variant", "claim", "experiment")}
+    rows = {key: given.pop(key, []) for key in ("variant", "claim")}
     head = typed(given, Study, where)
     one_of(head.metric, METRICS, f"{path}: metric")
     variants = _records(rows["variant"], Variant, head.settings, f"{path} [[variant]]")
-    claims, experiments = (_records(rows[kind], Asked, {"metric": head.metric}, f"{path} [[{kind}]]")
-                           for kind in ("claim", "experiment"))
-    study = dataclasses.replace(head, name=path.stem, variants=variants, claims=claims, experiments=experiments)
+    claims = _records(rows["claim"], Asked, {"metric": head.metric}, f"{path} [[claim]]")
+    study = dataclasses.replace(head, name=path.stem, variants=variants, claims=claims)
     if len({v.name for v in variants}) < max(len(variants), 2):
         raise TaskError(f"{path}: a study compares two or more [[variant]] with different names; it has "
                         f"{', '.join(v.name for v in variants) or 'none'}.")
-    for asked in (*claims, *experiments):
-        for name in asked.figures:
-            figure(name)
-    for name in (study.baseline, *(side[0] for a in (*claims, *experiments) for side in (a.better, a.worse))):
+    for name in (name for asked in claims for name in asked.figures):
+        figure(name)
+    for name in (study.baseline, *(side[0] for asked in claims for side in (asked.better, asked.worse))):
         study.variant(name)
     for v in variants:
         where = f"{path}: variant '{v.name}'"
