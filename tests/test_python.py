@@ -117,13 +117,6 @@ def test_representations_are_one_line_and_escaped_html(dataset):
     assert "<b>" not in html_table("<b>", ["<b>"], [["<b>"]]) and "and 2 more" in html_table("t", ["h"], [["r"]] * 62)
 
 
-def test_plots_are_figures_that_a_notebook_shows(dataset, tmp_path):
-    for thing in (dataset, dataset[0]):
-        figure = thing.plot(tmp_path / "p.png")
-        assert figure._repr_png_()[:4] == (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
-    assert len(dataset.plot(most=2).axes) < len(dataset.plot().axes)
-
-
 def test_a_torch_view_gives_the_readings_and_no_truth(dataset):
     torch = pytest.importorskip("torch")
     touches = dataset.split("test").torch(images=True)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from vsfsim.baselines.imaml import Imaml, ImamlVision
+from vsfsim.baselines.imaml import Imaml
 from vsfsim.baselines.implicit_maml import Batch, Network, adapt, implicit_gradient
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.mock import mock_view
@@ -78,17 +78,6 @@ def test_single_precision_agrees_with_double():
         answers.append(method.predict([reading[4].action])[0])
     assert answers[1].dtype == np.float64 and not np.array_equal(*answers)
     np.testing.assert_allclose(answers[1], answers[0], atol=1e-4 * np.abs(answers[0]).max())
-
-
-def test_the_paper_s_network(tmp_path):
-    method = ImamlVision(epochs=0)
-    task = parse_task(MOCK_TASK, "mock")
-    method.meta_fit([specimen(mock_view(0, split="train"), task)])
-    method.save(tmp_path)
-    with np.load(tmp_path / "imaml-vision.npz") as saved:
-        token = len(saved["token_mean"])
-        shapes = [(token, 64), (64, 7), (14, 32), (32, 128), (128, 64), (64, 32), (32, 16), (16, 1)]
-        assert method._network.shapes == shapes and len(saved["theta"]) == sum(a * b + b for a, b in shapes)
 
 
 def test_it_learns_and_adapts():

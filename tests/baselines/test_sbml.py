@@ -5,9 +5,8 @@ clearly."""
 import numpy as np
 import pytest
 
-from vsfsim.baselines.sbml import Sbml, object_of
+from vsfsim.baselines.sbml import Sbml
 from vsfsim.bench.check import MOCK_TASK
-from vsfsim.bench.method import Specimen
 from vsfsim.bench.metrics import HALF_WIDTH_50
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -103,20 +102,6 @@ def test_several_networks_find_the_level_that_no_picture_shows(train, task, tmp_
     assert other._width == several._width
     with pytest.raises(VsfsimError, match="learned with networks '3', not '1'"):
         Sbml(prior=str(tmp_path)).meta_fit([])
-
-
-@pytest.mark.slow
-def test_views_of_one_object_are_learned_from_or_held_out_together():
-    names = [f"plants-{k:04d}" for k in range(6) for _ in range(4)]
-    for networks, parts in ((1, 1), (3, 3), (9, 6)):
-        held = Sbml(networks=networks)._held_out(names)
-        assert len(held) == parts and all({names[i] for i in part}.isdisjoint({names[i] for i in range(24)
-                                                                              if i not in part}) for part in held)
-        if networks > 1:
-            assert sorted(i for part in held for i in part) == list(range(24))
-    assert object_of(Specimen("plants-v4-0003-v2", None, ())) == "plants-v4-0003"
-    assert Sbml(networks=3)._held_out(["alone"]) == [set()]
-    assert sorted(Sbml(networks=3)._held_out(["alone"] * 2), key=min) == [{0}, {1}], "the other views are all there is"
 
 
 def test_what_a_gpu_learns_is_what_the_host_learns(train, device, task):

@@ -2,9 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -38,10 +35,6 @@ depth = 0.004
 approach = 0.005
 frames = { free = 1, in = 2, hold = 0, out = 1 }
 """ + CAMERA + TWO_OBJECTS
-
-
-def command(*words):
-    return [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *map(str, words)]
 
 
 @pytest.fixture(scope="module")
@@ -124,26 +117,6 @@ def test_a_worker_that_is_killed_is_said_to_be(scene, tmp_path, monkeypatch):
     with pytest.raises(DatasetError, match=r"a worker process ended before .* out of memory. Run the same"):
         generate(scene, tmp_path / "d", workers=2)
     assert not list((tmp_path / "d").glob("*.h5"))
-
-
-@pytest.mark.slow
-def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(made, scene, tmp_path):
-    """One worker writes the first of two views; then the interrupt comes, as a terminal sends it, to all processes."""
-    out = tmp_path / "d"
-    process = subprocess.Popen(command("generate", scene.path, "--out", out, "--workers", 1),
-                               text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                               start_new_session=True,
-                               preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
-    while process.poll() is None and not list(out.glob("*.h5")):
-        time.sleep(0.005)
-    os.killpg(process.pid, signal.SIGINT)
-    said, error = process.communicate(timeout=60.0)
-    assert process.returncode == 130 and "Traceback" not in error, error
-    kept = sorted(path.name for path in out.glob("*.h5"))
-    assert f"interrupted; {len(kept)} finished object views are kept in {out}. Run the same command again" in error
-    assert kept and not said, "whole files, and no summary of a dataset that is not whole"
-    generate(scene, out, workers=1)
-    assert contents(out) == contents(made.path)
 
 
 def test_splits_keep_their_proportions(scene):

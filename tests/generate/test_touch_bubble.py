@@ -221,10 +221,3 @@ def test_what_cannot_be_touched_is_refused_before_anything_is_made(old, new, mor
 def test_mistakes_in_the_scene(old, new, message):
     with pytest.raises(SceneError, match=message):
         parse_scene(SCENE.replace(old, new), "felt.toml")
-
-
-def test_touches_need_an_object():
-    text = (SCENE.split("[object]")[0] + "[sensor]" + SCENE.split("[sensor]")[1]
-            + "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n")
-    with pytest.raises(SceneError, match=r"\[touches\]: the touches of a dataset are made on an \[object\]"):
-        parse_scene(text, "felt.toml")

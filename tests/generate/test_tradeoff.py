@@ -1,25 +1,20 @@
 """`vsfsim tradeoff`: limits of known sequences, the front, its page, and what is refused."""
 
-import json
 import math
 
 import numpy as np
 import pytest
-from small_scenes import BLOCK
 
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.trade import command, front
 from vsfsim.generate.trade.front import Point, distance, sentence, with_front
-from vsfsim.generate.trade.setting import Ground, Setting
+from vsfsim.generate.trade.setting import Ground
 from vsfsim.generate.trade.touches import Curve, Run
 from vsfsim.physics.convergence import curve_limit
 
 EDGE = (0.013, 0.010, 0.0077)
-SETTING = Setting("fem", 0.02)
-
-
 def test_the_limit_of_a_curve_is_that_of_its_law():
     shape = np.array([1.0, 3.0, 6.0])
     found = curve_limit(EDGE, np.stack([shape * (1.0 + 400.0 * h**2) for h in EDGE]), tolerance=1e-6)
@@ -128,14 +123,3 @@ def test_what_cannot_be_measured_is_refused(tmp_path):
         command.tradeoff(load_scene(find_scene("indent")), tmp_path / "a")
     with pytest.raises(VsfsimError, match=r"\[arm\] touches cannot be touched again"):
         command.tradeoff(load_scene(find_scene("plants-mini")), tmp_path / "b")
-
-
-@pytest.mark.slow
-def test_a_small_block(tmp_path):
-    more = "[touches]\ndepth = 0.004\nframes = { free = 1, in = 2, hold = 0, out = 0 }"
-    scene = parse_scene('name = "tiny"' + BLOCK + more, tmp_path / "tiny.toml")
-    found = command.tradeoff(scene, tmp_path / "out", touches=1, tiers_only=("vsf", "fem-coarse"))
-    error = {p.key: p.error for p in found.points}
-    assert error["vsf, 20 mm"] > 3.0 * error["fem-coarse, 15.4 mm"], "layers that cannot move sideways"
-    assert all(p.shows == (p.tier == "fem-coarse") for p in found.points) and any(p.front for p in found.points)
-    assert json.dumps(found.table()) and (tmp_path / "out" / "tradeoff.html").is_file()

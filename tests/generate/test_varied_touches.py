@@ -12,9 +12,6 @@ from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.physics import tiers
-from vsfsim.physics.contact import mount
-from vsfsim.physics.contact.mount import Mount
-from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.touches import Solver
 
 SPRING = 800.0
@@ -81,15 +78,6 @@ def test_the_mount_goes_as_planned(made):
         assert touch.mount_stiffness == SPRING
         gone = (touch.mount_pose - touch.probe_pose())[:, :3, 3] @ touch.axis
         assert gone == pytest.approx(touch.normal_force() / SPRING, abs=1e-12)
-
-
-def test_no_spring_in_balance_is_marked(made, monkeypatch):
-    job, view = made
-    monkeypatch.setattr(mount, "BALANCED", 1e-12)  # which rounding does not reach
-    solver = Solver(prepare(job, device="cpu").model, job.scene().probe, options=tiers.options("linear"), linear=True)
-    touch = view.touches[0]
-    frames = solver.run(touch.mount_pose[:, None], mount=Mount(SPRING, touch.axis[None]))
-    assert (frames.reason == Reason.MOUNT).any() and np.isnan(frames.force[frames.reason == Reason.MOUNT]).all()
 
 
 @pytest.mark.parametrize("old, new, message", [

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from measurements.plant_ceilings import (
-    class_means,
     error,
     measure,
     predicted,
-    with_classes,
 )
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
@@ -37,20 +35,6 @@ def scene(folder, *, plant, yields):
 def plant(tmp_path_factory):
     path = scene(tmp_path_factory.mktemp("plants"), plant="orange-tree", yields="true")
     return grow(load_scene(find_scene(path)).sample(0), 0)
-
-
-def test_classes_have_one_modulus_each_and_their_wires_follow(plant):
-    theta = np.log(1e9) + np.arange(len(plant.region_names))
-    other = with_classes(plant, theta)
-    np.testing.assert_allclose(np.log(other.young_modulus[1:]), theta[plant.region[1:]])
-    assert plant.yielding is not None and other.yielding is not None
-    held = plant.yielding[1:, 0] > 0.0
-    ratio = (other.yielding / np.where(plant.yielding > 0.0, plant.yielding, 1.0))[1:][held, 0]
-    np.testing.assert_allclose(ratio, (other.young_modulus / plant.young_modulus)[1:][held])
-    means = class_means([other, other])
-    for index, name in enumerate(plant.region_names):
-        if (plant.region[1:] == index).any():
-            assert means[name] == pytest.approx(theta[index])
 
 
 def test_the_error_is_over_planned_frames_and_a_model_that_stops_holds_its_last():

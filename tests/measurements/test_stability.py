@@ -12,8 +12,7 @@ import pytest
 from measurements.stability import checks, report
 from measurements.stability.design import INSTEAD, KINDS, Cell, design
 from measurements.stability.evidence import Evidence
-from measurements.stability.judge import SAMPLE, Outcome, Verdict, finished, judge, run
-from vsfsim.core.errors import VsfsimError
+from measurements.stability.judge import Outcome, Verdict, judge
 from vsfsim.core.shape import Sphere
 
 EXPECTED = json.loads((Path(__file__).parent / "stability_expected.json").read_text())
@@ -73,42 +72,9 @@ def test_each_check_sees_its_error(name, changed):
     assert checks.contradictions(dataclasses.replace(wrong, converged=np.zeros(3, bool))) == []
 
 
-def test_a_buried_body_is_seen():
-    """The surface sprang back around a small ball, which now lies 4 mm inside and touches nothing."""
-    e = ball_in_a_box(shapes=(Sphere(0.001),))
-    poses = e.poses.copy()
-    poses[2, 0, 2, 3] = -0.004
-    flat = [(np.where(v[:, 2:] > -0.04, v * [1.0, 1.0, 0.0], v), f) for v, f in e.surface]
-    found = checks.contradictions(dataclasses.replace(e, poses=poses, surface=flat))
-    assert any("rigid body lies" in sentence and "frame 3" in sentence for sentence in found)
-
-
-def test_a_membrane_inside_the_object_is_seen():
-    """It lies 0.5 mm under the surface of the object, which reports 2 um; half a millimetre over it, all is well."""
-    e = ball_in_a_box(poses=None, shapes=())
-    for height, wrong in ((-5e-4, True), (5e-4, False)):
-        membrane = [(v + [0.0, 0.0, height], f[:, ::-1]) for v, f in e.surface]
-        found = checks.contradictions(dataclasses.replace(e, membrane=membrane))
-        assert any("in one another" in sentence for sentence in found) == wrong
-
-
 def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float, ...] = (1.0, 2.0),
             **more) -> Verdict:
     return Verdict(cell, outcome, frames=2, converged=2, push=push, **more)
-
-
-def test_a_campaign_continues_and_refuses_other_circumstances(tmp_path, monkeypatch):
-    cells = design()[:3]
-    file = tmp_path / "cells.jsonl"
-    assert finished(file, {"limit": 1.0, "device": "cpu"}) == []
-    with file.open("a") as out:
-        out.write(json.dumps(verdict(cells[0]).table()) + "\n" + json.dumps(verdict(cells[1]).table())[:40])
-    assert [v.cell.key for v in finished(file, {"limit": 1.0})] == [cells[0].key]
-    assert file.read_text().endswith("\n")  # the line that was cut off is gone
-    with pytest.raises(VsfsimError, match=r"limit 1\.0, and this run has 2\.0"):
-        finished(file, {"limit": 2.0})
-    # with no budget left nothing new begins
-    assert len(run(cells, file, limit=1.0, workers=1, budget=-1.0)) == 1
 
 
 def test_forces_that_do_not_scale_with_the_units_are_wrong():
@@ -117,18 +83,6 @@ def test_forces_that_do_not_scale_with_the_units_are_wrong():
     right = report.scaled([verdict(base), verdict(stiff, push=(1e6, 2e6))])
     wrong = report.scaled([verdict(base), verdict(stiff, push=(1e6, 1.9e6))])
     assert right[1].outcome is Outcome.CONVERGED and wrong[1].outcome is Outcome.WRONG
-
-
-def test_a_press_that_its_mesh_does_not_resolve_is_told_and_not_compared(monkeypatch):
-    """Two tiers 30 % apart contradict one another only where the mesh resolves both."""
-    cell = next(c for c in design() if c.kind == "solid" and int(c.key[:4], 16) % SAMPLE == 1
-                and c.factors["tier"] == "fem-coarse" and float(c.factors["depth"]) >= 0.1)
-    for told, outcome in ((True, Outcome.WRONG), (False, Outcome.UNRESOLVED)):
-        e = ball_in_a_box(resolved=np.array([True, True, told]))
-        given = {None: e, "fem": dataclasses.replace(e, push=1.3 * e.push)}
-        monkeypatch.setattr("measurements.stability.judge.gather", lambda *_, tier=None, of=given, **__: of[tier])
-        found = judge(cell, 1.0)
-        assert (found.outcome, found.resolved) == (outcome, 2 + told), found.words
 
 
 @pytest.mark.parametrize("name", EXPECTED)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsfsim.robot import gen3
-from vsfsim.robot.arm import Arm, ArmError
+from vsfsim.robot.arm import Arm
 
 TABLE = Path(__file__).with_name("kinova_gen3.md")
 EPS = 1e-5  # rad, of the difference quotients
@@ -138,15 +138,3 @@ def test_the_punyo_sits_on_its_mount(angles):
     top = carrying.body_poses(angles)[:, -2]
     across = np.einsum("ti,ti->t", at.tool[:, :3, 3] - top[:, :3, 3], at.tool[:, :3, 2])
     assert across == pytest.approx(np.full(len(angles), carrying.shapes[-2].radius), abs=1e-5)
-
-
-@pytest.mark.parametrize(("call", "said"), [
-    (lambda a: Arm(base=np.diag([1.0, 1.0, -1.0, 1.0])), "base of the arm"),
-    (lambda a: Arm(tool="hand"), "unknown tool 'hand'"),
-    (lambda a: Arm(tool="punyo"), "punyo=True"),
-    (lambda a: a.postures(np.zeros(7)), r"\(frames, 7\)"),
-    (lambda a: a.postures(np.full((2, 7), np.nan)), "frame 0 are not finite"),
-])
-def test_a_mistake_is_named(arm, call, said):
-    with pytest.raises(ArmError, match=said):
-        call(arm)

@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.robot import reach
-from vsfsim.robot.arm import Arm, ArmError
+from vsfsim.robot.arm import Arm
 from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.inverse_kinematics import solve
 from vsfsim.robot.reach import Reason, Unreachable, follow, straight_touch
@@ -105,10 +105,3 @@ def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way):
     with pytest.raises(Unreachable, match="would jump") as error:
         follow(arm, poses, table=None, restarts=3, jump=1e-6)
     assert error.value.reason is Reason.SINGULAR
-
-
-@pytest.mark.parametrize("poses", [np.zeros((0, 4, 4)), np.eye(4), np.full((2, 4, 4), np.nan),
-                                   np.tile(np.diag([1.0, 1.0, -1.0, 1.0]), (2, 1, 1))])
-def test_poses_that_are_none_are_refused(arm, poses):
-    with pytest.raises(ArmError, match="poses"):
-        follow(arm, poses)

@@ -81,17 +81,6 @@ def test_a_pot_gives_way_with_its_rotational_stiffness():
     assert 1.0 / stiff == pytest.approx(h**2 / joint + bend, rel=0.05)
 
 
-def test_a_small_budget_thins_the_leaves_and_keeps_what_they_weigh_together():
-    rich, poor = planted("orange-tree", leaf_segments=900), planted("orange-tree", leaf_segments=90)
-    stiff = []
-    for p in (rich, poor):
-        first = np.flatnonzero((p.region == PETIOLE) & (p.region[p.parent] == BRANCH))
-        bend = sections(p)[1][first, 1] * p.lengths()[first]
-        stiff.append(bend.sum())
-    assert len(poor.nodes) < len(rich.nodes) and stiff[1] == pytest.approx(stiff[0], rel=0.1)
-    assert (poor.region == BRANCH).sum() == (rich.region == BRANCH).sum()
-
-
 def test_thickness_tells_the_stiffness_of_a_plants_round_parts(all_plants):
     for name in ("orange-tree", "weeping-fig", "umbrella-tree"):
         p = all_plants[name]

@@ -16,8 +16,8 @@ from vsfsim.scenes import shoe
 from vsfsim.scenes._materials import CLASSES, GRADED, SOLE_MATERIAL, TEXTURED, draw_appearance
 from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
-# Degrees. 200 draws over the full range of every parameter gave 5.7 at least, the styles' own forms 10.6.
-WORST, USUAL = 5.0, 9.0
+# Degrees. 200 draws over the full range of every parameter gave 5.7 at least.
+WORST = 5.0
 
 
 def make(seed: int = 0, *, resolution: float = 0.016, **parameters: object) -> Solid:
@@ -33,13 +33,6 @@ def test_no_inverted_tets_over_all_parameters() -> None:
         assert tet_volumes(solid.vertices, solid.tets).min() > 0.0, form
         assert smallest_sine(solid.vertices, solid.tets).min() > math.sin(math.radians(WORST)), form
         assert not len(pinched_vertices(solid.tets))
-
-
-@pytest.mark.parametrize("style", STYLES)
-def test_usual_shoes_are_well_shaped(style: str) -> None:
-    for seed in range(2):
-        solid = make(seed, style=style, resolution=0.012)
-        assert smallest_sine(solid.vertices, solid.tets).min() > math.sin(math.radians(USUAL))
 
 
 @pytest.mark.parametrize("style", STYLES)

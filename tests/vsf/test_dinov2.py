@@ -11,7 +11,7 @@ from vsfsim.bench.mock import camera_view, particles
 from vsfsim.core.errors import VsfError
 from vsfsim.data.disk import file_sha256
 from vsfsim.vsf.features import dinov2
-from vsfsim.vsf.features.dinov2 import BASE, SMALL, Architecture, VisionTransformer
+from vsfsim.vsf.features.dinov2 import Architecture, VisionTransformer
 from vsfsim.vsf.features.interface import projection
 from vsfsim.vsf.features.registry import particle_features, view_token
 
@@ -27,16 +27,6 @@ def checkpoint(tmp_path, monkeypatch):
     path = tmp_path / "tiny.pth"
     torch.save(model.state_dict(), path)
     return model.eval(), path
-
-
-def test_names_and_shapes_are_the_published_ones():
-    with torch.device("meta"):
-        small, base = VisionTransformer(SMALL), VisionTransformer(BASE)
-    shapes = {name: tuple(value.shape) for name, value in small.state_dict().items()}
-    assert len(shapes) == 174 and shapes["pos_embed"] == (1, 1370, 384)
-    assert shapes["patch_embed.proj.weight"] == (384, 3, 14, 14)
-    # Published sizes: 22.1 M parameters for ViT-S/14 and 86.6 M for ViT-B/14.
-    assert [round(sum(p.numel() for p in model.parameters()) / 1e6, 1) for model in (small, base)] == [22.1, 86.6]
 
 
 def test_the_tokens_are_timms():

@@ -157,14 +157,6 @@ def test_openvsf_wants_an_arm_and_bad_words_are_told(made, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_half_made_dataset_is_not_exported(made, tmp_path):
-    with DatasetWriter(tmp_path / "d", made.recipe, ["mock-0000-v0"]) as writer:
-        writer.add(mock_view(0, touches=2))
-    with pytest.raises(DatasetError, match="unfinished"):
-        export(tmp_path / "d", "webdataset", tmp_path / "w")
-    assert not (tmp_path / "w").exists()
-
-
 SLOW = """
 import sys, time
 from vsfsim.data.formats import webdataset
