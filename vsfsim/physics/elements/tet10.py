@@ -95,19 +95,18 @@ def softened(block: Block) -> Block:
 
 def rest_stiffness(block: Block) -> np.ndarray:
     """Element stiffness at rest, that of linear elasticity (m, 30, 30) [N/m], rows node by node."""
-    p = block.parameters
-    out = np.zeros((len(block), 10, 3, 10, 3))
-    gradients, weight = shape_gradients(p["gradients"]), p["weights"]
-    for q, dn in enumerate(np.swapaxes(gradients, 0, 1)):
-        product = np.einsum("mai,mbj->maibj", dn, dn)
-        lam, mu = ((weight * p[name])[:, q, None, None, None, None] for name in ("lam", "mu"))
-        out += lam * product + mu * product.transpose(0, 1, 4, 3, 2)
-        dots = np.einsum("maibi->mab", product)
-        for c in range(3):
-            out[:, :, c, :, c] += mu[:, :, 0, :, 0] * dots
+    p, size = block.parameters, (len(block), 10, 3, 10, 3)
+    weight = p["weights"]
+    each = shape_gradients(p["gradients"]).reshape(len(block), 4, 30)
+    lam, mu = (np.matmul(((weight * p[name])[:, :, None] * each).mT, each).reshape(size) for name in ("lam", "mu"))
+    out = lam + mu.transpose(0, 1, 4, 3, 2)
+    dots = np.trace(mu, axis1=2, axis2=4)
+    for c in range(3):
+        out[:, :, c, :, c] += dots
     if p["mean_lam"].any():
-        mean = np.einsum("mq,mqai->mai", weight, gradients)
-        out += np.einsum("m,mai,mbj->maibj", p["mean_lam"] / weight.sum(axis=1), mean, mean)
+        mean = np.einsum("mq,mqk->mk", weight, each)
+        stiff = (p["mean_lam"] / weight.sum(axis=1))[:, None] * mean
+        out += (stiff[:, :, None] * mean[:, None]).reshape(size)
     return out.reshape(len(block), 30, 30)
 
 

@@ -88,14 +88,14 @@ def corner_det_f(mesh: QuadraticMesh, nodes: np.ndarray, u: np.ndarray) -> float
     return float((bent / rest).min())
 
 
-def rotation(mesh: QuadraticMesh, u: np.ndarray) -> float:
-    """Largest rotation of a tetrahedron [rad], for displacements u (n, 3) [m]: that of its mean displacement gradient,
-    from the skew part and the trace. The one tetrahedron in a hundred that turns furthest is left out: those few follow
-    the slope of the dent at the rim of a contact, which the force does not feel."""
-    slope = np.einsum("mqac,mai->mic", shape_gradients(mesh.gradients), u[mesh.tets]) / 4.0
-    skew = slope - np.swapaxes(slope, 1, 2)
-    sine = 0.5 * np.sqrt(0.5 * (skew**2).sum(axis=(1, 2)))
-    return float(np.quantile(np.arctan2(sine, 1.0 + 0.5 * np.trace(slope, axis1=1, axis2=2)), 0.99))
+def rotation(mesh: QuadraticMesh, u: np.ndarray) -> np.ndarray:
+    """Largest rotation of a tetrahedron (B,) [rad], for displacements u (n, 3, B) [m]: that of its mean displacement
+    gradient, from the skew part and the trace. The one tetrahedron in a hundred that turns furthest is left out: those
+    few follow the slope of the dent at the rim of a contact, which the force does not feel."""
+    mean = shape_gradients(mesh.gradients).mean(axis=1)
+    slope = (mean.mT @ u.reshape(len(u), -1)[mesh.tets]).reshape(len(mesh.tets), 3, *u.shape[1:])
+    sine = np.sqrt(0.125 * ((slope - np.swapaxes(slope, 1, 2)) ** 2).sum(axis=(1, 2)))
+    return np.quantile(np.arctan2(sine, 1.0 + 0.5 * np.trace(slope, 0, 1, 2)), 0.99, axis=0)
 
 
 def resolved(error: np.ndarray, corner: np.ndarray, turned: np.ndarray | float, converged: np.ndarray,

@@ -94,8 +94,7 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
         return tuple(np.full((3, batch), np.nan))
     u = balance.u.cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
-    turned = [rotation(model.mesh, u[:, :, b]) for b in range(batch)]
     share = balance.contact.local_share(balance.every).cpu().numpy()
     small = np.where(balance.contact.local_indentation.acts(), ROUND if model.mesh.curvature().any() else SHARE, BARE)
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
-    return mesh_error(radius, force, share, edges, small), np.array(corner), np.array(turned)
+    return mesh_error(radius, force, share, edges, small), np.array(corner), rotation(model.mesh, u)
