@@ -1,4 +1,4 @@
-"""What answers without looking at everything: the probes of `vsfsim audit`. None is a row of a leaderboard.
+"""What answers without looking at everything: the probes of `vsfsim lab audit`. None is a row of a leaderboard.
 
 A task asks for the stiffness of an object from what is seen and felt. It has a shortcut if a method does well that
 

@@ -3,7 +3,7 @@
 Every table comes from the output of a command, which stands above it in the file. `measured/NAME.md` is included by a
 page; the README's table stands between two marks, since GitHub includes nothing. The leaderboards take seconds and a
 test compares them with what ships; the others measure, for minutes, on the machine that they name. What another machine
-measured is in the FILEs that `vsfsim tradeoff`, or `vsfsim measure`, wrote there with --json.
+measured is in the FILEs that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
 """
 
 import dataclasses
@@ -90,7 +90,7 @@ def claims() -> str:
 
 
 def audits() -> str:
-    """What `vsfsim audit` says of each living task that it audits, from the rows and audits that ship."""
+    """What `vsfsim lab audit` says of each living task that it audits, from the rows and audits that ship."""
     from vsfsim.bench.commands.audit import KINDS, audit
     from vsfsim.bench.task import load_task
     from vsfsim.core.shelf import tasks
@@ -112,7 +112,7 @@ def audits() -> str:
                       f"{found.told} of {pairs}" if pairs > 0 else NOT, f"{found.least:.3f}" if pairs > 0 else NOT,
                       *(shortcut.get(kind, NOT) for kind in KINDS), correlations(found.fresh),
                       correlations(found.source)])
-    return "<!-- vsfsim audit TASK, of each task -->\n" + piped(head, table)
+    return "<!-- vsfsim lab audit TASK, of each task -->\n" + piped(head, table)
 
 
 @functools.cache
@@ -191,7 +191,7 @@ def kept(name: str, module: str) -> str:
 
 
 def tradeoff(scene: str, **options: Any) -> str:
-    """The front of `vsfsim tradeoff SCENE` in the folder tradeoff/SCENE, and what each goal costs; what is there
+    """The front of `vsfsim lab tradeoff SCENE` in the folder tradeoff/SCENE, and what each goal costs; what is there
     already is not measured again."""
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
@@ -203,7 +203,7 @@ def tradeoff(scene: str, **options: Any) -> str:
 
 
 def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, Any]) -> str:
-    """The front of a scene, drawn too, and what each goal costs, from the JSON of `vsfsim tradeoff` with options."""
+    """The front of a scene, drawn too, and what each goal costs, from the JSON of `vsfsim lab tradeoff`."""
     from vsfsim.data.disk import write_figure
     from vsfsim.generate.trade import front
     from vsfsim.generate.trade.command import draw
@@ -216,7 +216,7 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
     about = "\n".join(f"- {line[0].upper()}{line[1:]}." for line in (*table["limit"], *said))
     words = scene + "".join(f" --{name} {value}" for name, value in options.items())
     what = f"{table['what'][0].upper()}{table['what'][1:]}, on {table['machine']}"
-    return (f"<!-- vsfsim tradeoff {words} -->\n{what}:\n\n"
+    return (f"<!-- vsfsim lab tradeoff {words} -->\n{what}:\n\n"
             + piped(head, [[cell.replace("*", "\\*").replace("~", "\\~") for cell in row] for row in rows])
             + "\n\\* on the front; \\~ error below that of the limit, not ranked; x the tier does not show the scene's "
               f"needs.\n\n{about}\n")

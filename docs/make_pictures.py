@@ -15,14 +15,14 @@ from PIL import Image
 FOLDER = Path(__file__).parent / "pictures"
 WIDTH = 1000  # px: what a page shows
 PICTURES = {
-    "shoe": [["inspect", "shoes-v3-mini", "--seed", "3", "--out", "OUT"]],
+    "shoe": [["show", "shoes-v3-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
     "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
-    "accuracy": [["tradeoff", "foam-block", "--touches", "2", "--picture", "OUT"]],  # goes on with tradeoff/foam-block
+    "accuracy": [["lab", "tradeoff", "foam-block", "--touches", "2", "--picture", "OUT"]],  # of tradeoff/foam-block
     "contact-sheet": [["generate", "shoes-v3-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
                        "DATASET"],
-                      ["inspect", "DATASET", "--out", "OUT"]],
+                      ["show", "DATASET", "--out", "OUT"]],
 }
 """Words after `vsfsim` by picture; OUT, GIF and DATASET are places in a temporary folder."""
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from vsfsim.cli.console import Progress, report, step
-from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Several, Workers, check_choice, command, seconds_of
+from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Several, Workers, check_choice, command
 from vsfsim.core.errors import TaskError, VsfsimError
 
 app = typer.Typer(rich_markup_mode=None)
@@ -112,7 +112,7 @@ def peers(peer: Names = None, case: Names = None, tier: str = "fem", out: Path =
 
 
 @command(app)
-def stability(out: Path = Path("stability"), budget: str | None = None,
+def stability(out: Path = Path("stability"), budget: float | None = None,
               limit: Annotated[float, typer.Option(min=0.1)] = 10.0, seed: Number = 0, kind: Names = None,
               cell: Names = None, workers: Workers = None, device: Device = "cpu", json: JsonFile = None) -> None:
     """Press at the extremes of every quantity of a scene, and check every frame that is called converged.
@@ -124,7 +124,7 @@ def stability(out: Path = Path("stability"), budget: str | None = None,
 
     Args:
         out: Folder of the results; a run that was interrupted, or ended by its budget, continues there.
-        budget (TIME): Begin no new cell after this time, e.g. 90s, 10m, 2h; default: make all cells.
+        budget (SECONDS): Begin no new cell after this time; default: make all cells.
         limit: Limit of a frame's processor time [s].
         seed: Of the random cells and of the order.
         kind: Only this kind, solid, bubble or rod; may be given again.
@@ -143,13 +143,12 @@ def stability(out: Path = Path("stability"), budget: str | None = None,
         check_choice("--cell", key, [c.key for c in cells])
     if cell:
         cells = [c for c in cells if c.key in cell]
-    seconds = None if budget is None else seconds_of("--budget", budget)
     try:
         out.mkdir(parents=True, exist_ok=True)
         circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
         with Progress("stability") as progress:
             verdicts = judge.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
-                                    budget=seconds, progress=progress, circumstances=circumstances)
+                                    budget=budget, progress=progress, circumstances=circumstances)
     except OSError as error:
         raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
                           f"folder.") from None

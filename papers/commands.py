@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli.cluster import Machines
+from vsfsim.cli import cluster
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import AtLeastOne, JsonFile, check_choice, command
 from vsfsim.core.errors import TaskError
@@ -21,8 +21,7 @@ def _complete(incomplete: str) -> list[str]:
 
 
 @command(app)
-def study(machines: Machines,
-          names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)] = None,
+def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)] = None,
           every: Annotated[bool, typer.Option("--all")] = False, size: str = "mini", workers: AtLeastOne = 1,
           device: str = "", show: bool = False, json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
@@ -43,7 +42,7 @@ def study(machines: Machines,
     from papers.study import SIZES, load_study, studies
 
     check_choice("--size", size, SIZES)
-    fan = machines.fan()
+    fan = cluster.asked()
     known = [load_study(name) for name in (studies() if every else names or [])]
     if not known:
         listed = [load_study(name) for name in studies()]
@@ -53,7 +52,7 @@ def study(machines: Machines,
                  "variants": [v.name for v in one.variants]} for one in listed], json)
         return
     reasons: dict[str, list[str]] = {}
-    if machines.scheduled and not machines.by_shards(10):
+    if cluster.by_shards(10):
         return
     if not show:
         with Progress("study") as progress:
@@ -64,7 +63,7 @@ def study(machines: Machines,
                     print(f"{name}: {'could not be made' if message else 'made'}", flush=True)
     if fan.shard is not None and not reasons:
         report(f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
-               f"without --shard scores them.", {"shard": list(fan.shard)}, json)
+               f"without a --shard scores them.", {"shard": list(fan.shard)}, json)
         return
     boards: dict = {}
     found = [(one, size, stored(one, size, boards=boards)) for one in known]

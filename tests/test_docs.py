@@ -29,7 +29,8 @@ BLOCKS = [(page.name, code) for page in PAGES for code in blocks(page.read_text(
 
 def commands(text):
     """Every `vsfsim ...` of the bash blocks, as words."""
-    lines = "\n".join(blocks(text, "bash")).replace("\\\n", " ").splitlines()
+    lines = "\n".join(blocks(text, "bash")).replace("\\\n", " ")
+    lines = re.sub(r"(vsfsim cluster .*?) (generate|evaluate|papers) ", r"\1 && vsfsim \2 ", lines).splitlines()
     parts = [part.split("#")[0].strip() for line in lines for part in line.split("&&")]
     return [shlex.split(part)[1:] for part in parts if part.startswith("vsfsim ")]
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 
 def test_python_m_is_the_command_and_h_is_help():
     out = subprocess.run([sys.executable, "-m", "vsfsim", "-h"], capture_output=True, text=True)
-    assert out.returncode == 0 and "new-method" in out.stdout and "--install-completion" in out.stdout
+    assert out.returncode == 0 and "evaluate" in out.stdout and "--install-completion" in out.stdout
 
 
 @pytest.mark.parametrize(("typed", "found"), [
@@ -52,8 +52,9 @@ def test_info_says_what_is_there_and_what_to_do(vsfsim, tmp_path, monkeypatch):
 
 def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     """Those that need no dataset; `test_python.py` and `test_press_cli.py` hold the others."""
-    scenes = json.loads(vsfsim("scenes", "--json", "-", cwd=tmp_path).stdout)
-    assert {row["scene"] for row in scenes["scenes"]} == set(shelf.scenes()) and "shoe" in scenes["families"]
+    scenes = json.loads(vsfsim("list", "scenes", "--json", "-", cwd=tmp_path).stdout)
+    assert {row["scene"] for row in scenes} == set(shelf.scenes())
+    assert "lerobot" in vsfsim("list", "formats", cwd=tmp_path).stdout
     board = json.loads(vsfsim("leaderboard", "--task", "fewshot-shoes-v3-mini-v1", "--json", "-", cwd=tmp_path).stdout)
     ranks = [row["rank"] for row in board["rows"] if row["rank"]]
     assert len(ranks) >= 5 and ranks == sorted(ranks) and ranks[0] == 1
@@ -67,7 +68,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
 
     from vsfsim.cli.main import app
 
-    silent = {"new-method", "measure", "papers"}
+    silent = {"lab", "measure", "papers", "cluster"}
     for name, command in get_command(app).commands.items():
         options = {option for parameter in command.params for option in parameter.opts}
         assert "--json" in options or name in silent, name
@@ -81,7 +82,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
      "there is no folder of a dataset 'data/trry'. Did you mean "
      "'data/try'?"), (("check", "mine.py:Mine"), "without .py: mine:Mine"),
     (("check", "mine:Min"), "has no 'Min'. Did you mean 'Mine'?"),
-    (("score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v3-mini-v1", "--dataset",
+    (("lab", "score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v3-mini-v1", "--dataset",
       "data/try"),
      "there is no file of predictions 'predictions.npz'. Did you mean 'prediction.npz'?"),])
 def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, message, monkeypatch):
@@ -91,7 +92,7 @@ def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, mes
     (tmp_path / "data" / "try").mkdir(parents=True)
     monkeypatch.syspath_prepend(str(tmp_path))
     sys.modules.pop("mine", None)
-    if words[0] == "score":
+    if words[0] == "lab":
         monkeypatch.setattr("vsfsim.bench.task.open_dataset", lambda *_: None)
     out = vsfsim(*words, cwd=tmp_path)
     assert out.returncode == 2 and message in out.stderr and "Traceback" not in out.stderr, out.stderr
@@ -101,7 +102,7 @@ def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, mes
 
 
 def test_new_method_makes_a_package_that_passes_check_and_its_own_tests(vsfsim, tmp_path):
-    out = vsfsim("new-method", "my-springs", cwd=tmp_path)
+    out = vsfsim("lab", "new-method", "my-springs", cwd=tmp_path)
     assert out.returncode == 0 and "vsfsim check my_springs:MySprings" in out.stdout, out.stderr
     folder = tmp_path / "my-springs"
     assert {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} == {

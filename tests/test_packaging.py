@@ -176,7 +176,7 @@ def test_the_base_packages_score_predictions_and_print_a_leaderboard(bare, tmp_p
     (tmp_path / "toy-v1.toml").write_text(TASK)
     made = in_bare(bare, "-c", TOY, cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    scored = vsfsim("score", "predictions.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros")
+    scored = vsfsim("lab", "score", "predictions.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros")
     assert scored.returncode == 0 and "all-shot" in scored.stdout, scored.stderr
     board = vsfsim("leaderboard", "--task", "toy-v1.toml")
     assert board.returncode == 0 and "zeros" in board.stdout, board.stderr
@@ -184,7 +184,7 @@ def test_the_base_packages_score_predictions_and_print_a_leaderboard(bare, tmp_p
     assert shipped.returncode == 0 and "imaml-vision" in shipped.stdout, shipped.stderr
     assert vsfsim("verify", "toy").returncode == 0
     for words, extra in ((("press", "indent"), "sim"), (("check", "gaussian"), "methods"),
-                         (("inspect", "toy"), "render")):
+                         (("show", "toy"), "render")):
         out = vsfsim(*words)
         assert out.returncode == 2 and f'pip install ".[{extra}]"' in out.stderr, (words, out.stderr)
         assert "Traceback" not in out.stderr

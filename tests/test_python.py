@@ -17,7 +17,6 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.dataset import Dataset
 
 FILES = {"json", "plot", "picture", "gif", "save", "every"}
-CLUSTER = {"shard", "on", "address", "gpus_per_task", "shards", "printed"}
 SMALL = """
 [object]
 shape = { box = [0.06, 0.04, 0.03] }
@@ -66,20 +65,19 @@ else:
 
 def test_python_takes_every_option_of_the_command():
     """`vsfsim press`, `generate` and `evaluate` have no option that the functions or their request lack. Files of
-    pictures are methods, --all is a loop over `vsfsim.methods()`, and what concerns a cluster is `fan`
-    (`vsfsim.core.system.engines.Fan`)."""
-    from vsfsim.cli import bench, generate, simulate
+    pictures are methods, and --all is a loop over `vsfsim.methods()`."""
+    from vsfsim.cli import bench, simulate
 
-    for command, function in ((simulate.press, vsfsim.press), (generate.generate, vsfsim.generate),
+    for command, function in ((simulate.press, vsfsim.press), (simulate.generate, vsfsim.generate),
                               (bench.evaluate, vsfsim.evaluate)):
-        options = set(inspect.signature(command).parameters) - FILES - CLUSTER
+        options = set(inspect.signature(command).parameters) - FILES
         fields = {field.name for field in dataclasses.fields(Request)} if command is not bench.evaluate else set()
         assert options <= set(inspect.signature(function).parameters) | fields, command.__name__
 
 
 def test_tasks_and_methods_are_those_of_the_commands(vsfsim_command, tmp_path):
     for name, found in (("tasks", vsfsim.tasks()), ("methods", vsfsim.methods())):
-        out = vsfsim_command(name, "--json", "-", cwd=tmp_path)
+        out = vsfsim_command("list", name, "--json", "-", cwd=tmp_path)
         assert json.loads(out.stdout) == found.table()
         assert all(key in repr(found) and key in found._repr_html_() for key in found)
     assert vsfsim.tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots == (0, 1, 5)

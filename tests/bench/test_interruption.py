@@ -104,7 +104,7 @@ def test_the_name_of_a_score_cannot_leave_its_folder(vsfsim, folder, task, toy_d
     answers = {key: np.zeros((len(action.time), 1)) for question in questions(task, toy_dataset)
                for key, action in zip(question.keys, question.actions)}
     np.savez(folder / "p.npz", **answers)
-    out = vsfsim("score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "../../../x\x1b[2J",
+    out = vsfsim("lab", "score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "../../../x\x1b[2J",
                  cwd=folder)
     assert out.returncode == 0, out.stderr
     (path,) = (folder / "results" / "toy-v1").iterdir()

@@ -1,4 +1,4 @@
-"""`vsfsim inspect` of a scene: what each effector draws, and the figures that it prints."""
+"""`vsfsim show` of a scene: what each effector draws, and the figures that it prints."""
 
 import re
 

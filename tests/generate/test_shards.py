@@ -52,18 +52,16 @@ def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp
     content = (out / "tiny-0000-v0.h5").read_bytes()
     assert line["sha256"] == hashlib.sha256(content).hexdigest() and line["bytes"] == len(content)
     assert line["seed"] == 0 and line["made_on"]
-    assert make(planned(scene, out, objects=4, finish=True)).dataset.sha256 == made.sha256
+    assert make(planned(scene, out, objects=4)).dataset.sha256 == made.sha256
     assert contents(out) == contents(made.path) and verify(out).ok
     assert "4 object views" in (out / "README.md").read_text()
 
 
-def test_finish_refuses_what_is_half_made_and_a_file_without_its_line(scene, tmp_path, here):
+def test_a_file_without_its_line_is_made_again(scene, made, tmp_path, here):
     out = tmp_path / "d"
-    make(planned(scene, out, objects=2, fan=Fan((0, 2))))
+    make(planned(scene, out, objects=4, fan=Fan((0, 2))))
     (out / "tiny-0001-v0.h5").write_bytes((out / "tiny-0000-v0.h5").read_bytes())
-    with pytest.raises(DatasetError, match=r"are missing: 'tiny-0001-v0'; .*`vsfsim generate` again"):
-        make(planned(scene, out, objects=2, finish=True))
-    assert generate(scene, out, objects=2).names() == ("tiny-0000-v0", "tiny-0001-v0")
+    assert generate(scene, out, objects=4).sha256 == made.sha256 and contents(out) == contents(made.path)
 
 
 def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, tmp_path):
@@ -79,12 +77,12 @@ def test_an_owner_does_not_begin_beside_a_shard_nor_the_same_shard_twice(scene, 
 def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path, here, monkeypatch):
     make(planned(scene, tmp_path, objects=4, fan=Fan((0, 2))))
     monkeypatch.setattr(workers, "machine_kind", lambda *_: "another CPU")
-    with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--mixed"):
+    with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--allow mixed"):
         make(planned(scene, tmp_path, objects=4, fan=Fan((1, 2))))
-    make(planned(scene, tmp_path, objects=4, mixed=True, fan=Fan((1, 2))))
+    make(planned(scene, tmp_path, objects=4, allow=["mixed"], fan=Fan((1, 2))))
     with pytest.raises(DatasetError, match="machines of 2 kinds"):
-        make(planned(scene, tmp_path, objects=4, finish=True))
-    found = make(planned(scene, tmp_path, objects=4, finish=True, mixed=True)).dataset
+        make(planned(scene, tmp_path, objects=4))
+    found = make(planned(scene, tmp_path, objects=4, allow=["mixed"])).dataset
     assert {e.made_on for e in found.entries} == {made.entries[0].made_on, "another CPU"}
     assert found.sha256 == made.sha256 and verify(tmp_path).ok
 
@@ -100,11 +98,11 @@ def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made
         return real(self, job, **options)
 
     monkeypatch.setattr(type(probe), "make_view", make_view)
-    found = make(planned(scene, tmp_path / "d", objects=4, poison=True))
+    found = make(planned(scene, tmp_path / "d", objects=4, allow=["poison"]))
     assert calls.count("tiny-0001-v0") == 2 and len(found.dataset) == 3 and verify(tmp_path / "d").ok
     assert found.left_out == {"tiny-0001-v0": "RuntimeError: no luck"}
     assert "no luck" in (tmp_path / "d" / "README.md").read_text()
-    again = make(planned(scene, tmp_path / "d", objects=4, poison=True))
+    again = make(planned(scene, tmp_path / "d", objects=4, allow=["poison"]))
     assert again.left_out == found.left_out and len(calls) == 5, "what is finished is left"
 
 
@@ -116,7 +114,7 @@ def test_an_object_store_holds_the_same_dataset(scene, made, here, tmp_path, mon
         make(planned(scene, url, objects=4, fan=Fan((k, 2))))
     with pytest.raises(DatasetError, match="unfinished"):
         Dataset.open(url)
-    found = make(planned(scene, url, objects=4, finish=True)).dataset
+    found = make(planned(scene, url, objects=4)).dataset
     assert found.sha256 == made.sha256 and found.origin == url
     assert found[1].touches[0].force.tobytes() == made[1].touches[0].force.tobytes()
     assert sorted(Store(url).sizes()) == sorted(contents(made.path))
@@ -140,17 +138,17 @@ def test_shards_that_are_none_are_refused(given, env):
 
 
 def test_the_files_for_schedulers_hold_the_command():
-    words = ["vsfsim", "generate", "x", "--out", "a b"]
-    batch = engines.job_file("slurm", words, 4, finish=[*words, "--finish"])
-    assert "--array=0-3" in batch and "srun vsfsim generate x --out 'a b' --shard auto" in batch
+    words = ["generate", "x", "--out", "a b"]
+    batch = engines.job_file("slurm", words, 4)
+    assert "--array=0-3" in batch and "srun vsfsim cluster --shard auto generate x --out 'a b' --workers" in batch
     yaml = pytest.importorskip("yaml")
-    job = yaml.safe_load(engines.job_file("k8s", words, 3, finish=[*words, "--finish"], gpus=1))
+    job = yaml.safe_load(engines.job_file("k8s", words, 3, gpus=1))
     assert job["spec"]["completions"] == 3 and job["spec"]["completionMode"] == "Indexed"
     (container,) = job["spec"]["template"]["spec"]["containers"]
-    assert container["command"][:7] == [*words, "--shard", "auto/3"]
+    assert container["command"][:8] == ["vsfsim", "cluster", "--shard", "auto/3", *words]
     assert container["resources"]["limits"]["nvidia.com/gpu"] == "1"
     assert container["workingDir"] == "/work" and job["spec"]["template"]["spec"]["volumes"]
-    other = yaml.safe_load(engines.job_file("k8s", [*words[:-1], "s3://b/Data_1.x"], 3, finish=words))
+    other = yaml.safe_load(engines.job_file("k8s", [*words[:-1], "s3://b/Data_1.x"], 3))
     assert "volumes" not in other["spec"]["template"]["spec"], "an object store needs none"
     names = [one["metadata"]["name"] for one in (job, other)]
     assert len(set(names)) == 2 and all(re.fullmatch(r"[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?", name) for name in names)
@@ -162,7 +160,7 @@ def test_the_files_for_schedulers_hold_the_command():
     ("k8s", "a\nkind: Pod", "a character that ends a line"), ("slurm", "a\u2028b", "a character that ends a line")])
 def test_words_that_a_job_cannot_have_are_refused(engine, word, message):
     with pytest.raises(VsfsimError, match=message):
-        engines.job_file(engine, ["vsfsim", "generate", word], 3, finish=())
+        engines.job_file(engine, ["generate", word], 3)
 
 
 def test_sigterm_between_a_file_and_its_line(scene, made, tmp_path, here, monkeypatch, vsfsim):

@@ -1,4 +1,4 @@
-"""`vsfsim tradeoff`: limits of known sequences, the front, its page, and what is refused."""
+"""`vsfsim lab tradeoff`: limits of known sequences, the front, its page, and what is refused."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""`vsfsim view`: the page holds what the dataset holds, needs nothing from outside, and bad input is refused."""
+"""The page of `vsfsim show` holds what the dataset holds, needs nothing from outside, and bad input is refused."""
 
 import base64
 import io
@@ -38,7 +38,7 @@ def half_step(table):
 
 def test_the_page_holds_what_the_dataset_holds(folder, vsfsim, tmp_path):
     Image = pytest.importorskip("PIL.Image")
-    out = vsfsim("view", folder, "--html", "page.html", "--json", "numbers.json", cwd=tmp_path)
+    out = vsfsim("show", folder, "--out", "page.html", "--json", "numbers.json", cwd=tmp_path)
     assert out.returncode == 0 and "2 object views" in out.stdout, out.stderr
     content = (tmp_path / "page.html").read_bytes()
     assert json.loads((tmp_path / "numbers.json").read_text())["bytes"] == len(content)
@@ -77,7 +77,7 @@ def test_the_object_of_a_scene(vsfsim, tmp_path):
         'name = "block"\n[object]\nshape = { box = [0.06, 0.04, 0.02] }\npoisson_ratio = 0.3\n'
         'young_modulus = { base = 1e5, inclusions = [ { sphere = [0.0, 0.0, 0.01, 0.006], value = 1e7 } ] }\n'
         '[probe]\nshape = { sphere = 0.01 }\n')
-    out = vsfsim("view", "block.toml", cwd=tmp_path)
+    out = vsfsim("show", "block.toml", "--out", "block.html", cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     (shown,) = data_of((tmp_path / "block.html").read_bytes())["objects"]
     where, modulus = values(shown["points"]), 10 ** values(shown["log_modulus"])[:, 0]
@@ -88,22 +88,22 @@ def test_the_object_of_a_scene(vsfsim, tmp_path):
 
 
 @pytest.mark.parametrize(("words", "found"), [
-    (("view", "data/none"), "there is no folder"),
-    (("view", "empty"), "dataset.json"),
-    (("view", "nonsense"), "nonsense"),
-    (("view", "bad.toml"), "objekt"),
-    (("view", "toy", "--html", "there.html"), "there.html exists already"),
-    (("view", "toy", "--html", "nowhere/x.html"), "there is no folder 'nowhere'"),
+    (("data/none",), "there is no folder"),
+    (("empty", "--out", "x.html"), "dataset.json"),
+    (("nonsense", "--out", "x.html"), "nonsense"),
+    (("bad.toml", "--out", "x.html"), "objekt"),
+    (("result.json", "--out", "x.png"), "a result is drawn on a page"),
+    (("toy", "--out", "x.htm"), "it must end in"),
+    (("toy", "--out", "nowhere/x.html"), "there is no folder 'nowhere'"),
 ])
 def test_bad_input_is_refused_and_nothing_is_written(words, found, folder, vsfsim, tmp_path):
     shutil.copytree(folder, tmp_path / "toy")
     (tmp_path / "empty").mkdir()
-    (tmp_path / "there.html").write_text("mine")
     (tmp_path / "bad.toml").write_text("[objekt]\n")
     before = sorted(tmp_path.rglob("*"))
-    out = vsfsim(*words, cwd=tmp_path)
+    out = vsfsim("show", *words, cwd=tmp_path)
     assert out.returncode == 2 and found in out.stderr and "Traceback" not in out.stderr
-    assert sorted(tmp_path.rglob("*")) == before and (tmp_path / "there.html").read_text() == "mine"
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def drawn(Image, page, where):
@@ -120,7 +120,7 @@ def drawn(Image, page, where):
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
 def test_a_browser_draws_the_object_and_the_cut_takes_part_of_it_away(folder, vsfsim, tmp_path):
     Image = pytest.importorskip("PIL.Image")
-    assert vsfsim("view", folder, "--html", "page.html", cwd=tmp_path).returncode == 0
+    assert vsfsim("show", folder, "--out", "page.html", cwd=tmp_path).returncode == 0
 
     def coloured(cut):
         image = drawn(Image, tmp_path / "page.html", f"axis=z&cut={cut}")[120:, 110:500]
@@ -216,11 +216,6 @@ def test_a_result_without_its_dataset_shows_maps_and_one_without_either_says_wha
 
 def test_a_recording_holds_what_the_page_holds(folder, tmp_path):
     pytest.importorskip("rerun")
-    from vsfsim.core.errors import DatasetError
-
-    view(str(folder), tmp_path / "page.html", rerun=tmp_path / "toy.rrd")
+    view(str(folder), tmp_path / "toy.rrd")
     assert (tmp_path / "toy.rrd").read_bytes()[:4] == b"RRF2" and (tmp_path / "toy.rrd").stat().st_size > 10_000
     assert not list(tmp_path.glob(".*"))
-    with pytest.raises(DatasetError, match="exists already"):
-        view(str(folder), tmp_path / "other.html", rerun=tmp_path / "toy.rrd")
-    assert not (tmp_path / "other.html").exists()

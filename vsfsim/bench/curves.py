@@ -1,5 +1,5 @@
 """Predictions of query touches beside the truth, in one small .npz: what `vsfsim evaluate --keep predictions` writes
-beside a result, and `vsfsim view RESULT` draws."""
+beside a result, and `vsfsim show RESULT --out page.html` draws."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished trainings are kept beside it until
         all are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper", "exact" or "tuned", settings of a method that ships; "" for none.
-        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view`
+        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim show`
         draws; "" writes none.
         check: test the method's contract on mock objects first.
         training: what the method learns from, where a study departs from the task: such a result is never ranked.

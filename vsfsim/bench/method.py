@@ -175,8 +175,8 @@ def check_name(name: str) -> None:
         MethodError: with the nearest installed name.
     """
     if ":" not in name and name not in methods():
-        raise MethodError(f"unknown method '{plain(name)}'. {did_you_mean(name, methods())} `vsfsim methods` lists "
-                          f"them; module:attribute works too.")
+        raise MethodError(f"unknown method '{plain(name)}'. {did_you_mean(name, methods())} `vsfsim list methods` "
+                          f"lists them; module:attribute works too.")
 
 
 def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:

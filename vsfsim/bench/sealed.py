@@ -197,7 +197,7 @@ def _read(path: Path, kind: type[T]) -> T:
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except (OSError, msgspec.MsgspecError) as error:
-        raise TaskError(f"{path} is no part of a sealed set as `vsfsim seal` writes it: {plain(error)}.") from error
+        raise TaskError(f"{path} is no part of a sealed set as `lab seal` writes it: {plain(error)}.") from error
 
 
 def _write(path: Path, table: Any) -> None:

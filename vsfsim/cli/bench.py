@@ -1,5 +1,4 @@
-"""Commands of the benchmark: methods, tasks, evaluate, score, leaderboard, check, new-method; and of those who keep or
-enter a leaderboard: submit, audit, seal."""
+"""Commands of the benchmark: evaluate, leaderboard, check, submit; of `vsfsim lab` score, new-method, audit, seal."""
 
 from __future__ import annotations
 
@@ -9,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vsfsim.cli.cluster import ENGINES, Machines
+from vsfsim.cli import cluster
 from vsfsim.cli.console import Progress, report, write_json
+from vsfsim.cli.lab import lab
 from vsfsim.cli.options import (
     AtLeastOne,
     DatasetFolder,
@@ -26,7 +26,7 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
-from vsfsim.core.errors import MethodError, VsfsimError
+from vsfsim.core.errors import MethodError
 from vsfsim.core.system.engines import HERE
 
 if TYPE_CHECKING:
@@ -40,28 +40,7 @@ Results = Annotated[list[Path] | None, typer.Argument(metavar="RESULT")]
 
 
 @command(app)
-def methods(json: JsonFile = None) -> None:
-    """List the installed methods."""
-    from vsfsim.bench.commands.catalogue import methods as catalogue
-
-    found = catalogue()
-    report("\n".join(f"{name:<20}{place}" for name, place in found.items()), found.table(), json)
-
-
-@command(app)
-def tasks(json: JsonFile = None) -> None:
-    """List the tasks."""
-    from vsfsim.bench.commands.catalogue import tasks as catalogue
-
-    found = catalogue()
-    width = 2 + max(map(len, found))
-    lines = [f"{name:<{width}}{one.description}" + (f" Superseded by {one.superseded_by}." if one.superseded_by else "")
-             for name, one in found.items()]
-    report("\n".join(lines), found.table(), json)
-
-
-@command(app)
-def evaluate(task: TaskName, machines: Machines,
+def evaluate(task: TaskName,
              method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method)] = None,
              every: Annotated[bool, typer.Option("--all")] = False, preset: str = "", dataset: DatasetFolder = None,
              out: Path | None = None, seeds: Several = None, parameters: Parameters = None, workers: AtLeastOne = 1,
@@ -73,8 +52,8 @@ def evaluate(task: TaskName, machines: Machines,
     interruption.
 
     Args:
-        method: Name of a method (`vsfsim methods`), or module:attribute; may be given again. Ceilings: resim, the true
-            object; fem-map, its mesh.
+        method: Name of a method (`vsfsim list methods`), or module:attribute; may be given again. Ceilings: resim, the
+            true object; fem-map, its mesh.
         every: All methods that ship, with all their presets; results that are there already are kept. With --set
             device=cuda:0 those use the GPU that it makes faster; with device=cuda each training of several --workers
             uses one of all GPUs.
@@ -84,8 +63,8 @@ def evaluate(task: TaskName, machines: Machines,
         workers: Trainings and trials that run at the same time, each in a process of its own; with --all, of all rows.
         timeout: Seconds that one call of the method may take; default: no limit.
         memory: Memory that a process of the method may allocate [GiB]; default: what the machine has.
-        keep: predictions: also write every prediction beside the truth, RESULT.predictions.npz, which `vsfsim view
-            RESULT` draws.
+        keep: predictions: also write every prediction beside the truth, RESULT.predictions.npz, which `vsfsim show
+            RESULT --out page.html` draws.
         sandbox: namespaces: in a container, which hides your files and the network; process: in a process of its own;
             default: $VSFSIM_SANDBOX, or the strongest that works here.
     """
@@ -102,13 +81,8 @@ def evaluate(task: TaskName, machines: Machines,
                           "leave them away (--out FOLDER and --set device=cuda:0 go with --all).")
     if every and preset and preset not in catalogue.PRESETS:
         raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(catalogue.PRESETS)}.")
-    on = machines.on
-    if on and (on == "development" or on.startswith("seed-")):
-        raise VsfsimError(f"--on is '{on}'; it names an engine of {', '.join(ENGINES)}. For other objects give --task "
-                          f"{task}-{on}.")
-    wanted = load_task(task)
-    fan = machines.fan()
-    if machines.scheduled and not machines.by_shards(10):
+    wanted, fan = load_task(task), cluster.asked()
+    if cluster.by_shards(10):
         return
     reads, answer = wanted.observation.name, wanted.metric.answer.value
     if every:
@@ -148,7 +122,7 @@ def evaluate(task: TaskName, machines: Machines,
     if show:
         print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them" if fan.shard is None else
               f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
-              f"without --shard scores them.")
+              f"without a --shard scores them.")
 
 
 def _scored(result: Result, path: Path, task: Task, keep: str) -> str:
@@ -163,11 +137,11 @@ def _scored(result: Result, path: Path, task: Task, keep: str) -> str:
              f"{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; {len(result.seeds)} seeds; peak "
              f"memory {result.peak_memory_mib:.0f} MiB", *(f"note: {note}" for note in result.notes)]
     lines += [f"what the method printed is in {log}"] if log.exists() else []
-    lines += [f"written to {path}"] + ([f"\nvsfsim view {path}   # draws them"] if keep else [])
+    lines += [f"written to {path}"] + ([f"\nvsfsim show {path} --out page.html   # draws them"] if keep else [])
     return "\n".join(lines)
 
 
-@command(app)
+@command(lab)
 def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()], dataset: DatasetFolder = None,
           sealed: Path | None = None, out: Path | None = None, json: JsonFile = None) -> None:
     """Score a file of predictions made elsewhere.
@@ -187,12 +161,12 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
       np.savez("predictions.npz", **answers)
 
     \b
-      vsfsim score predictions.npz --task fewshot-shoes-v3-mini-v1 --name mine
+      vsfsim lab score predictions.npz --task fewshot-shoes-v3-mini-v1 --name mine
 
     Args:
         predictions (FILE): An .npz with one array (T, d) a query; its keys are OBJECT/SHOT/SEED/TOUCH.
         name: Name of the method in the result.
-        sealed (FILE): Private part of a sealed set; --dataset is its dataset (`vsfsim seal`).
+        sealed (FILE): Private part of a sealed set; --dataset is its dataset (`vsfsim lab seal`).
         out: Result file; default: results/TASK/NAME.json.
     """
     from vsfsim.bench.board.shipped import row_sha256
@@ -272,7 +246,7 @@ def check(method: MethodName, parameters: Parameters = None, json: JsonFile = No
     raise typer.Exit(2 if any(f.outcome == "failed" for f in findings) else 0)
 
 
-@command(app, "new-method")
+@command(lab, "new-method")
 def new_method(name: str, out: Path | None = None) -> None:
     """Begin a method of your own: a package with its entry point and its test.
 
@@ -304,7 +278,7 @@ def submit(result: Path, out: Path = Path("submission"), task: KnownTask = None,
     report(*run(result, out, task=None if task is None else load_task(task)), json)
 
 
-@command(app)
+@command(lab)
 def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], results: Results = None,
           dataset: DatasetFolder = None, fresh: Folders = None, source: Folders = None, ship: Path | None = None,
           json: JsonFile = None) -> None:
@@ -314,7 +288,7 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
     the least difference that can be told, and whether the ranks hold on fresh objects and with other training data.
 
     Args:
-        task: Name of a task (`vsfsim tasks`), or the path of its .toml file.
+        task: Name of a task (`vsfsim list tasks`), or the path of its .toml file.
         results: More result files, or folders; default: results/TASK.
         fresh: Folder of results of the same methods on objects of another seed; may be given again.
         source: Folder of results of the same methods trained on another scene; may be given again.
@@ -333,7 +307,7 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
     report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), asdict(found), json)
 
 
-@command(app)
+@command(lab)
 def seal(dataset: Path, task: TaskName, public: Annotated[Path, typer.Option(metavar="DIR")],
          private: Annotated[Path, typer.Option(metavar="FILE")], json: JsonFile = None) -> None:
     """Divide a dataset into a public and a private part, with a commitment.
@@ -352,7 +326,7 @@ def seal(dataset: Path, task: TaskName, public: Annotated[Path, typer.Option(met
       np.savez("predictions.npz", **answers)
 
     \b
-      vsfsim score predictions.npz --task my-task-v1.toml --dataset DATASET --sealed private.json --name mine
+      vsfsim lab score predictions.npz --task my-task-v1.toml --dataset DATASET --sealed private.json --name mine
 
     Args:
         dataset: Folder of the dataset to seal.

@@ -1,9 +1,8 @@
-"""The machines that make the parts of a command: this one, a shard beside others, or a cluster."""
+"""`vsfsim cluster COMMAND`: the machines that make the parts of a command: a shard beside others, or a cluster."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -14,13 +13,13 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.engines import Fan, shard_of
 
 ENGINES = ("ray", "slurm", "k8s")
-_ENGINE_WORDS = ("--on", "--address", "--gpus-per-task", "--shards", "--json")
-"""Options with a value that the command of one shard does not repeat; nor does it --print."""
+DIVIDED = ("generate", "evaluate", "papers")
+"""Commands whose work has parts."""
 
 
 @dataclass(frozen=True)
 class Machines:
-    """Options of the commands whose parts a cluster may make."""
+    """What makes the parts; by default this machine."""
 
     on: str | None = None
     """Engine of a cluster: ray, slurm or k8s."""
@@ -53,42 +52,34 @@ class Machines:
                                   f"the shards there.")
         return Fan(part, self.address if self.on == "ray" else "", self.gpus_per_task)
 
-    @property
-    def scheduled(self) -> bool:
-        """Whether a scheduler makes the parts."""
-        return self.on in ("slurm", "k8s")
 
-    def by_shards(self, usual: int, finish: Sequence[str] = ()) -> bool:
-        """Print the file of a scheduler, or make all shards of this command by Slurm.
-
-        Args:
-            usual: how many shards if nobody says. finish: words that the command which ends the work has besides.
-
-        Returns:
-            Whether the shards were made.
-
-        Raises:
-            VsfsimError: shards failed, or there is no Slurm.
-        """
-        from vsfsim.core.system import engines
-
-        words, shards, gpus = shard_words(sys.argv[1:]), self.shards or usual, int(self.gpus_per_task)
-        if self.printed:
-            print(engines.job_file(str(self.on), words, shards, finish=[*words, *finish], gpus=gpus), end="")
-        else:
-            engines.submit(words, shards, gpus=gpus)
-        return not self.printed
+ASKED: ContextVar[tuple[Machines, list[str]]] = ContextVar("asked", default=(Machines(), []))
+"""The options of `vsfsim cluster`, and the command after them."""
 
 
-def shard_words(given: Sequence[str]) -> list[str]:
-    """The command of one shard, from the words of the command that asks for an engine."""
-    out, words = ["vsfsim"], list(given)
-    while words:
-        word = words.pop(0)
-        name, equals, _ = word.partition("=")
-        if name in _ENGINE_WORDS:
-            if not equals:
-                words.pop(0)
-        elif word != "--print":
-            out.append(word)
-    return out
+def asked() -> Fan:
+    """Where `vsfsim cluster` wants the parts of the command that runs."""
+    return ASKED.get()[0].fan()
+
+
+def by_shards(usual: int) -> bool:
+    """If a scheduler makes the parts of the command that runs, print its file, or make all shards by Slurm.
+
+    Args:
+        usual: how many shards if nobody says.
+
+    Returns:
+        Whether the file was printed, and nothing is to be made here.
+
+    Raises:
+        VsfsimError: shards failed, or there is no Slurm.
+    """
+    from vsfsim.core.system import engines
+
+    machines, words = ASKED.get()
+    shards, gpus = machines.shards or usual, int(machines.gpus_per_task)
+    if machines.printed:
+        print(engines.job_file(str(machines.on), words, shards, gpus=gpus), end="")
+    elif machines.on == "slurm":
+        engines.submit(words, shards, gpus=gpus)
+    return machines.printed

@@ -1,16 +1,101 @@
-"""Commands on datasets: verify, export, import."""
+"""Commands on what is there: show, list, verify; and `vsfsim lab export` and `import`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import AtLeastOne, JsonFile, command
+from vsfsim.cli.lab import lab
+from vsfsim.cli.options import PAGES, AtLeastOne, Device, JsonFile, Seed, Shown, check_choice, command
+from vsfsim.core.errors import TaskError
+
+if TYPE_CHECKING:
+    from vsfsim.bench.commands.catalogue import Catalogue
 
 app = typer.Typer()
+
+
+@command(app)
+def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "", seed: Seed = 0, device: Device = "cpu",
+         json: JsonFile = None) -> None:
+    """Show a dataset, a scene's object, or where a method errs: in words, as a picture, or as a page.
+
+    A dataset: its summary and a contact sheet. A scene: a turntable of its object, coloured by Young's modulus. A
+    result of `vsfsim evaluate`: errors by object and by touch, the worst first.
+
+    A page (--out NAME.html) is one file for a browser that needs no network: the object, to be turned and cut; touches,
+    forces and pressures frame by frame; the RGB-D picture. Of a result it has the true and the estimated stiffness side
+    by side, and after `evaluate --keep predictions` the predicted readings over the true ones.
+
+    Args:
+        what (DATASET|SCENE|RESULT): Folder of a dataset, a scene, or a result file (.json).
+        out: File to write: a picture (.png), a page (.html), or a recording for the Rerun viewer (.rrd), which needs
+            the extra 'rerun'; default: NAME.png here, and for a result no file.
+        objects: Object views of a dataset or result on a page, at most.
+        shot: Number of touches at which a result's errors are sorted; default: the one that ranks.
+        seed: Of a scene's object.
+    """
+    result = Path(what).suffix == ".json"
+    if result and out is None:
+        from vsfsim.bench.commands.inspect_result import inspect_result
+
+        report(*inspect_result(Path(what), shot=shot), json)
+        return
+    with Progress("show") as progress:
+        if out is not None and out.suffix in PAGES:
+            from vsfsim.view.command import view
+
+            lines, numbers = view(what, out, objects=objects, seed=seed, progress=progress)
+        elif result:
+            raise TaskError(f"--out is '{out}', but a result is drawn on a page. Give --out NAME.html.")
+        else:
+            from vsfsim.generate.inspect import inspect
+
+            lines, numbers = inspect(what, out, seed=seed, device=device, progress=progress)
+    report("\n".join(lines), numbers, json)
+
+
+KINDS = ("scenes", "families", "tasks", "methods", "formats")
+
+
+@command(app, "list")
+def list_(what: Annotated[str, typer.Argument(autocompletion=lambda: list(KINDS))], json: JsonFile = None) -> None:
+    """List scenes, families of objects, tasks, methods, or formats.
+
+    Args:
+        what (KIND): scenes, families, tasks, methods or formats.
+    """
+    check_choice("KIND", what, KINDS)
+    found = _catalogue(what)
+    report(str(found), found.table(), json)
+
+
+def _catalogue(what: str) -> Catalogue[Any]:
+    from vsfsim.bench.commands import catalogue
+    from vsfsim.core import shelf
+
+    if what in ("tasks", "methods"):
+        return catalogue.tasks() if what == "tasks" else catalogue.methods()
+    rows: list[tuple[str, ...]]
+    if what == "scenes":
+        from vsfsim.core.scene import load_scene
+
+        trees = {name: load_scene(path).tree for name, path in shelf.scenes().items()}
+        rows = [(name, "dataset" if "touches" in tree else "press", tree.get("description", ""))
+                for name, tree in trees.items()]
+    elif what == "families":
+        rows = [(name, "family of objects", " ".join((shelf.family(name, "").__doc__ or "").split("\n\n")[0].split()))
+                for name in shelf.families()]
+    else:
+        from vsfsim.data.formats.export import FORMATS
+
+        rows = [*((name, "export", f"vsfsim lab export DATASET --to {name}") for name in FORMATS),
+                ("openvsf", "import", "vsfsim lab import FOLDER --from openvsf")]
+    head = ("family" if what == "families" else what[:-1], "kind", "description")
+    return catalogue.Catalogue(what, {row[0]: row for row in rows}, head, rows)
 
 
 @command(app)
@@ -38,7 +123,7 @@ def verify(folder: Path, against: Path | None = None, json: JsonFile = None) -> 
     raise typer.Exit(0 if found.ok else 2)
 
 
-@command(app)
+@command(lab)
 def export(folder: str, to: Annotated[str, typer.Option()], out: Path | None = None, json: JsonFile = None) -> None:
     """Write a dataset in a format that others load, with its truth beside it.
 
@@ -59,7 +144,7 @@ def export(folder: str, to: Annotated[str, typer.Option()], out: Path | None = N
            {"out": str(made), "format": to, "files": len(files), "bytes": size}, json)
 
 
-@command(app, "import")
+@command(lab, "import")
 def import_(folder: Path, origin: Annotated[str, typer.Option("--from")], out: Path | None = None,
             assets: Path | None = None, bubble: Path | None = None, pressure_unit: str = "hPa",
             tare: Annotated[int | None, typer.Option(min=0)] = None, every: AtLeastOne = 1,

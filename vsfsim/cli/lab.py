@@ -1,5 +1,5 @@
-"""Groups of commands; two that only a checkout has, each in the folder of its name: `vsfsim measure` in
-`measurements/`, `vsfsim papers` in `papers/`."""
+"""Groups of commands: `vsfsim lab`, and two that only a checkout has, each in the folder of its name: `vsfsim measure`
+in `measurements/`, `vsfsim papers` in `papers/`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,15 @@ from typer.core import TyperGroup
 
 from vsfsim.core.shelf import checkout
 
-OLD_NAMES = {"bench": "measure", "stability": "measure stability", "study": "papers study", "claims": "papers claims"}
-"""Spellings up to version 0.1; they work, with a note, until the release after this one."""
+OLD_NAMES = {"bench": "measure", "stability": "measure stability", "study": "papers study", "claims": "papers claims",
+             "scenes": "list scenes", "tasks": "list tasks", "methods": "list methods", "inspect": "show",
+             "view": "show --out page.html", **{name: f"lab {name}" for name in (
+                 "tradeoff", "export", "import", "score", "new-method", "audit", "seal")}}
+"""Commands up to version 0.1; they work, with a note, until the release after this one."""
+OLD_OPTIONS = {**dict.fromkeys(("--on", "--address", "--gpus-per-task", "--shard", "--shards", "--print"),
+                               "an option of `vsfsim cluster`, before the command"),
+               "--finish": "the same command without it", "--mixed": "--allow mixed", "--poison": "--allow poison"}
+"""Their options, which are told."""
 
 
 class WholeSentences(TyperGroup):
@@ -56,6 +63,8 @@ class _Papers(_Measure):
     module = "papers.commands"
 
 
+lab = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=WholeSentences,
+                  help="Compare simulations, exchange data, and keep methods, tasks and a leaderboard of one's own.")
 measure = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=_Measure,
                       help="Measure time and error of the solver, and what datasets and plants allow.")
 papers = typer.Typer(no_args_is_help=True, rich_markup_mode=None, cls=_Papers,

@@ -16,9 +16,11 @@ from typing import Annotated, Any
 
 import typer
 
-from vsfsim.cli import bench, data, generate, info, lab, simulate
+from vsfsim.cli import bench, data, info, lab, simulate
+from vsfsim.cli.cluster import ASKED, DIVIDED, Machines
 from vsfsim.cli.console import note
 from vsfsim.cli.lab import WholeSentences
+from vsfsim.cli.options import check_choice, command
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
@@ -29,10 +31,32 @@ estimators.""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in
                          "converge, 4 object views that failed twice were left out, 130 interrupted, 143 ended by "
                          "SIGTERM.")
 
-for group in (simulate, generate, data, bench, info):
+for group in (simulate, data, bench, info):
     app.add_typer(group.app)  # without a name: its commands are the app's own
-app.add_typer(lab.measure, name="measure")
-app.add_typer(lab.papers, name="papers")
+for name, of in (("lab", lab.lab), ("measure", lab.measure), ("papers", lab.papers)):
+    app.add_typer(of, name=name)
+
+
+@command(app, context_settings={"allow_interspersed_args": False, "ignore_unknown_options": True})
+def cluster(machines: Machines, words: Annotated[list[str], typer.Argument(metavar="COMMAND")]) -> None:
+    """Make the parts of generate, evaluate or papers study on several machines.
+
+    \b
+      vsfsim cluster --shard 0/4 generate shoes-v3 --out /shared/shoes     # on one machine, 1/4 on the next, ...
+      vsfsim cluster --on slurm --shards 50 generate shoes-v3 --out /shared/shoes
+
+    The same command without `cluster` ends the work, when all shards are made.
+
+    Args:
+        words: The command and its options.
+    """
+    check_choice("The command of `vsfsim cluster`", words[0], DIVIDED)
+    machines.fan()
+    before = ASKED.set((machines, words))
+    try:
+        typer.main.get_command(app)(words, prog_name="vsfsim")
+    finally:
+        ASKED.reset(before)
 
 
 _ASCII = {"±": "+-", "²": "2", "³": "3", "×": "x", "µ": "u", "°": "deg", "→": "->", "–": "-", "…": "..."}
@@ -60,6 +84,9 @@ def main() -> None:
         sys.argv[1:2] = lab.OLD_NAMES[word].split()
         word = sys.argv[1]
     try:
+        for option in [one.partition("=")[0] for one in sys.argv[2:]]:
+            if word in DIVIDED and option in lab.OLD_OPTIONS:
+                raise VsfsimError(f"{option} is now {lab.OLD_OPTIONS[option]}.")
         if not word.startswith("-") and word not in command.commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, command.commands)}")
         command(prog_name="vsfsim")

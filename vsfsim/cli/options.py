@@ -23,6 +23,8 @@ from vsfsim.core.scene_tables.request import Request
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pdf", ".svg", "")
 """Endings of a picture to write; without one it is a PNG."""
+PAGES = (".html", ".rrd")
+"""Endings of a page for a browser, and of a recording for Rerun."""
 LONGEST_NAME = 200
 """Bytes of a name of a result: what is kept beside it has a longer one, and file systems allow 255."""
 
@@ -85,9 +87,21 @@ def _names(of: str) -> Callable[[str], list[str]]:
     return complete
 
 
+def _share(text: str | None) -> float | None:
+    """A share from "5%" or "0.05".
+
+    Raises:
+        VsfsimError: it is neither.
+    """
+    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*(%?)", text.strip()) if text is not None else None
+    if text is not None and found is None:
+        raise VsfsimError(f"--accuracy is '{text}'; give a share, e.g. 5% or 0.05.")
+    return float(found[1]) * (0.01 if found[2] else 1.0) if found else None
+
+
 complete_task, complete_method = _names("tasks"), _names("methods")
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", autocompletion=_names("scenes"),
-                                          help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
+                                          help="Name of a scene (`vsfsim list scenes`), or path of its .toml file.")]
 Device = Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.", callback=_checked_device)]
 Seed = Annotated[int, typer.Option(min=0, help="Root of all random numbers.")]
 AtLeastOne = Annotated[int, typer.Option(min=1)]
@@ -98,30 +112,32 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callbac
 Picture = Annotated[Path | None, typer.Option(metavar="PNG", callback=_writable(*PICTURES))]
 ArchiveFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".npz"))]
 GifFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".gif"))]
-PageFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable())]
+Shown = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(*PICTURES, *PAGES))]
 Folders = Annotated[list[Path] | None, typer.Option(metavar="DIR")]
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
-                                           help="Name of a method (`vsfsim methods`), or module:attribute.")]
+                                           help="Name of a method (`vsfsim list methods`), or module:attribute.")]
 TaskName = Annotated[str, typer.Option("--task", autocompletion=complete_task,
-                                       help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
+                                       help="Name of a task (`vsfsim list tasks`), or the path of its .toml file.")]
 DatasetFolder = Annotated[Path | None, typer.Option(help=(
     "Folder of the dataset; default: the task's, under datasets/ or $VSFSIM_DATASETS."))]
 Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
                                                       help="Parameter of the method; may be given again.")]
 ASKED: dict[str, Any] = {
     "seed": Seed, "device": Device, "workers": Workers, "objects": Several, "views": Several, "touches": Several,
+    "allow": Annotated[list[str], typer.Option(metavar="WORD")],
     "limit": Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS")],
-    "accuracy": Annotated[str | None, typer.Option(metavar="SHARE", callback=lambda text: text and share_of(
-        "--accuracy", text))]}
+    "accuracy": Annotated[str | None, typer.Option(metavar="SHARE", callback=_share)]}
 """What a command line asks of fields of `Request` besides their type."""
 
 
-def command(app: typer.Typer, name: str | None = None, *, asks: Sequence[str] = ()) -> Callable[..., Any]:
+def command(app: typer.Typer, name: str | None = None, *, asks: Sequence[str] = (),
+            **settings: Any) -> Callable[..., Any]:
     """A function as a command: its keywords are the options, and ``Args:`` of its docstring are their help, each
     ``name (METAVAR): text``. A parameter that is a dataclass has its fields as options, with the text below each.
 
     Args:
         app: the group. name: of the command, the function's by default. asks: fields of `Request` that are asked.
+        settings: of the command, as typer takes them.
     """
     def add(function: Callable[..., None]) -> Callable[..., None]:
         text, _, args = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:\n")
@@ -150,7 +166,7 @@ def command(app: typer.Typer, name: str | None = None, *, asks: Sequence[str] = 
         run.__doc__ = text
         run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in options}
-        app.command(name)(run)
+        app.command(name, **settings)(run)
         return run
 
     return add
@@ -175,23 +191,6 @@ def field_docs(kind: type) -> dict[str, str]:
     return {ast.unparse(field.target): ast.literal_eval(text.value)
             for field, text in itertools.pairwise(found.body)
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr)}
-
-
-def share_of(option: str, text: str) -> float:
-    """A share from "5%" or "0.05". Raises a `VsfsimError` if it is neither."""
-    return _quantity(option, text, {"%": 0.01, "": 1.0}, "a share, e.g. 5% or 0.05")
-
-
-def seconds_of(option: str, text: str) -> float:
-    """A time [s] from a number with s, m or h. Raises a `VsfsimError` if it is none, or not over 0."""
-    return _quantity(option, text, {"s": 1.0, "m": 60.0, "h": 3600.0}, "a time with its unit: 90s, 10m or 2h")
-
-
-def _quantity(option: str, text: str, units: dict[str, float], wanted: str) -> float:
-    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z%]?)", text.strip())
-    if found is None or found[2] not in units or (float(found[1]) == 0.0 and "s" in units):
-        raise VsfsimError(f"{option} is '{text}'; give {wanted}.")
-    return float(found[1]) * units[found[2]]
 
 
 def parameters_of(words: list[str] | None) -> dict[str, Any]:

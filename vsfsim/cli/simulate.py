@@ -1,46 +1,35 @@
-"""Commands that simulate or show: scenes, press, inspect, view, tradeoff."""
+"""Commands that simulate: press, generate, and `vsfsim lab tradeoff`."""
 
 from __future__ import annotations
 
+import dataclasses
+import signal
+import time
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NoReturn
 
 import typer
 
-from vsfsim.cli.console import Progress, report
+from vsfsim.cli import cluster
+from vsfsim.cli.console import Progress, note, report
+from vsfsim.cli.lab import lab
 from vsfsim.cli.options import (
     ArchiveFile,
     AtLeastOne,
     Device,
     GifFile,
     JsonFile,
-    PageFile,
     Picture,
     SceneName,
     Seed,
     check_choice,
     command,
 )
+from vsfsim.core.errors import Interrupted, Terminated
 from vsfsim.core.scene_tables.request import Request
 
 app = typer.Typer()
-
-
-@command(app)
-def scenes(json: JsonFile = None) -> None:
-    """List the shipped scenes."""
-    from vsfsim.core import shelf
-    from vsfsim.core.scene import load_scene
-
-    rows = []
-    for name, path in shelf.scenes().items():
-        tree = load_scene(path).tree
-        rows.append({"scene": name, "kind": "dataset" if "touches" in tree else "press",
-                     "description": tree.get("description", "")})
-    lines = [f"{row['scene']:<22}{row['kind']:<9}{row['description']}" for row in rows]
-    families = shelf.families()
-    report("\n".join([*lines, f"families: {', '.join(families)}"]), {"scenes": rows, "families": families}, json)
 
 
 @command(app, asks=("tier", "device", "seed", "limit"))
@@ -79,55 +68,72 @@ def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Pictu
         raise typer.Exit(3)
 
 
-@command(app)
-def inspect(what: str, out: Picture = None, seed: Seed = 0, device: Device = "cpu", shot: str = "",
-            json: JsonFile = None) -> None:
-    """Draw a dataset, a scene's object, or where a method errs.
+@command(app, asks=("objects", "views", "touches", "seed", "tier", "device", "renderer", "accuracy", "workers",
+                    "allow"))
+def generate(scene: SceneName, request: Request, out: str | None = None, json: JsonFile = None) -> None:
+    """Make a dataset from a scene, or finish one.
 
-    A dataset: its summary and a contact sheet. A scene: a turntable of its object, coloured by Young's modulus. A
-    result of `vsfsim evaluate`: errors by object and by touch, the worst first; `vsfsim view` draws them.
+    Run the same command again after an interruption: it makes only what is missing, to the same bits.
 
     Args:
-        what (DATASET|SCENE|RESULT): Folder of a dataset, a scene, or a result file (.json).
-        out: File to write; default: NAME.png here.
-        shot: Number of touches at which a result's errors are sorted; default: the one that ranks.
+        out: Folder of the dataset, or the address of an object store (s3://...); default: where a task looks for it,
+            datasets/SCENE-v1 say, else datasets/SCENE ($VSFSIM_DATASETS in place of datasets).
     """
-    if Path(what).suffix == ".json":
-        from vsfsim.bench.commands.inspect_result import inspect_result
+    from vsfsim.core.scene import load_scene
+    from vsfsim.core.shelf import find_scene
 
-        report(*inspect_result(Path(what), shot=shot), json)
+    fan = cluster.asked()
+    part = fan.shard
+    loaded = load_scene(find_scene(scene))
+    from vsfsim.generate.run import make, planned  # takes seconds; a mistake in the scene is reported before
+
+    began = time.perf_counter()
+    plan = planned(loaded, out, request.but(note=note, fan=fan, allow=tuple(request.allow)))
+    folder = plan.folder
+    if cluster.by_shards(min(100, plan.recipe.objects * plan.recipe.views)):
         return
-    from vsfsim.generate import inspect as look
-
-    with Progress("inspect") as progress:
-        lines, numbers = look.inspect(what, out, seed=seed, device=device, progress=progress)
-    report("\n".join(lines), numbers, json)
-
-
-@command(app)
-def view(what: str, html: PageFile = None, objects: AtLeastOne = 12, rerun: Path | None = None, seed: Seed = 0,
-         json: JsonFile = None) -> None:
-    """Write a page to look at a dataset, a scene's object, or a result, in a browser.
-
-    The page is one file that needs no network: the object coloured by Young's modulus, to be turned and cut; touches,
-    forces and pressures frame by frame; the RGB-D picture. Of a scene it holds object 0 of the seed. Of a result of
-    `vsfsim evaluate` it holds the true and the estimated stiffness side by side, and after `evaluate --keep
-    predictions` the predicted readings over the true ones.
-
-    Args:
-        what (DATASET|SCENE|RESULT): Folder of a dataset, a scene, or a result file (.json).
-        html: File to write, which must not exist; default: NAME.html here.
-        objects: Object views of a dataset or result shown, at most.
-        rerun (FILE): Also write a recording (.rrd) for the Rerun viewer; needs the extra 'rerun'.
-    """
-    from vsfsim.view.command import view as run
-
-    with Progress("view") as progress:
-        lines, numbers = run(what, html, objects=objects, seed=seed, rerun=rerun, progress=progress)
-    report("\n".join(lines), numbers, json)
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        with Progress("generate") as progress:
+            made = make(dataclasses.replace(plan, request=plan.request.but(progress=progress)))
+    except KeyboardInterrupt as stop:
+        raise Interrupted(_kept(folder)) from stop
+    seconds = time.perf_counter() - began
+    dataset = made.dataset
+    if dataset is None:
+        report(f"{folder}: shard {part[0]}/{part[1]} made {len(made.names)} object views, {seconds:.0f} s; "  # type: ignore[index]
+               f"{made.unfinished} of the dataset are missing"
+               + ("" if made.unfinished else "; the same command without a --shard ends it"),
+               {"dataset": str(folder), "shard": list(part or ()), "views": len(made.names),
+                "missing": made.unfinished, "left_out": list(made.left_out), "seconds": seconds}, json)
+    else:
+        numbers = {"dataset": dataset.origin or str(dataset.path), "sha256": dataset.sha256, "views": len(dataset),
+                   "splits": {split: len(dataset.names(split)) for split in dataset.splits},
+                   "touches": sum(e.touches for e in dataset.entries), "left_out": list(made.left_out),
+                   "frames": sum(e.frames for e in dataset.entries),
+                   "unconverged": sum(e.unconverged for e in dataset.entries), "seconds": seconds}
+        report(f"{numbers['dataset']}: {len(dataset)} object views, {numbers['touches']} touches, {numbers['frames']} "
+               f"frames ({numbers['unconverged']} not converged, marked), {seconds:.0f} s", numbers, json)
+    for name, reason in made.left_out.items():
+        note(f"{name} failed twice and is left out: {reason}")
+    if made.left_out:
+        raise typer.Exit(4)
 
 
-@command(app)
+def _kept(folder: Path | str) -> str:
+    from vsfsim.data.lines import finished_names
+    from vsfsim.data.store import Store
+
+    kept = len(finished_names(Store(folder)))
+    return (f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again to make the "
+            f"others." if kept else "interrupted; nothing was finished, so nothing is kept.")
+
+
+def _terminated(*_: Any) -> NoReturn:
+    raise Terminated
+
+
+@command(lab)
 def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4, objects: AtLeastOne = 1,
              tier: list[str] | None = None, picture: Picture = None, seed: Seed = 0, device: Device = "cpu",
              json: JsonFile = None) -> None:

@@ -134,8 +134,8 @@ def _find(given: str, shelf: dict[str, Path], kind: str, error: type[VsfsimError
     if path.suffix or len(path.parts) > 1:
         raise error(f"{no_such_file(f'{kind} file (.toml)', given)} Shipped {kind}s are given by name: "
                     f"{', '.join(shelf)}.")
-    raise error(f"unknown {kind} '{given}'. {did_you_mean(given, shelf)} `vsfsim {kind}s` lists them; a path to a "
-                f".toml file works too.")
+    raise error(f"unknown {kind} '{given}'. {did_you_mean(given, shelf)} `vsfsim list {kind}s` lists them; a path to "
+                f"a .toml file works too.")
 
 
 def find_scene(given: str) -> Path:

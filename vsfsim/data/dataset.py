@@ -260,7 +260,7 @@ def _fetched_manifest(origin: str) -> Path:
     content = store.get(MANIFEST)
     if content is None:
         unfinished = store.get(PART_MANIFEST) is not None
-        raise DatasetError(f"the dataset at {origin} is unfinished. Run `vsfsim generate --finish` when all shards are "
+        raise DatasetError(f"the dataset at {origin} is unfinished. Run `vsfsim generate` when all shards are "
                            f"done." if unfinished else f"{origin} holds no dataset (there is no {MANIFEST}).")
     root = Path(os.environ.get("VSFSIM_FETCHED") or Path.home() / ".cache" / "vsfsim" / "fetched")
     path = root / hashlib.sha256(content).hexdigest()[:32]

@@ -2,7 +2,7 @@
 
     manifest/NAME.json    file, bytes, sha256, seed and kind of machine; written when the object file lies there whole
     manifest/kind         the kind of machine that finished a view first
-    manifest/NAME.failed  how often making this view has failed, and why; of runs with `poison`
+    manifest/NAME.failed  how often making this view has failed, and why; of runs that allow `poison`
 
 Any number of machines may write at the same time: all of them would write the same bytes.
 """
@@ -24,7 +24,7 @@ from vsfsim.data.store import Store
 FOLDER = "manifest"
 _LINE, _FAILED = ".json", ".failed"
 MOST_FAILURES = 2
-"""A view that failed so often is not tried again in a run with `poison`."""
+"""A view that failed so often is not tried again in a run that allows `poison`."""
 
 
 def put_view(store: Store, view: ObjectView, recipe: Recipe, made_on: str) -> Entry:
@@ -83,7 +83,7 @@ def check_kind(store: Store, made_on: str, *, mixed: bool) -> None:
     if there != made_on and not mixed:
         raise DatasetError(f"{store.where} was begun on '{plain(there)}', and this machine is '{made_on}': they round "
                            f"otherwise, so that another machine could not make the same bytes again. Run it on "
-                           f"machines of one kind, or allow it with --mixed; each file then says what made it.")
+                           f"machines of one kind, or give --allow mixed; each file then says what made it.")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -156,7 +156,7 @@ class DatasetWriter:
         if len(kinds) > 1 and not self.mixed:
             raise DatasetError(f"{self.store.where}: files were made on machines of {len(kinds)} kinds "
                                f"({'; '.join(repr(kind) for kind in kinds)}), which round otherwise. Finish it with "
-                               f"--mixed, and dataset.json says which file was made on which.")
+                               f"--allow mixed; dataset.json says which file was made on which.")
         return entries
 
     def close(self) -> None:

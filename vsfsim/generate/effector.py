@@ -41,7 +41,7 @@ from vsfsim.sensing.surface import Surface
 
 @dataclass(frozen=True)
 class Drawing:
-    """What `vsfsim inspect` and `vsfsim view` show of a scene."""
+    """What `vsfsim show` shows of a scene."""
 
     surface: Surface
     """The surface to draw."""
@@ -125,7 +125,7 @@ class Effector(Protocol):
         ...
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
-        """What `vsfsim inspect` and `vsfsim view` show of a scene.
+        """What `vsfsim show` shows of a scene.
 
         Args:
             scene: concrete.

@@ -1,4 +1,4 @@
-"""What `vsfsim inspect` shows: a dataset's summary and contact sheet, or a turntable of a scene's object."""
+"""What `vsfsim show` draws: a dataset's summary and contact sheet, or a turntable of a scene's object."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,10 +34,8 @@ class Job:
     """Number of the view of that object, from 0."""
     store: str
     """Folder or address of the dataset."""
-    mixed: bool = False
-    """Whether machines of several kinds may make the dataset."""
-    poison: bool = False
-    """Whether a failure is written down and the other views are made, instead of ending the run."""
+    allow: Sequence[str] = ()
+    """What is refused otherwise, see `vsfsim.core.scene_tables.request.Request`."""
 
     @property
     def file(self) -> Path:
@@ -59,8 +58,8 @@ class Job:
         return stream(self.recipe.seed, kind, self.object_index, *keys[kind])
 
 
-def jobs_of(recipe: Recipe, path: Path, store: Path | str, *, mixed: bool = False, poison: bool = False) -> list[Job]:
+def jobs_of(recipe: Recipe, path: Path, store: Path | str, allow: Sequence[str] = ()) -> list[Job]:
     """One job for every object view, in order; their files lie in ``store``."""
     split_of = [name for name, n in recipe.splits.items() for _ in range(n)]
     names = [(o, v, f"{recipe.scene}-{o:04d}-v{v}") for o in range(recipe.objects) for v in range(recipe.views)]
-    return [Job(recipe, path, name, split_of[o], o, v, str(store), mixed, poison) for o, v, name in names]
+    return [Job(recipe, path, name, split_of[o], o, v, str(store), allow) for o, v, name in names]

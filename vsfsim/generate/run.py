@@ -30,6 +30,7 @@ from vsfsim.generate.workers import make_one
 from vsfsim.physics.runtime import check_device, compile_kernels
 
 RENDERERS = ("warp", "pyrender")
+ALLOWED = ("mixed", "poison")
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,10 @@ def planned(scene: str | Path | SceneFile, out: str | Path | None = None,
     asked = (request or Request()).but(**options)
     loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
     check_device(asked.device)
-    if asked.renderer not in RENDERERS:
-        raise VsfsimError(f"--renderer is '{asked.renderer}'. {did_you_mean(asked.renderer, RENDERERS)}")
+    for option, word, known in (("--renderer", asked.renderer, RENDERERS),
+                                *(("--allow", word, ALLOWED) for word in asked.allow)):
+        if word not in known:
+            raise VsfsimError(f"{option} is '{word}'. {did_you_mean(word, known)}")
     if asked.accuracy is not None:
         check_accuracy(asked.accuracy, asked.tier)
     recipe = make_recipe(loaded, asked)
@@ -96,7 +99,7 @@ def generate(scene: str | Path | SceneFile, out: str | Path | None = None,
     """
     made = make(planned(scene, out, request, **options))
     if made.dataset is None:
-        raise DatasetError(f"{out}: a shard was made; the dataset is finished by `vsfsim generate --finish`.")
+        raise DatasetError(f"{out}: a shard was made; the same call without it finishes the dataset.")
     return made.dataset
 
 
@@ -113,10 +116,10 @@ def make(plan: Plan) -> Made:
     if asked.accuracy is not None:
         tier, options = bought(loaded, folder, asked, recipe.objects)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
-    jobs = jobs_of(recipe, loaded.path, folder, mixed=asked.mixed, poison=asked.poison)
-    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard, mixed=asked.mixed) as writer:
+    jobs = jobs_of(recipe, loaded.path, folder, asked.allow)
+    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard, mixed="mixed" in asked.allow) as writer:
         missing = set(writer.missing())
-        mine = [job for k, job in enumerate(jobs) if job.name in missing and not asked.finish
+        mine = [job for k, job in enumerate(jobs) if job.name in missing
                 and (shard is None or k % shard[1] == shard[0])]
         for sentence in writer.notes:
             note(sentence)
@@ -126,10 +129,10 @@ def make(plan: Plan) -> Made:
                     asked.progress(done, len(mine), name)
         if shard is not None:
             there = finished_names(writer.store)
-            failed = poisoned(writer.store) if asked.poison else {}
+            failed = poisoned(writer.store) if "poison" in asked.allow else {}
             return Made(tuple(job.name for job in mine if job.name in there),
                         len(jobs) - len(there) - len(failed), None, failed)
-        dataset = writer.finish(leave_out=asked.poison)
+        dataset = writer.finish(leave_out="poison" in asked.allow)
         return Made(tuple(job.name for job in mine), 0, dataset, dataset.left_out)
 
 
@@ -146,6 +149,6 @@ def _on_ray(jobs: Sequence[Job], asked: Request) -> Iterator[str]:
 
     for number, error in engines.on_ray(partial(make_one, device=asked.device), jobs,
                                         address=asked.fan.ray, gpus=asked.fan.gpus):
-        if error and not asked.poison:
+        if error and "poison" not in asked.allow:
             raise DatasetError(f"{jobs[number].name}: {error}")
         yield jobs[number].name

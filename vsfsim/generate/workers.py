@@ -86,7 +86,7 @@ def submit(pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: 
 def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
     """Make and write views, each in one process from the start to the end; yields the name of each as they come.
 
-    If a process dies and the jobs are of a run with ``poison``, those that were under way are made again one by one, so
+    If a process dies and a run allows ``poison``, those that were under way are made again one by one, so
     that only the one that kills its process is blamed.
 
     Args:
@@ -103,7 +103,7 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
             yield from _make_in_pool(left, device, count)
             return
         except BrokenProcessPool as error:
-            if not jobs[0].poison:
+            if "poison" not in jobs[0].allow:
                 raise DatasetError("a worker process ended before its object view was finished, as "
                                    "one does that is killed or out of memory. Run the same command "
                                    "again, which makes only what is missing; with fewer --workers "
@@ -140,19 +140,19 @@ def _make_in_pool(jobs: Sequence[Job], device: str, count: int | None) -> Iterat
 def make_one(job: Job, device: str) -> None:
     """Make one view here and write it: what every engine does, in whatever process.
 
-    With ``job.poison`` an attempt is written down before it begins, so that one that kills its process is known too; a
-    view that has failed `MOST_FAILURES` times is left.
+    Where ``poison`` is allowed an attempt is written down before it begins, so that one that kills its process is known
+    too; a view that has failed `MOST_FAILURES` times is left.
 
     Args:
         job: what to make. device: Warp device.
 
     Raises:
-        VsfsimError: the view cannot be made, and the job is not of a run with ``poison``; or the machine is of another
+        VsfsimError: the view cannot be made, and ``poison`` is not allowed; or the machine is of another
             kind than the one that began.
     """
     store = Store(job.store)
-    check_kind(store, kind_of(device), mixed=job.mixed)
-    if not job.poison:
+    check_kind(store, kind_of(device), mixed="mixed" in job.allow)
+    if "poison" not in job.allow:
         _make(job, device)
         return
     while (before := failure(store, job.name)).count < MOST_FAILURES:

@@ -7,7 +7,6 @@ from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.evaluate import evaluate, evaluate_all
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
-from vsfsim.cli.cluster import shard_words
 from vsfsim.core.system.engines import Fan
 
 ROW = Choice("toy_methods:Constant", "", {"value": 2.0})
@@ -39,12 +38,12 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
 
 
 def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
-    words = ["evaluate", "--task", "t.toml", "--on", "slurm", "--shards=4", "--print", "--all"]
-    assert shard_words(words) == ["vsfsim", "evaluate", "--task", "t.toml", "--all"]
     task = "fewshot-shoes-v2-mini-v3"
-    out = vsfsim("papers", "study", "rope", "--on", "k8s", "--shards", "5", "--print", cwd=tmp_path)
-    assert '"vsfsim", "papers", "study", "rope", "--shard", "auto/5"' in out.stdout and "completions: 5" in out.stdout
+    out = vsfsim("cluster", "--on", "k8s", "--shards=5", "--print", "papers", "study", "rope", "--size", "mini",
+                 cwd=tmp_path)
+    words = '"vsfsim", "cluster", "--shard", "auto/5", "papers", "study", "rope", "--size", "mini", "--workers"'
+    assert words in out.stdout and "completions: 5" in out.stdout
     for words, text in ((("--on", "ray", "--shard", "0/2"), "--shard and --on do not go together"),
                         (("--on", "rai"), "--on is 'rai'. Did you mean 'ray'")):
-        out = vsfsim("evaluate", "--method", "gaussian", "--task", task, *words, cwd=tmp_path)
+        out = vsfsim("cluster", *words, "evaluate", "--method", "gaussian", "--task", task, cwd=tmp_path)
         assert out.returncode == 2 and text in out.stderr, out.stderr

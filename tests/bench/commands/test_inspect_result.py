@@ -1,4 +1,4 @@
-"""`evaluate --on development`, `--keep predictions` and `inspect RESULT`: the loop of a method's author."""
+"""`evaluate --on development`, `--keep predictions` and `show RESULT`: the loop of a method's author."""
 
 import dataclasses
 import math

@@ -32,7 +32,7 @@ from vsfsim.core.table import parse_toml, read_text
 from vsfsim.data.disk import write_atomic
 
 PREDICTIONS = "predictions file"
-"""What a result of `vsfsim score` has in place of the entry of a method."""
+"""What a result of `vsfsim lab score` has in place of the entry of a method."""
 LIST = "evidence.json"
 """Name of the list, in the folder of the rows that ship."""
 CEILING = "a ceiling, which knows the true object"
@@ -67,7 +67,7 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         if self.evidence == "sealed" and None in (self.commitment, self.receipt):
-            raise ValueError("a sealed row needs the commitment of its set and the receipt of `vsfsim score --sealed`")
+            raise ValueError("a sealed row needs the commitment of its set and a receipt of `lab score --sealed`")
 
 
 def listed() -> dict[str, Entry]:

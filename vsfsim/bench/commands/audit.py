@@ -1,4 +1,4 @@
-"""`vsfsim audit TASK`: does a task measure what it says? Four diagnostics, each with its figure or why there is none.
+"""`vsfsim lab audit TASK`: does a task measure what it says? Four diagnostics, each a figure or why there is none.
 
 1. Shortcuts: the error of methods that do not look at everything (`baselines/shortcuts.py`) beside the best row.
 2. Ranks: the share of neighbouring rows that differ by two standard errors of their paired difference over objects,
@@ -147,7 +147,7 @@ def _shipped(task: Task) -> _Shipped:
     try:
         found = msgspec.json.decode(path.read_bytes(), type=_Shipped)
     except (OSError, msgspec.MsgspecError) as error:
-        raise TaskError(f"{path} is not what `vsfsim audit --ship` wrote: {plain(error)}. Write it again.") from error
+        raise TaskError(f"{path} is not what `audit --ship` wrote: {plain(error)}. Write it again.") from error
     return found if found.task_sha256 == task.sha256 else nothing
 
 

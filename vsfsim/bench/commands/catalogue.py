@@ -1,4 +1,4 @@
-"""The tasks and methods that can be evaluated, as the commands `vsfsim tasks` and `vsfsim methods` list them, and
+"""The tasks and methods that can be evaluated, as `vsfsim list` shows them, and
 presets: named settings of the methods that ship, read from baselines/presets.toml without importing a method."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`vsfsim inspect RESULT`: where a method errs, object by object and touch by touch, the worst first."""
+"""`vsfsim show RESULT`: where a method errs, object by object and touch by touch, the worst first."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_LINES = 12
 
 
 def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
-    """Errors of a result file by object and by touch, the worst first; `vsfsim view RESULT` draws them.
+    """Errors of a result file by object and by touch, the worst first; `vsfsim show RESULT --out page.html` draws them.
 
     Args:
         path: of the result. shot: label at which errors are sorted; "" for the one that ranks.

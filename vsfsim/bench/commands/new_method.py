@@ -1,4 +1,4 @@
-"""`vsfsim new-method NAME`: a package with a method that runs, its entry point and its test."""
+"""`vsfsim lab new-method NAME`: a package with a method that runs, its entry point and its test."""
 
 from __future__ import annotations
 

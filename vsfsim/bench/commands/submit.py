@@ -95,7 +95,7 @@ def _findings(result: Result, task: Task, row: Row) -> Iterator[tuple[str, str, 
         yield ("others can run it again", told, "it is a file of predictions, so that nobody can: it stays unverified")
         return
     yield ("others can run it again", refused, "" if result.package.get("name") else "the method is a file, not an "
-           "installed package. `vsfsim new-method NAME` begins one; install it and evaluate again")
+           "installed package. `vsfsim lab new-method` begins one; install it and evaluate again")
     yield ("its source is the one that is here", refused, _other_source(result))
     yield ("it ran in a container", told, "" if result.isolation not in ("", "process") else
            f"its sandbox was '{result.isolation or 'none'}', in which a method can see files of yours")

@@ -102,7 +102,7 @@ class MethodHost:
                  hidden: Sequence[Path] = ()):
         if os.name == "nt":
             raise MethodError("`vsfsim evaluate` runs a method in a process of its own in ways that Windows does not "
-                              "have. Use it under WSL, or write predictions to a file and use `vsfsim score`.")
+                              "have. Use it under WSL, or write predictions to a file and use `vsfsim lab score`.")
         self.name, self.parameters, self.isolation, self.log = name, dict(parameters), isolation, log.absolute()
         self.ships = name in methods() and methods()[name].value.startswith("vsfsim.")
         device = self.parameters.get("device", "cpu" if self.ships else None)  # of those that ship, a cpu if none given

@@ -273,7 +273,7 @@ class Evaluation:
         done = [one for one in (load(self._file(job)) for job in self.jobs) if one is not None]
         if len(done) < len(self.jobs):
             raise MethodError(f"{len(self.jobs) - len(done)} of {len(self.jobs)} trainings of {self.method} are not in "
-                              f"{self._folder}. Run the command without --shard to make them.")
+                              f"{self._folder}. Run the command without a --shard to make them.")
         known = {(a.trial.subject, a.trial.shot, a.trial.seed): a for one in done for a in one.answers}
         first = {run: job.runs[0] for job in self.jobs for run in job.runs}
         out = []

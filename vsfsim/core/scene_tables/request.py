@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,12 +41,9 @@ class Request:
     tier and element size, and one touch in ten is audited one level finer."""
     workers: int | None = None
     """Processes; default: one a CPU core, or one for 5 GiB of a GPU, 16 at most and one a core."""
-    finish: bool = False
-    """Check what shards have made, and write dataset.json."""
-    mixed: bool = False
-    """Allow machines of several kinds, which round otherwise."""
-    poison: bool = False
-    """Leave out a view that fails twice and make the others; exit code 4."""
+    allow: Sequence[str] = ()
+    """What is refused otherwise; may be given again. mixed: machines of several kinds, which round otherwise; poison:
+    a view that fails twice, which is left out while the others are made (exit code 4)."""
     fan: Fan = HERE
     """Where the views are made, and which of them by this call."""
     note: Callable[[str], None] | None = None

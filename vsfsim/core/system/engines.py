@@ -74,12 +74,11 @@ MOST_TASKS = 1000
 """Tasks of a Slurm array; `MaxArraySize` is 1001 on many clusters."""
 
 
-def job_file(engine: str, words: Sequence[str], shards: int, *, finish: Sequence[str], gpus: int = 0) -> str:
+def job_file(engine: str, words: Sequence[str], shards: int, *, gpus: int = 0) -> str:
     """The file for `sbatch` or `kubectl apply -f`.
 
     Args:
-        engine: "slurm" or "k8s". words: the command without --shard. shards: tasks. finish: the command that ends the
-        work. gpus: of each task.
+        engine: "slurm" or "k8s". words: the command and its options. shards: tasks. gpus: of each task.
 
     Raises:
         VsfsimError: too many shards, a word with a control character, or for Kubernetes a path of this machine.
@@ -100,10 +99,10 @@ def job_file(engine: str, words: Sequence[str], shards: int, *, finish: Sequence
     command = shlex.join(words)
     text = Path(__file__).with_name({"slurm": "slurm.sh", "k8s": "k8s.yaml"}[engine]).read_text(encoding="utf-8")
     return jinja2.Template(text, trim_blocks=True, keep_trailing_newline=True).render(
-        command=command, finish=shlex.join(finish), shards=shards, gpus=gpus,
+        command=command, shards=shards, gpus=gpus,
         # a name is a DNS label: small letters, digits and dashes, 63 at most; another command is another job
         name=f"vsfsim-{hashlib.sha256(command.encode()).hexdigest()[:10]}",
-        words=json.dumps([*words, "--shard", f"auto/{shards}", "--workers", "2"]),
+        words=json.dumps(["vsfsim", "cluster", "--shard", f"auto/{shards}", *words, "--workers", "2"]),
         limits=json.dumps({"cpu": "2", "memory": "8Gi", **({"nvidia.com/gpu": str(gpus)} if gpus else {})}),
         on_volume=not any("://" in word for word in words))
 
@@ -112,12 +111,12 @@ def submit(words: Sequence[str], shards: int, *, gpus: int = 0) -> None:
     """Submit Slurm's array by `sbatch` and wait for it.
 
     Args:
-        words: the command without --shard. shards: tasks of the array. gpus: of each.
+        words: the command and its options. shards: tasks of the array. gpus: of each.
 
     Raises:
         VsfsimError: there is no Slurm here, too many shards, or one that failed.
     """
-    batch = job_file("slurm", words, shards, finish=(), gpus=gpus)
+    batch = job_file("slurm", words, shards, gpus=gpus)
     try:
         code = subprocess.run(["sbatch", "--wait"], input=batch, text=True).returncode
     except FileNotFoundError:

@@ -1,5 +1,5 @@
 #!/bin/bash
-# Submit with: sbatch FILE; when the array is done: {{ finish }}
+# Submit with: sbatch FILE; when the array is done: vsfsim {{ command }}
 # The same file may be submitted again at any time: it makes what is missing.
 #SBATCH --job-name=vsfsim
 #SBATCH --array=0-{{ shards - 1 }}
@@ -15,4 +15,4 @@
 # no GPU
 {% endif %}
 #SBATCH --output=slurm-%A_%a.log
-srun {{ command }} --shard auto --workers "$SLURM_CPUS_PER_TASK"
+srun vsfsim cluster --shard auto {{ command }} --workers "$SLURM_CPUS_PER_TASK"

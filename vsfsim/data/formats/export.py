@@ -1,4 +1,4 @@
-"""`vsfsim export`: a dataset in another format, whole or not at all; and what the formats share, which are tables,
+"""`vsfsim lab export`: a dataset in another format, whole or not at all; and what the formats share, which are tables,
 pictures and the truth as a table."""
 
 from __future__ import annotations

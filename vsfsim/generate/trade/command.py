@@ -1,4 +1,4 @@
-"""`vsfsim tradeoff SCENE`: the limit of some touches, then setting after setting, kept as they come; the picture of
+"""`vsfsim lab tradeoff SCENE`: the limit of some touches, then setting after setting, kept as they come; the picture of
 error against time on logarithmic axes with a line a tier, and the page that has it with every figure."""
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class _Lines:
                 self.rows = {row["key"]: row for row in rows}
                 other = {name: head[name] for name, here in circumstances.items() if head[name] != here}
             except (ValueError, KeyError, TypeError) as error:
-                raise VsfsimError(f"{file} is not a file of `vsfsim tradeoff` ({error}). Give "
+                raise VsfsimError(f"{file} is not a file of `vsfsim lab tradeoff` ({error}). Give "
                                   "another --out, or delete it.") from None
             for name, there in other.items():
                 raise VsfsimError(f"{file} was made with {name} {there!r}, and this run has "
