@@ -1,7 +1,6 @@
 """What a result file holds: rows, packed into columns, and fields. Types are checked, because strangers write files.
 
-Packed columns are compressed without loss: text as indices, integers and floats in the smallest type that holds them
-exactly, all columns in one LZMA stream as base64.
+Packed columns are compressed without loss: lists in MessagePack, in one LZMA stream as base64.
 """
 
 from __future__ import annotations
@@ -69,10 +68,10 @@ def as_rows(columns: Mapping[str, Sequence]) -> list[dict[str, Any]]:
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
-FORMAT = "lzma"
-MOST_ROWS = 20_000_000
-"""A table with more rows is refused."""
-SCHEMA_VERSION = 3
+FORMAT = "lzma msgpack"
+LARGEST_TABLE = 64 << 20
+"""A table with more bytes is refused."""
+SCHEMA_VERSION = 4
 LARGEST_FILE = 64 << 20
 """A result file with more bytes is not read."""
 LARGEST_NUMBER = 1e100
@@ -96,28 +95,13 @@ def pack(columns: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
     """
     if not columns:
         return {}
-    kinds, contents, rows = {}, [], 0
-    for name, values in columns.items():
-        rows = len(values)
-        kind, array = _column(list(values))
-        kinds[name] = kind
-        contents.append(array.tobytes())
-    content = b"".join(contents)
-    # with no larger dictionary than the content, whose 64 MiB would take 40 ms to lay out
-    filters = [{"id": lzma.FILTER_LZMA2, "preset": 9, "dict_size": min(max(len(content), 4096), 64 << 20)}]
-    data = lzma.compress(content, format=lzma.FORMAT_XZ, filters=filters)
-    return {"packed": FORMAT, "rows": rows, "columns": kinds, "data": base64.b64encode(data).decode()}
-
-
-class _Kind(msgspec.Struct):
-    type: Annotated[str, msgspec.Meta(pattern="^(u[1248]|f[48])$")]
-    words: list[str] | None = None
+    content = msgspec.msgpack.encode(columns)
+    return {"packed": FORMAT, "size": len(content), "data": base64.b64encode(lzma.compress(content)).decode()}
 
 
 class _Packed(msgspec.Struct):
     packed: Annotated[str, msgspec.Meta(pattern=f"^{FORMAT}$")]
-    rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)]
-    columns: dict[str, _Kind]
+    size: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_TABLE)]
     data: str
 
 
@@ -130,45 +114,16 @@ def unpack(value: Mapping[str, Any]) -> dict[str, list]:
     if "packed" not in value:
         return dict(value)
     table = msgspec.convert(value, _Packed)
-    sizes = [table.rows * np.dtype(kind.type).itemsize for kind in table.columns.values()]
     try:
         stream = lzma.LZMADecompressor(format=lzma.FORMAT_XZ, memlimit=1 << 28)
-        content = stream.decompress(base64.b64decode(table.data, validate=True), max_length=sum(sizes) + 1)
+        content = stream.decompress(base64.b64decode(table.data, validate=True), max_length=table.size + 1)
     except (lzma.LZMAError, binascii.Error, ValueError) as error:
         raise ValueError(f"a packed table cannot be decompressed: {error}") from error
-    if len(content) != sum(sizes):
-        raise ValueError(f"a packed table holds {len(content)} bytes, not {sum(sizes)}")
-    out, at = {}, 0
-    for (name, kind), size in zip(table.columns.items(), sizes, strict=True):
-        out[name] = _values(np.frombuffer(content[at:at + size], f"<{kind.type}"), kind.words)
-        at += size
-    return out
-
-
-def _column(values: list[Any]) -> tuple[dict[str, Any], np.ndarray]:
-    if values and all(isinstance(v, str) for v in values):
-        words = list(dict.fromkeys(values))
-        number = {word: k for k, word in enumerate(words)}
-        kind, array = _column([number[v] for v in values])
-        return {**kind, "words": words}, array
-    if all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in values):
-        array = np.array(values, np.uint64)
-        array = array.astype(np.min_scalar_type(int(array.max(initial=0))))
-    else:
-        array = np.array([np.nan if v is None else v for v in values], np.float64)
-        with np.errstate(over="ignore"):
-            single = array.astype(np.float32)
-        array = single if np.array_equal(single.astype(np.float64), array, equal_nan=True) else array
-    return {"type": array.dtype.str[1:]}, array.astype(array.dtype.newbyteorder("<"))
-
-
-def _values(array: np.ndarray, words: list[str] | None) -> list:
-    if words is not None:
-        if array.dtype.kind != "u" or int(array.max(initial=0)) >= max(len(words), 1):
-            raise ValueError("a packed column of words has an index without a word")
-        shown = [plain(word) for word in words]
-        return [shown[k] for k in array.tolist()]
-    return array.tolist() if array.dtype.kind == "u" else [None if v != v else v for v in array.tolist()]
+    if len(content) != table.size:
+        raise ValueError(f"a packed table does not hold the {table.size} bytes that it announces")
+    columns = msgspec.msgpack.decode(content, type=dict[str, list[str | float | int | None]])
+    shown = {word: plain(word) for column in columns.values() for word in set(column) if isinstance(word, str)}
+    return {name: [shown[one] if isinstance(one, str) else one for one in column] for name, column in columns.items()}
 
 
 def read_json(path: Path) -> Any:
