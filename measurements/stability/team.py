@@ -15,7 +15,7 @@ from typing import Any
 
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.plain_text import from_json
-from vsfsim.core.system.processes import one_thread
+from vsfsim.core.system.engines import one_thread
 
 
 @dataclass(frozen=True)

@@ -233,7 +233,7 @@ def test_paths():
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1]]",
      "rotation has 1 rotation vectors, but the path has 2 points"),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [0, 0, 90]",
-     "rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
+     "rotation[2] is 90; it must be a number from -6.28319 to 6.28319 rad."),
     ("from = [0, 0, 0.07]", "to is missing; it must be 3 numbers."),
 ])
 def test_paths_that_cannot_be(text, message):

@@ -13,7 +13,7 @@ from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
-from vsfsim.data.kept import audit_error, broken, observed
+from vsfsim.data.manifest import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
 from vsfsim.generate.trade import buy

@@ -1,9 +1,9 @@
 """Many machines make one dataset: shards, a store of objects, views that fail, machines of two kinds."""
 
-import hashlib
 import json
 import os
 import re
+import shutil
 import signal
 
 import pytest
@@ -49,9 +49,7 @@ def test_four_shards_in_any_order_give_the_bytes_of_one_process(scene, made, tmp
         Dataset.open(out)
     assert found.unfinished == 0
     line = json.loads((out / "manifest" / "tiny-0000-v0.json").read_text())
-    content = (out / "tiny-0000-v0.h5").read_bytes()
-    assert line["sha256"] == hashlib.sha256(content).hexdigest() and line["bytes"] == len(content)
-    assert line["seed"] == 0 and line["made_on"]
+    assert line["bytes"] == (out / line["file"]).stat().st_size and line["seed"] == 0 and line["made_on"]
     assert make(planned(scene, out, objects=4)).dataset.sha256 == made.sha256
     assert contents(out) == contents(made.path) and verify(out).ok
     assert "4 object views" in (out / "README.md").read_text()
@@ -80,11 +78,13 @@ def test_machines_of_two_kinds_are_not_mixed_unless_asked(scene, made, tmp_path,
     with pytest.raises(DatasetError, match=r"begun on '.*', and this machine is 'another CPU'.*--allow mixed"):
         make(planned(scene, tmp_path, objects=4, fan=Fan((1, 2))))
     make(planned(scene, tmp_path, objects=4, allow=["mixed"], fan=Fan((1, 2))))
-    with pytest.raises(DatasetError, match="machines of 2 kinds"):
-        make(planned(scene, tmp_path, objects=4))
-    found = make(planned(scene, tmp_path, objects=4, allow=["mixed"])).dataset
+    found = make(planned(scene, tmp_path, objects=4)).dataset
     assert {e.made_on for e in found.entries} == {made.entries[0].made_on, "another CPU"}
     assert found.sha256 == made.sha256 and verify(tmp_path).ok
+    shutil.copytree(made.path, tmp_path / "finished")
+    (tmp_path / "finished" / made.entries[1].file).unlink()
+    with pytest.raises(DatasetError, match="this machine is 'another CPU'"):
+        generate(scene, tmp_path / "finished", objects=4)
 
 
 def test_a_view_that_fails_twice_is_left_out_and_the_others_are_made(scene, made, tmp_path, here, monkeypatch):

@@ -22,7 +22,7 @@ class Machines:
     """What makes the parts; by default this machine."""
 
     on: str | None = None
-    """Engine of a cluster: ray, slurm or k8s."""
+    """Engine of a cluster: ray; or slurm or k8s, whose file is printed, for `sbatch` or `kubectl apply -f`."""
     address: str = "auto"
     """Of the Ray cluster, HOST:PORT."""
     gpus_per_task: Annotated[float, typer.Option(min=0.0)] = 0.0
@@ -32,8 +32,6 @@ class Machines:
     Indexed Job."""
     shards: Several = None
     """Tasks of a Slurm array or pods of a Kubernetes job; default: 100, at most one a part."""
-    printed: Annotated[bool, typer.Option("--print")] = False
-    """Print the file for Slurm or Kubernetes and make nothing."""
 
     def fan(self) -> Fan:
         """Where the parts are made.
@@ -44,12 +42,9 @@ class Machines:
         if self.on is not None:
             check_choice("--on", self.on, ENGINES)
         part = shard_of(self.shard) if self.shard is not None else None
-        for wrong, words in ((part and self.on, "--shard and --on"),
-                             (self.printed and self.on in (None, "ray"), "--print without --on slurm or --on k8s"),
-                             (self.on == "k8s" and not self.printed, "--on k8s without --print")):
-            if wrong:
-                raise VsfsimError(f"{words} do not go together. Each machine of a cluster makes a --shard; --on makes "
-                                  f"the shards there.")
+        if part and self.on:
+            raise VsfsimError("--shard and --on do not go together. Each machine of a cluster makes a --shard; --on "
+                              "makes the shards there.")
         return Fan(part, self.address if self.on == "ray" else "", self.gpus_per_task)
 
 
@@ -63,7 +58,7 @@ def asked() -> Fan:
 
 
 def by_shards(usual: int) -> bool:
-    """If a scheduler makes the parts of the command that runs, print its file, or make all shards by Slurm.
+    """If a scheduler makes the parts of the command that runs, print its file.
 
     Args:
         usual: how many shards if nobody says.
@@ -72,14 +67,12 @@ def by_shards(usual: int) -> bool:
         Whether the file was printed, and nothing is to be made here.
 
     Raises:
-        VsfsimError: shards failed, or there is no Slurm.
+        VsfsimError: a word of the command cannot stand in such a file, or there are too many shards.
     """
-    from vsfsim.core.system import engines
-
     machines, words = ASKED.get()
-    shards, gpus = machines.shards or usual, int(machines.gpus_per_task)
-    if machines.printed:
-        print(engines.job_file(str(machines.on), words, shards, gpus=gpus), end="")
-    elif machines.on == "slurm":
-        engines.submit(words, shards, gpus=gpus)
-    return machines.printed
+    if machines.on not in ("slurm", "k8s"):
+        return False
+    from vsfsim.core.system.engines import job_file
+
+    print(job_file(machines.on, words, machines.shards or usual, gpus=int(machines.gpus_per_task)), end="")
+    return True

@@ -19,9 +19,10 @@ OLD_NAMES = {"bench": "measure", "stability": "measure stability", "study": "pap
              "view": "show --out page.html", **{name: f"lab {name}" for name in (
                  "tradeoff", "export", "import", "score", "new-method", "audit", "seal")}}
 """Commands up to version 0.1; they work, with a note, until the release after this one."""
-OLD_OPTIONS = {**dict.fromkeys(("--on", "--address", "--gpus-per-task", "--shard", "--shards", "--print"),
+OLD_OPTIONS = {**dict.fromkeys(("--on", "--address", "--gpus-per-task", "--shard", "--shards"),
                                "an option of `vsfsim cluster`, before the command"),
-               "--finish": "the same command without it", "--mixed": "--allow mixed", "--poison": "--allow poison"}
+               "--finish": "the same command without it", "--print": "what `vsfsim cluster --on k8s` does",
+               "--mixed": "--allow mixed", "--poison": "--allow poison"}
 """Their options, which are told."""
 
 

@@ -68,12 +68,6 @@ class Dome:
         """Of the farthest vertex from the origin [m]."""
         return float(np.linalg.norm(self.points, axis=1).max())
 
-    @cached_property
-    def base_area(self) -> float:
-        """Inside the rim [m^2]: openvsf's A_base."""
-        a, b, c = (self.points[self.faces[:, k], :2] for k in range(3))
-        return float(0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum())
-
     def heights(self, at: np.ndarray) -> np.ndarray:
         """Height of the skin over the rim plane (k,) [m] at places (k, 2) [m] of that plane; -inf outside the rim."""
         out = np.full(len(at), -np.inf)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +12,13 @@ import msgspec
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import MeshFile, ProbeShape, Sphere, parse_probe_shape
-from vsfsim.core.table import Friction, Rows, Vector, between, check_keys, typed, value
+from vsfsim.core.table import Angle, Friction, Rows, Vector, between, check_keys, typed, value
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 MAX_BODIES = 64  # probe, parts and obstacles together; every contact point is compared with each of them
 Frames = Annotated[int, between(1, 10_000, whole=True)]
+Turn = Annotated[tuple[Angle, Angle, Angle], msgspec.Meta(
+    description="3 numbers from -2 pi to 2 pi, a rotation vector: axis times angle in radians, e.g. [0, 0, 1.5708]")]
 Points = Annotated[tuple[Vector, ...], msgspec.Meta(
     min_length=2, max_length=10_000, description="2 to 10000 points, e.g. [[0, 0, 0.07], [0, 0, 0.065]]")]
 
@@ -31,7 +32,7 @@ class RigidBody:
     """Of the body."""
     position: Vector
     """Of its origin (3,) [m]."""
-    rotation: Vector = ORIGIN
+    rotation: Turn = ORIGIN
     """Rotation vector (3,) [rad]."""
     friction: Friction | None = None
     """Coulomb coefficient against the object [-], or None for that of the object."""
@@ -104,22 +105,12 @@ def parse_bodies(node: Any, path: Path, name: str, place: str) -> tuple[RigidBod
     """The bodies of a list of tables, ``[[name]]``, each at its ``place``."""
     out = []
     for k, row in enumerate(value(node, Rows, f"{path}: {name}"), start=1):
-        where, own = f"{path} [[{name}]] {k}", ("shape", place, "rotation")
-        table = check_keys(row, where, (*own, "friction"))
+        where, own = f"{path} [[{name}]] {k}", ("shape", place)
+        table = check_keys(row, where, (*own, "rotation", "friction"))
         shape = beside(parse_probe_shape(table.get("shape"), where), path)
         out.append(typed(row, RigidBody, where, also=own, shape=shape,
-                         position=value(table.get(place), Vector, f"{where}: {place}"),
-                         rotation=_turn(f"{where}: rotation", table.get("rotation", ORIGIN))))
+                         position=value(table.get(place), Vector, f"{where}: {place}")))
     return tuple(out)
-
-
-def _turn(place: str, given: Any) -> Vector:
-    vector: Vector = value(given, Vector, place)
-    angle = math.sqrt(sum(v * v for v in vector))
-    if angle > 2.0 * math.pi + 1e-9:
-        raise SceneError(f"{place} is {list(vector)}, a turn of {angle:.4g} rad; it is a rotation vector (axis times "
-                         f"angle in radians, e.g. [0, 0, 1.5708] for a quarter turn about z), of 2 pi at most.")
-    return vector
 
 
 def parse_press(node: Any, path: Path) -> PressSpec:
@@ -136,7 +127,14 @@ def parse_press(node: Any, path: Path) -> PressSpec:
     else:
         names = ["from", "to"]
         points = tuple(value(table.get(name), Vector, f"{where}: {name}") for name in names)
-    rotation = _rotations(f"{where}: rotation", table.get("rotation"), len(points))
+    rotation = table.get("rotation")
+    if rotation is not None:
+        each = isinstance(rotation, list) and bool(rotation) and isinstance(rotation[0], list)
+        if each and len(rotation) != len(points):
+            raise SceneError(f"{where}: rotation has {len(rotation)} rotation vectors, but the path has {len(points)} "
+                             f"points; give one a point, or a single one for all.")
+        rotation = (value(rotation, tuple[Turn, ...], f"{where}: rotation") if each
+                    else (value(rotation, Turn, f"{where}: rotation"),) * len(points))
     for i, (a, b) in enumerate(itertools.pairwise(points)):
         if a == b and (rotation is None or rotation[i] == rotation[i + 1]):
             raise SceneError(f"{where}: {names[i]} and {names[i + 1]} are both {list(a)}; the probe must move.")
@@ -147,14 +145,3 @@ def parse_press(node: Any, path: Path) -> PressSpec:
                          f"one number a part, or one for all.")
     return typed(node, PressSpec, where, also=own, path=points, rotation=rotation,
                  frames=tuple(counts) if isinstance(frames, list) else (counts,) * (len(points) - 1))
-
-
-def _rotations(place: str, given: Any, points: int) -> tuple[Vector, ...] | None:
-    if given is None:
-        return None
-    if not isinstance(given, list) or not given or not isinstance(given[0], list):
-        return (_turn(place, given),) * points
-    if len(given) != points:
-        raise SceneError(f"{place} has {len(given)} rotation vectors, but the path has {points} points; give one a "
-                         f"point, or a single one for all.")
-    return tuple(_turn(f"{place}[{i}]", row) for i, row in enumerate(given))

@@ -23,7 +23,7 @@ from vsfsim.core.scene_tables.camera import CameraSpec, parse_camera
 from vsfsim.core.scene_tables.dataset import ArmSpec, DatasetSpec, TouchSpec, parse_dataset, parse_touches
 from vsfsim.core.scene_tables.object import ObjectSpec, parse_object
 from vsfsim.core.shape import MeshFile, ProbeShape
-from vsfsim.core.table import Vector, check_keys, ends, parse_toml, read_text, sample, typed, value
+from vsfsim.core.table import Vector, check_keys, ends, parse_toml, read_text, sample, typed
 
 Need = Literal["normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling"]
 NEEDS: tuple[str, ...] = get_args(Need)
@@ -33,15 +33,15 @@ Allowed = Literal["unused-part", "no-contact", "out-of-reach", "own-weight"]
 """Words that a scene's ``allow`` may hold."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """One concrete scene: every distribution is fixed. A scene without an object has a sensor and obstacles."""
 
     name: str
     """From the file."""
-    needs: tuple[str, ...]
+    needs: Needs = ("normal-force",)
     """What the signal depends on, of `NEEDS`."""
-    gravity: tuple[float, float, float]
+    gravity: Vector = (0.0, 0.0, 0.0)
     """Acceleration (3,) [m/s^2]."""
     object: ObjectSpec | None
     """``[object]``, or None without one."""
@@ -75,7 +75,7 @@ class Scene:
     effector_table: Mapping[str, Any] = field(default_factory=dict)
     """The table of the effector as it is written, e.g. [sensor] or [arm]; an effector that has no parser of its own in
     `vsfsim.core` reads its settings from it."""
-    allow: tuple[str, ...] = ()
+    allow: tuple[Allowed, ...] = ()
     """What is meant although it has no effect, of `Allowed`."""
 
     @property
@@ -207,9 +207,14 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
     return scene
 
 
+_KEYS = ("name", "description", "needs", "gravity", "object", "probe", "sensor", "obstacles", "press", "touches",
+         "camera", "dataset", "arm", "allow")
+_READ: dict[str, Callable[[Any, Path], Any]] = {"object": parse_object, "press": parse_press, "touches": parse_touches,
+                                                "dataset": parse_dataset}
+
+
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
-    check_keys(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor", "obstacles",
-                                 "press", "touches", "camera", "dataset", "arm", "allow"))
+    check_keys(tree, str(path), _KEYS)
     if "sensor" in tree and "arm" in tree:
         raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led "
                          f"along straight lines, or by an arm without one. Take one of them out.")
@@ -244,19 +249,9 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made with one simple probe, which a method "
                          f"can read from it; this scene has {what}. Use it with [press], or take it out.")
 
-    def table(name: str, parse: Callable[[Any, Path], Any]) -> Any:
-        return parse(tree[name], path) if name in tree else None
-
-    return Scene(
-        name=str(tree.get("name", path.stem)),
-        needs=value(tree.get("needs", ["normal-force"]), Needs, f"{path}: needs"),
-        gravity=value(tree.get("gravity", [0.0, 0.0, 0.0]), Vector, f"{path}: gravity"),
-        object=table("object", parse_object), probe=probe, parts=parts, obstacles=obstacles,
-        press=table("press", parse_press), touches=table("touches", parse_touches),
-        camera=parse_camera(tree.get("camera", {}), path), dataset=table("dataset", parse_dataset), source=path,
-        given=frozenset(tree), sensor=sensor,
-        arm=typed(tree["arm"], ArmSpec, f"{path} [arm]") if "arm" in tree else None,
-        effector=effector, mount_stiffness=mount,
-        effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),
-        allow=value(tree.get("allow", []), tuple[Allowed, ...], f"{path}: allow"),
-    )
+    tables: dict[str, Any] = {key: parse(tree[key], path) if key in tree else None for key, parse in _READ.items()}
+    return typed(
+        tree, Scene, str(path), also=_KEYS, name=str(tree.get("name", path.stem)), probe=probe, parts=parts,
+        obstacles=obstacles, camera=parse_camera(tree.get("camera", {}), path), source=path, given=frozenset(tree),
+        sensor=sensor, arm=typed(tree["arm"], ArmSpec, f"{path} [arm]") if "arm" in tree else None, effector=effector,
+        mount_stiffness=mount, effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))), **tables)

@@ -22,6 +22,7 @@ from vsfsim.data.records import ObjectView
 from vsfsim.data.store import Store
 
 FOLDER = "manifest"
+KIND = f"{FOLDER}/kind"
 _LINE, _FAILED = ".json", ".failed"
 MOST_FAILURES = 2
 """A view that failed so often is not tried again in a run that allows `poison`."""
@@ -76,9 +77,8 @@ def check_kind(store: Store, made_on: str, *, mixed: bool) -> None:
     Raises:
         DatasetError: it is another one.
     """
-    spot = f"{FOLDER}/kind"
-    if not (found := store.get(spot)) and not store.put_new(spot, made_on.encode()):
-        found = store.get(spot)
+    if not (found := store.get(KIND)) and not store.put_new(KIND, made_on.encode()):
+        found = store.get(KIND)
     there = (found or b"").decode(errors="replace") or made_on
     if there != made_on and not mixed:
         raise DatasetError(f"{store.where} was begun on '{plain(there)}', and this machine is '{made_on}': they round "

@@ -14,8 +14,7 @@ import numpy as np
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.hdf5 import MAKE_AGAIN, examine, fault_of
-from vsfsim.data.kept import broken, observed
-from vsfsim.data.manifest import CARD, MANIFEST, Entry, entry_of
+from vsfsim.data.manifest import CARD, MANIFEST, Entry, broken, entry_of, observed
 from vsfsim.data.records import Touch, values_of
 
 BALANCE_LIMIT = 1e-3
@@ -74,7 +73,7 @@ class Report:
     worst_balance: float = 0.0
     """Largest force imbalance of a converged frame with contact [-]."""
     accuracy: Mapping[str, Any] | None = None
-    """Asked, chosen, expected and observed, see `vsfsim.data.kept`; None of a dataset that promises none."""
+    """Asked, chosen, expected, observed (`vsfsim.data.manifest.observed`); None of a dataset that promises none."""
 
     @property
     def ok(self) -> bool:

@@ -51,7 +51,6 @@ class DatasetWriter:
         recipe: what is made.
         names: of all object views, in order.
         shard: (i, n) to make the i-th of n shards, from 0, beside others; None to own the dataset.
-        mixed: whether machines of several kinds may make it.
 
     Attributes:
         notes: what was found and done at the start, one sentence each; for the user to see.
@@ -60,9 +59,8 @@ class DatasetWriter:
         DatasetError: the folder holds something else, another process writes it, or the disk refuses.
     """
 
-    def __init__(self, path: str | Path, recipe: Recipe, names: list[str], *, shard: tuple[int, int] | None = None,
-                 mixed: bool = False):
-        self.recipe, self.names, self.shard, self.mixed = recipe, list(names), shard, mixed
+    def __init__(self, path: str | Path, recipe: Recipe, names: list[str], *, shard: tuple[int, int] | None = None):
+        self.recipe, self.names, self.shard = recipe, list(names), shard
         self.store = Store(path)
         self.path: Path | None = None if is_url(path) else Path(path)
         self.notes: list[str] = []
@@ -123,8 +121,7 @@ class DatasetWriter:
             leave_out: whether object views that failed twice may be left out.
 
         Raises:
-            DatasetError: object views are missing or damaged, machines of several kinds made them and `mixed` is False,
-                or the disk refuses.
+            DatasetError: object views are missing or damaged, or the disk refuses.
         """
         if self._finished is None:
             left_out = lines.poisoned(self.store) if leave_out else {}
@@ -152,11 +149,6 @@ class DatasetWriter:
                 lines.forget(self.store, entry.name)
                 raise DatasetError(f"{entry.file} was changed after it was written; it was removed. Run `vsfsim "
                                    f"generate` again, which makes what is missing.")
-        kinds = sorted({entry.made_on for entry in entries})
-        if len(kinds) > 1 and not self.mixed:
-            raise DatasetError(f"{self.store.where}: files were made on machines of {len(kinds)} kinds "
-                               f"({'; '.join(repr(kind) for kind in kinds)}), which round otherwise. Finish it with "
-                               f"--allow mixed; dataset.json says which file was made on which.")
         return entries
 
     def close(self) -> None:
@@ -251,6 +243,7 @@ class DatasetWriter:
                 self.notes.append(f"{entry.file} was missing or damaged and is made again.")
             else:
                 lines.put_line(self.store, entry, self.recipe)
+                self.store.put_new(lines.KIND, entry.made_on.encode())
         return True
 
     def _is_whole(self, entry: Entry, sizes: dict[str, int]) -> bool:

@@ -117,7 +117,7 @@ def make(plan: Plan) -> Made:
         tier, options = bought(loaded, folder, asked, recipe.objects)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
     jobs = jobs_of(recipe, loaded.path, folder, asked.allow)
-    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard, mixed="mixed" in asked.allow) as writer:
+    with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard) as writer:
         missing = set(writer.missing())
         mine = [job for k, job in enumerate(jobs) if job.name in missing
                 and (shard is None or k % shard[1] == shard[0])]

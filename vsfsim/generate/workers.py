@@ -15,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.system.processes import one_thread
+from vsfsim.core.system.engines import one_thread
 from vsfsim.data.lines import MOST_FAILURES, Failure, check_kind, failure, finished_names, put_failure, put_view
 from vsfsim.data.manifest import Entry
 from vsfsim.data.provenance import machine_kind

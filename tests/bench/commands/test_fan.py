@@ -39,8 +39,7 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
 
 def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
     task = "fewshot-shoes-v2-mini-v3"
-    out = vsfsim("cluster", "--on", "k8s", "--shards=5", "--print", "papers", "study", "rope", "--size", "mini",
-                 cwd=tmp_path)
+    out = vsfsim("cluster", "--on", "k8s", "--shards=5", "papers", "study", "rope", "--size", "mini", cwd=tmp_path)
     words = '"vsfsim", "cluster", "--shard", "auto/5", "papers", "study", "rope", "--size", "mini", "--workers"'
     assert words in out.stdout and "completions: 5" in out.stdout
     for words, text in ((("--on", "ray", "--shard", "0/2"), "--shard and --on do not go together"),

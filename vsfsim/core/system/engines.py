@@ -1,5 +1,6 @@
 """Engines that make the parts of a work on other machines: a Ray cluster, on which each item is a task; Slurm and
-Kubernetes, whose tasks are the shards of a command; and which shard this process makes. None is needed for one machine.
+Kubernetes, whose tasks are the shards of a command; which shard this process makes, and processes of one thread. None
+of the engines is needed for one machine.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import json
 import os
 import shlex
 import socket
-import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import Any
 
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.extras import missing_package
-from vsfsim.core.system.processes import ONE_THREAD
 
 MOST = 100_000
 """Shards of one work."""
@@ -107,26 +106,6 @@ def job_file(engine: str, words: Sequence[str], shards: int, *, gpus: int = 0) -
         on_volume=not any("://" in word for word in words))
 
 
-def submit(words: Sequence[str], shards: int, *, gpus: int = 0) -> None:
-    """Submit Slurm's array by `sbatch` and wait for it.
-
-    Args:
-        words: the command and its options. shards: tasks of the array. gpus: of each.
-
-    Raises:
-        VsfsimError: there is no Slurm here, too many shards, or one that failed.
-    """
-    batch = job_file("slurm", words, shards, gpus=gpus)
-    try:
-        code = subprocess.run(["sbatch", "--wait"], input=batch, text=True).returncode
-    except FileNotFoundError:
-        raise VsfsimError("there is no Slurm on this machine, no command sbatch. Use --print to write the batch file, "
-                          "and submit it where `sbatch` is.") from None
-    if code:
-        raise VsfsimError(f"sbatch ended with code {code}: shards failed; their logs are slurm-*.log in this folder. "
-                          f"Run the same command again, which makes what is missing.")
-
-
 WAIT = 5.0  # a cluster may take so long to answer [s]
 
 
@@ -197,3 +176,21 @@ def _error(ray: Any, ready: Any) -> str:
     except ray.exceptions.RayError as error:
         return f"its process died on the cluster again and again: {type(error).__name__}"
     return ""
+
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of a process of one thread."""
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes that start in the block have one thread each, because a sum that is split over threads depends on how
+    many there are."""
+    before = {name: os.environ[name] for name in ONE_THREAD if name in os.environ}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name in ONE_THREAD:
+            del os.environ[name]
+        os.environ.update(before)

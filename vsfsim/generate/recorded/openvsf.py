@@ -95,7 +95,7 @@ def import_openvsf(folder: Path, out: Path, options: Options = Options()) -> Dat
                     seed=0, objects=len(views), views=1, touches=min(len(v.touches) for v in views),
                     splits={SPLIT: len(views)}, device="none", tier=SPLIT, precision="float64", renderer="none")
     with whole_folder(out) as part:
-        with DatasetWriter(part, recipe, [view.name for view in views], mixed=True) as writer:
+        with DatasetWriter(part, recipe, [view.name for view in views]) as writer:
             for view in views:
                 writer.add(view, "a real robot")
             writer.finish()
