@@ -41,7 +41,7 @@ PHYSICS = ({"laws", "elements"}, {"linear", "mesh"}, {"contact"}, {"solve"}, {"b
 HEAVY = {
     "core": {"numpy", "scipy", "filelock", "msgspec"},
     "data": {"numpy", "h5py", "msgspec", "filelock"},
-    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh"},
+    "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "trimesh", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},

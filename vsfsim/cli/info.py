@@ -96,12 +96,18 @@ def renderers() -> Group:
 
 
 def caches() -> Group:
-    """Folders that may be deleted: of compiled kernels."""
+    """Folders that may be deleted: compiled kernels and meshes."""
+    def meshes() -> Found:
+        from vsfsim.physics.disk_cache import folder
+
+        return _size(folder()), "may be deleted; $XDG_CACHE_HOME moves it"
+
     def kernels() -> Found:
         from vsfsim.physics.runtime import kernel_cache
 
         return _size(kernel_cache()), "may be deleted (the next run compiles, for minutes); $WARP_CACHE_PATH moves it"
 
+    yield "meshes", meshes
     yield "kernels", kernels
 
 

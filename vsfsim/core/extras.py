@@ -11,7 +11,7 @@ from pathlib import Path
 from vsfsim.core.errors import VsfsimError
 
 EXTRA_OF = {
-    "warp": "sim", "mujoco": "sim", "trimesh": "sim",
+    "warp": "sim", "mujoco": "sim", "trimesh": "sim", "pytetwild": "sim", "pyvista": "sim",
     "torch": "methods", "sklearn": "methods", "safetensors": "methods",
     "s3fs": "cloud", "ray": "ray", "pyarrow": "export", "yaml": "export",
     "gymnasium": "active", "rerun": "rerun",

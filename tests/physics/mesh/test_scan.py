@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -126,16 +127,39 @@ def test_a_filling_of_another_size_is_refused_with_its_account(tmp_path: Path, m
         vertices, tets = fill(*given)
         return 0.95 * vertices, tets
 
+    def broken(*given: object) -> None:
+        raise MeshError("out of luck")
+
+    monkeypatch.setattr(scan, "ftetwild", broken)
     monkeypatch.setattr(scan, "fill_lattice", shrunk)
     monkeypatch.setattr(scan, "pull_to_features", lambda vertices, *more: vertices)
     with pytest.raises(MeshError, match=r"within 10 % of the scan.*volume .* \(-1\d.*%\).*finer resolution"):
         fill_mesh_file(MeshFile(str(tmp_path / "scan.ply")), resolution=0.02)
 
 
+@pytest.mark.parametrize(("filler", "words"), [
+    ("raise RuntimeError('out of luck')", "out of luck"),
+    ("import resource\nresource.setrlimit(resource.RLIMIT_CPU, (1, 1))\nwhile True: pass", "60 s of processor time")])
+def test_a_filler_that_dies_or_does_not_end_is_an_error(
+        filler: str, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(scan, "_FILLER", filler)
+    with pytest.raises(MeshError, match=f"x.stl.*{words}"):
+        scan.ftetwild(SimpleNamespace(vertices=np.zeros((3, 3)), faces=np.zeros((1, 3)), extents=np.ones(3)), 0.01,
+                      Path("x.stl"))
+    assert not list(tmp_path.rglob("*.npz"))
+
+
 @pytest.mark.slow
-def test_walls_thinner_than_the_finest_lattice_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(MeshError, match=r"within 10 % of the scan|walls are too thin"):
-        filled(hollow(0.0004), tmp_path)
+def test_walls_thinner_than_any_lattice_are_filled_by_ftetwild_once(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    solid = filled(hollow(0.0008), tmp_path)
+    check_filled(solid, float(hollow(0.0008).volume), within=0.05)
+    assert any("fTetWild" in note for note in solid.notes)
+    monkeypatch.setattr(scan, "_FILLER", "raise RuntimeError('made again')")
+    scan._filled.cache_clear()
+    assert np.array_equal(filled(hollow(0.0008), tmp_path).vertices, solid.vertices)
 
 
 def test_thin_walls_survive_a_coarse_fill(tmp_path: Path) -> None:

@@ -1,12 +1,16 @@
 """A user's own surface mesh, checked, repaired and filled with tetrahedra: the same body from the same surface.
 
 `repair` reads the surface, `lattice` fills it, `account` compares the two. Where a wall is thinner than the lattice
-resolves, finer ones are tried.
+resolves, finer ones are tried, and where none of them is near the surface, fTetWild (`ftetwild`) fills it.
 """
 
 from __future__ import annotations
 
 import functools
+import hashlib
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,8 +18,10 @@ import numpy as np
 import trimesh
 
 from vsfsim.core.errors import MeshError
+from vsfsim.core.extras import require
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, level, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
@@ -26,10 +32,28 @@ MAX_TETS = 2_000_000
 """Largest estimated number of tetrahedra in the bounding box."""
 _FINER = tuple(0.5 ** (k / 2) for k in range(9))
 """Sizes of lattices that are tried, over the size asked for; the first is kept whose box and volume are within 2 %."""
+_ENOUGH = 0.05  # difference up to which a lattice is preferred to fTetWild, whose mesh differs from run to run [-]
+_ENVELOPE = 1 / 100  # distance that fTetWild may move the surface, in units of the element size [-]
 _MOST_TETS = 60_000  # tetrahedra of a lattice that is finer than asked for, at most
 _SHARP = np.radians(35.0)  # between the normals of two faces whose common edge the filling shall keep
 _DIGITS = 5  # of a coordinate over the longest edge of the box; a binary STL file has seven
 _TURN = np.cos(np.radians(35.0))  # between two sharp edges whose common end is a corner
+# fTetWild runs in a process and a folder of its own: it leaves "__tracked_surface.stl" in the working directory, and
+# may crash on a mesh that it cannot fill. Its package imports PyVista, which takes most of such a process, only to add
+# a function to its meshes; a module without functions is to it a PyVista that is too old for that.
+_FILLER = """
+import resource, sys, types
+import numpy as np
+given = np.load(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_CPU, (int(given["seconds"]),) * 2)
+sys.modules["pyvista"] = types.ModuleType("pyvista")
+import pytetwild
+vertices, tets = pytetwild.tetrahedralize(given["vertices"], given["faces"], edge_length_abs=float(given["resolution"]),
+                                          epsilon=float(given["envelope"]), num_threads=1, quiet=True)
+np.savez(sys.argv[2], vertices=vertices, tets=tets)
+"""
+CPU_LIMIT = 60
+"""Processor time after which the filler is stopped [s]; the load of the machine has no say."""
 
 
 class _Filling(NamedTuple):
@@ -95,11 +119,11 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
 
 
 def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Filling:
-    """The coarsest lattice that is within 2 % of the surface, or else the one that comes closest."""
+    """The coarsest lattice that is within 2 % of the surface, or else what comes closest."""
     within, (low, high) = level(surface), (surface.vertices.min(axis=0), surface.vertices.max(axis=0))
     corners, edges = features(surface)
     tried: list[_Filling] = []
-    problem: MeshError | None = None
+    problem = None
     for part in _FINER:
         size = part * resolution
         if part < 1.0 and DENSITY * volume / size**3 > _MOST_TETS:
@@ -118,11 +142,60 @@ def _best(surface: Surface, volume: float, resolution: float, path: Path) -> _Fi
             problem = problem or error
             continue
         if _misses(tried[-1]) <= TOLD:
-            break
-    if not tried:
-        raise problem or MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: its "
-                                   f"walls are too thin. Use a finer resolution, or give it thicker walls.")
+            return tried[-1]
+    if not tried or min(map(_misses, tried)) > _ENOUGH:
+        try:
+            tried.append(_filling(surface, volume, *ftetwild(surface, resolution, path), [
+                "Filled by fTetWild, because parts are thinner than a lattice of this resolution holds; its mesh "
+                "differs from run to run, and the first one is kept."], resolution, path))
+        except MeshError as error:
+            if not tried:
+                raise problem or error from error
     return min(tried, key=_misses)
+
+
+def ftetwild(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) [m] and positively oriented tetrahedra (m, 4) inside a surface, by fTetWild (Hu et al. 2020)
+    through pytetwild, which takes a surface that crosses itself, and walls of any thickness.
+
+    Its mesh differs from run to run, even with one thread: it is asked for where a regular lattice does not do, and
+    what it made first is kept in `vsfsim.physics.disk_cache`.
+
+    Args:
+        surface: what is filled.
+        resolution: edge length [m].
+        path: of the mesh file, for messages.
+
+    Raises:
+        MissingPackage: pytetwild is not installed.
+        MeshError: the filler failed, or took more processor time than `CPU_LIMIT`.
+    """
+    given = {"vertices": np.asarray(surface.vertices, np.float64), "faces": np.asarray(surface.faces, np.int32),
+             "resolution": np.float64(resolution), "seconds": np.int64(CPU_LIMIT),
+             "envelope": np.float64(_ENVELOPE * resolution / np.linalg.norm(surface.extents))}
+    key = hashlib.sha256(b"".join(value.tobytes() for value in given.values())).hexdigest()
+
+    def make() -> dict[str, np.ndarray]:
+        require("sim", "pytetwild")
+        print(f"{path.name}: fTetWild fills it, in at most {CPU_LIMIT} s of processor time", file=sys.stderr)
+        with tempfile.TemporaryDirectory(prefix="vsfsim-fill-") as folder:
+            np.savez(Path(folder, "given.npz"), **given)  # type: ignore[arg-type]
+            filler = subprocess.run([sys.executable, "-c", _FILLER, "given.npz", "made.npz"], cwd=folder, text=True,
+                                    stdout=subprocess.PIPE, stderr=subprocess.STDOUT, errors="replace")
+            made = Path(folder, "made.npz")
+            if filler.returncode != 0 or not made.exists():
+                said = filler.stdout.strip().splitlines() or [f"it was stopped with status {filler.returncode}, as it "
+                                                              f"is after {CPU_LIMIT} s of processor time"]
+                raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: "
+                                f"{said[-1]}. Use a coarser resolution, or repair the mesh by hand (e.g. in MeshLab).")
+            with np.load(made, allow_pickle=False) as data:
+                return {name: data[name] for name in data.files}
+
+    found = disk_cache.kept(disk_cache.folder() / f"tets-{key[:32]}.npz", make)
+    vertices, tets = found["vertices"].astype(np.float64), found["tets"].astype(np.int64)
+    volumes = tet_volumes(vertices, tets)
+    tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
+    return vertices, tets[np.abs(volumes) > 1e-9 * resolution**3]
 
 
 def _misses(filling: _Filling) -> float:
