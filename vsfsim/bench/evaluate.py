@@ -27,7 +27,6 @@ from typing import Any
 from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.commands.catalogue import preset as chosen
 from vsfsim.bench.commands.ceiling import evaluate_ceiling
-from vsfsim.bench.curves import beside
 from vsfsim.bench.identity import SCORER, contents_of
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import UNKNOWN
@@ -36,6 +35,7 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.bench.trials.answers import Reader
 from vsfsim.bench.trials.jobs import Evaluation, Job, Progress
+from vsfsim.bench.trials.score import curves_beside
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
 from vsfsim.core.shelf import ceilings
@@ -158,7 +158,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     isolation, wanted = Isolation(sandbox, timeout, memory), list[Evaluation]()
     for path, choice in rows.items():
         known = None if again else _kept(path, task, data.sha256, choice, seeds)
-        if known is not None and (not keep or beside(path).is_file()):
+        if known is not None and (not keep or curves_beside(path).is_file()):
             yield Made(path, known, kept=True)
         elif choice.method not in ceilings():
             wanted.append(Evaluation(choice.method, task, data, path, choice.parameters, seeds, isolation, training,

@@ -1,31 +1,54 @@
-"""Scoring a file of predictions, for methods that run elsewhere (another language, another machine).
+"""What a task asks of a method that runs elsewhere (another language, another machine), and its file of predictions.
 
 The file is an .npz with one array (T, d) for every query: its key is ``<object>/<shot>/<seed>/<touch>``, e.g.
-``shoe-0004-v0/5/0/011``. `questions` lists them together with the touches that may be used for each.
+``shoe-0004-v0/5/0/011``. `questions` lists them together with the touches that may be used for each, of a dataset or of
+the public part of a sealed set.
+
+A sealed set is the public part of a dataset, a private part that scores answers to it, and a commitment to both. The
+public folder holds what a method may see of every object: the picture, the support touches with the task's noise, and
+the paths of the query touches. The private file holds a text with the identity of the dataset, its seed and a random
+word. The sha256 of that text is in the public part, so that whoever seals a set cannot change it afterwards, and nobody
+can guess the seed. The dataset itself stays with them, because it holds the query readings and the truth.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
 import lzma
+import secrets
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
+from types import SimpleNamespace
+from typing import Any, Literal, TypeVar
 from zipfile import BadZipFile, ZipFile
 
+import msgspec
 import numpy as np
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
-from vsfsim.bench.protocol import Answers, Trial, divide, folds_of, record, support
+from vsfsim.bench.method import Action, Reading, Surface, checked_prediction, frozen_view
+from vsfsim.bench.protocol import Answers, Draw, Trial, divide, folds_of, record, support, test_names
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.score import result_of
-from vsfsim.core.errors import MethodError, no_such_file
-from vsfsim.core.plain_text import plain
+from vsfsim.core.errors import MethodError, SceneError, TaskError, no_such_file
+from vsfsim.core.plain_text import from_json, plain
+from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import View
+from vsfsim.data.safety import check_name
+
+INDEX = "sealed.json"
+FEWEST_SEEDS = 10**11
+"""A smaller seed can be found by making an object of each and comparing pictures."""
+T = TypeVar("T")
+_VIEW = ("rgb", "depth", "mask", "intrinsics", "camera_pose")
 
 
 @dataclass(frozen=True)
@@ -47,7 +70,8 @@ class Question:
     actions: tuple[Action, ...]
     """Of the query touches."""
     train: tuple[str, ...] = ()
-    """Names of the object views that the answers may be learned from; with cross-validation others in every fold."""
+    """Names of the object views that the answers may be learned from, with cross-validation others in every fold; none
+    of a sealed set, whose method learns from other data first."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -55,17 +79,36 @@ class Question:
         return tuple(f"{self.name}/{self.shot}/{self.seed}/{touch:03d}" for touch in self.touches)
 
 
-def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
-    """All adaptations that the task asks for, in order, without a reading of a query touch."""
-    for fold in folds_of(dataset, task.protocol):
-        for view in map(dataset.blind().load, fold.test):
-            recording, draw, shown = record(view, task), divide(view, task.protocol), frozen_view(view.view)
-            actions = tuple(recording.queries[i].action for i in draw.query)
-            for seed in task.protocol.runs(seeded=False):
-                for label in task.protocol.labels:
-                    chosen = support(view, draw, label, seed, task.protocol)
-                    yield Question(view.name, label, seed, shown, tuple(recording.readings[i] for i in chosen),
-                                   draw.query, actions, fold.train)
+def questions(task: Task, source: Dataset | Path) -> Iterator[Question]:
+    """All adaptations that the task asks for, in order, without a reading of a query touch.
+
+    Args:
+        task: the task. source: its dataset, or the public folder of a sealed set.
+
+    Raises:
+        TaskError: the folder is no sealed set of this task, or a file of it was changed.
+    """
+    if isinstance(source, Dataset):
+        for fold in folds_of(source, task.protocol):
+            for view in map(source.blind().load, fold.test):
+                recording, draw = record(view, task), divide(view, task.protocol)
+                yield from _asked(task, view, frozen_view(view.view), draw, recording.readings, tuple(
+                    recording.queries[i].action for i in draw.query), fold.train)
+        return
+    index = _read(source / INDEX, _Index)
+    if index.task_sha256 != task.sha256:
+        raise TaskError(f"{source} is a sealed set of task {plain(index.task)}, not of this text of {task.name}.")
+    for file, sha256 in index.files.items():
+        yield from _asked(task, *_object_of(source / check_name(file, str(source / INDEX)), sha256, task))
+
+
+def _asked(task: Task, view: Any, shown: View, draw: Draw, readings: Sequence[Reading] | Mapping[int, Reading],
+           actions: tuple[Action, ...], train: tuple[str, ...] = ()) -> Iterator[Question]:
+    """The questions about one object view, of which ``view`` has the name and the numbers."""
+    for run in task.protocol.runs(seeded=False):
+        for label in task.protocol.labels:
+            given = tuple(readings[k] for k in support(view, draw, label, run, task.protocol))
+            yield Question(view.name, label, run, shown, given, draw.query, actions, train)
 
 
 def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:
@@ -152,3 +195,147 @@ class PredictionFile:
             raise MethodError(f"predictions {self.path}: '{key}' ends after {len(content)} of {size} bytes. Write the "
                               f"file again.")
         return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
+
+
+def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
+    """Write the public part into a new folder and the private one into a new file.
+
+    Returns:
+        The commitment.
+
+    Raises:
+        TaskError: the folder or the file exists, or cannot be written.
+    """
+    for path in (public, private):
+        if path.exists():
+            raise TaskError(f"{path} exists already. Choose another name, or remove it first.")
+    if public.resolve() in private.resolve().parents:
+        raise TaskError(f"{private} would lie in the public folder {public}. Choose another place for the private "
+                        f"part.")
+    text = json.dumps({"dataset_sha256": dataset.sha256, "scene": dataset.recipe.scene, "seed": dataset.recipe.seed,
+                       "task_sha256": task.sha256, "word": secrets.token_hex(16)}, sort_keys=True)
+    commitment = hashlib.sha256(text.encode()).hexdigest()
+    names = test_names(dataset, task.protocol)
+    _write(private, _Private("vsfsim-sealed-private", 1, commitment, text))
+    files = {}
+    for number, name in enumerate(names):
+        content = _public_part(dataset, task, name)
+        write_atomic(public / f"object-{number:04d}.npz", content, error=TaskError)
+        files[f"object-{number:04d}.npz"] = hashlib.sha256(content).hexdigest()
+    _write(public / INDEX, _Index("vsfsim-sealed", 1, task.name, task.sha256, commitment, files))
+    return commitment
+
+
+def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
+    """Refuse a private part that is not that of a task and its dataset, or does not keep its commitment.
+
+    Raises:
+        TaskError: with what differs.
+    """
+    part = _read(private, _Private)
+    if hashlib.sha256(part.text.encode()).hexdigest() != part.commitment:
+        raise TaskError(f"{private} does not keep its commitment: the sha256 of its text is another one.")
+    try:
+        said = from_json(part.text)
+        pairs = {"task_sha256": task.sha256, "dataset_sha256": dataset.sha256, "seed": dataset.recipe.seed}
+        odd = [key for key, value in pairs.items() if said[key] != value]
+    except (ValueError, KeyError, TypeError) as error:
+        raise TaskError(f"{private}: its text is not that of a sealed set ({plain(error)}).") from error
+    if odd:
+        raise TaskError(f"{private} is not of this task and dataset: {' and '.join(odd)} differ.")
+
+
+def receipt(private: Path, row_sha256: str) -> dict[str, str]:
+    """That whoever holds a private part has scored a row against it: its commitment, and the sha256 of its text with
+    that of the row, which nobody else can make and everybody can check once the text is published.
+
+    Raises:
+        TaskError: the file is no private part.
+    """
+    part = _read(private, _Private)
+    return {"commitment": part.commitment,
+            "receipt": hashlib.sha256(f"{part.text}{row_sha256}".encode()).hexdigest()}
+
+
+def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
+    view = dataset.blind().load(name)
+    recording, draw = record(view, task), divide(view, task.protocol)
+    head = {"name": view.name, "object_index": view.object_index, "view_index": view.view_index,
+            "probe": probe_tables(view.probes), "query": list(draw.query), "pool": list(draw.pool)}
+    arrays: dict[str, np.ndarray] = {key: np.asarray(getattr(view.view, key)) for key in _VIEW}
+    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
+    for index in draw.pool:
+        reading = recording.readings[index]
+        arrays |= _of_action(index, reading.action, view.touches[index].press)
+        arrays |= {f"{index}/value": reading.value, f"{index}/valid": reading.valid}
+        if reading.surface is not None:
+            arrays |= {f"{index}/vertices": reading.surface.vertices, f"{index}/node_force": reading.surface.force}
+    for index in draw.query:
+        arrays |= _of_action(index, recording.queries[index].action, view.touches[index].press)
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+    return out.getvalue()
+
+
+def _of_action(index: int, action: Action, press: int | None) -> dict[str, np.ndarray]:
+    more = {"q": action.q, "mount_stiffness": action.mount_stiffness, "press": press}
+    return {f"{index}/{key}": np.asarray(value) for key, value in {
+        "time": action.time, "poses": action.poses, "axis": action.axis, **more}.items() if value is not None}
+
+
+def _object_of(path: Path, sha256: str, task: Task) -> tuple[Any, View, Draw, dict[int, Reading], tuple[Action, ...]]:
+    """The operands of `_asked` of an object of a sealed set."""
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise TaskError(f"{path} was changed after the set was sealed: its sha256 is another one.")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = dict(file)
+        head = from_json(arrays.pop("head").tobytes())
+        shown = frozen_view(View(**{key: arrays[key] for key in _VIEW}))
+        probes = parse_probe_shapes(head["probe"], str(path))
+        draw = Draw(tuple(head["query"]), tuple(head["pool"]))
+        readings = {k: Reading(_action(arrays, k, probes, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
+                               _surface(arrays, k)) for k in draw.pool}
+        view = SimpleNamespace(name=check_name(head["name"], str(path)), object_index=int(head["object_index"]),
+                               view_index=int(head["view_index"]))
+        return view, shown, draw, readings, tuple(_action(arrays, k, probes, task) for k in draw.query)
+    except (OSError, ValueError, KeyError, TypeError, IndexError, BadZipFile, EOFError, SceneError) as error:
+        raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
+
+
+def _action(arrays: Mapping[str, np.ndarray], k: int, probes: Sequence[ProbeShape], task: Task) -> Action:
+    spring, press = arrays.get(f"{k}/mount_stiffness"), int(arrays.get(f"{k}/press", 0))
+    return Action(arrays[f"{k}/time"], arrays[f"{k}/poses"], arrays[f"{k}/axis"], probes[press], task.observation.name,
+                  task.observation.size, arrays.get(f"{k}/q"), None if spring is None else float(spring))
+
+
+def _surface(arrays: Mapping[str, np.ndarray], k: int) -> Surface | None:
+    return Surface(arrays[f"{k}/vertices"], arrays[f"{k}/node_force"]) if f"{k}/vertices" in arrays else None
+
+
+class _Private(msgspec.Struct):
+    format: Literal["vsfsim-sealed-private"]
+    version: Literal[1]
+    commitment: str
+    text: str
+
+
+class _Index(msgspec.Struct):
+    format: Literal["vsfsim-sealed"]
+    version: Literal[1]
+    task: str
+    task_sha256: str
+    commitment: str
+    files: dict[str, str]
+
+
+def _read(path: Path, kind: type[T]) -> T:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise TaskError(f"{path} is no part of a sealed set as `lab seal` writes it: {plain(error)}.") from error
+
+
+def _write(path: Path, table: Any) -> None:
+    write_atomic(path, msgspec.json.format(msgspec.json.encode(table), indent=1) + b"\n", error=TaskError)

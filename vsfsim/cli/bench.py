@@ -171,8 +171,7 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
     """
     from vsfsim.bench.board.shipped import row_sha256
     from vsfsim.bench.leaderboard import score_table
-    from vsfsim.bench.predictions import score_predictions
-    from vsfsim.bench.sealed import check_commitment, receipt
+    from vsfsim.bench.predictions import check_commitment, receipt, score_predictions
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)
@@ -317,10 +316,10 @@ def seal(dataset: Path, task: TaskName, public: Annotated[Path, typer.Option(met
     \b
       from pathlib import Path
       import numpy as np
-      from vsfsim.bench.sealed import questions
+      from vsfsim.bench.predictions import questions
       from vsfsim.bench.task import load_task
       answers = {}
-      for q in questions(Path("public"), load_task("my-task-v1.toml")):
+      for q in questions(load_task("my-task-v1.toml"), Path("public")):
           method.adapt(q.view, q.support)                # after method.meta_fit(...) on other objects
           answers |= zip(q.keys, method.predict(q.actions))
       np.savez("predictions.npz", **answers)
@@ -333,13 +332,13 @@ def seal(dataset: Path, task: TaskName, public: Annotated[Path, typer.Option(met
         public: New folder for pictures, support touches and query paths.
         private: New file for the text that the commitment is of. Keep it with the dataset.
     """
-    from vsfsim.bench import sealed
+    from vsfsim.bench import predictions
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)
     data = open_dataset(wanted, dataset)
-    commitment = sealed.seal(wanted, data, public, private)
+    commitment = predictions.seal(wanted, data, public, private)
     guess = f"\nnote: seed {data.recipe.seed} is found by trying; seal data of a seed with 12 digits or more" if (
-        data.recipe.seed < sealed.FEWEST_SEEDS) else ""
+        data.recipe.seed < predictions.FEWEST_SEEDS) else ""
     report(f"public part: {public}\nprivate part: {private} and {dataset}; keep both\ncommitment to publish: "
            f"{commitment}{guess}", {"public": str(public), "private": str(private), "commitment": commitment}, json)

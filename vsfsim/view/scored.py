@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench import curves
 from vsfsim.bench.metrics import scale_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import load_task
+from vsfsim.bench.trials.score import Curves, load_curves
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView
@@ -32,7 +32,7 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
         TaskError: the file is no result, or neither its dataset nor an estimate of the stiffness is there to show.
     """
     result = Result.load(path)
-    kept, dataset = curves.load(result, path), _dataset(result)
+    kept, dataset = load_curves(result, path), _dataset(result)
     maps = _maps(result)
     names = sorted({*(result.queries.get("object", ()) if dataset else ()), *maps})
     if not names:
@@ -81,7 +81,7 @@ def _maps(result: Result) -> dict[str, np.ndarray]:
     return out
 
 
-def _object(name: str, dataset: Dataset | None, kept: curves.Curves | None, found: np.ndarray | None
+def _object(name: str, dataset: Dataset | None, kept: Curves | None, found: np.ndarray | None
             ) -> dict[str, Any]:
     view = None if dataset is None else dataset.load(name)
     one = of_view(view) if view is not None else {"name": name, "touches": [], "picture": None}

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from vsfsim.bench import curves
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
+from vsfsim.bench.trials.score import curves_beside, load_curves
 from vsfsim.core.errors import TaskError
 
 DEVELOPED = 'development = { folder = "toy-development", seed = 5, objects = 3 }, tier'
@@ -25,8 +25,8 @@ def kept(task, toy_dataset, tmp_path_factory):
 
 
 def test_predictions_lie_beside_the_truth(kept, toy_views):
-    found = curves.load(Result.load(kept), kept)
-    assert len(found) == 2 * 4 and curves.beside(kept).stat().st_size < 20_000
+    found = load_curves(Result.load(kept), kept)
+    assert len(found) == 2 * 4 and curves_beside(kept).stat().st_size < 20_000
     for (name, touch), (truth, predicted) in found.items():
         made = next(view for view in toy_views if view.name == name).touches[touch]
         assert predicted.shape == (4, 3, len(made.time), 1) and (predicted == 2.0).all()
@@ -65,10 +65,10 @@ def test_predictions_of_another_evaluation_are_refused(kept, task, toy_dataset, 
     known = Result.load(kept)
     queries = {**known.queries, "sse": [1.01 * value for value in known.queries["sse"]]}
     dataclasses.replace(known, queries=queries).save(path)
-    curves.beside(path).write_bytes(curves.beside(kept).read_bytes())
+    curves_beside(path).write_bytes(curves_beside(kept).read_bytes())
     with pytest.raises(TaskError, match="of another evaluation than the result beside it"):
         inspect_result(path)
-    curves.beside(path).write_bytes(curves.beside(kept).read_bytes()[:-40])
+    curves_beside(path).write_bytes(curves_beside(kept).read_bytes()[:-40])
 
 
 def test_a_task_on_its_development_objects_is_another_task(task_text, toy_dataset, tmp_path):

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from vsfsim.bench import leaderboard, predictions, sealed
+from vsfsim.bench import leaderboard, predictions
 from vsfsim.bench.board import named
 from vsfsim.bench.board.site import write_site
 from vsfsim.bench.predictions import score_predictions
@@ -17,14 +17,14 @@ from vsfsim.core.errors import TaskError
 
 @pytest.fixture
 def parts(task, toy_dataset, tmp_path):
-    commitment = sealed.seal(task, toy_dataset, tmp_path / "public", tmp_path / "private.json")
+    commitment = predictions.seal(task, toy_dataset, tmp_path / "public", tmp_path / "private.json")
     return tmp_path / "public", tmp_path / "private.json", commitment
 
 
 def test_the_public_part_asks_what_the_dataset_asks(parts, task, toy_dataset):
     public, _, _ = parts
     asked = {(q.name, q.shot, q.seed): q for q in predictions.questions(task, toy_dataset)}
-    found = {(q.name, q.shot, q.seed): q for q in sealed.questions(public, task)}
+    found = {(q.name, q.shot, q.seed): q for q in predictions.questions(task, public)}
     assert found.keys() == asked.keys()
     for key, mine in found.items():
         theirs = asked[key]
@@ -61,10 +61,10 @@ def test_nothing_of_a_query_and_nothing_of_the_seed_is_public(parts, toy_dataset
 
 def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, tmp_path, monkeypatch):
     public, private, commitment = parts
-    answers = {key: np.full((len(action.time), 1), 2.0) for q in sealed.questions(public, task)
+    answers = {key: np.full((len(action.time), 1), 2.0) for q in predictions.questions(task, public)
                for key, action in zip(q.keys, q.actions)}
     np.savez(tmp_path / "p.npz", **answers)
-    sealed.check_commitment(private, task, toy_dataset)
+    predictions.check_commitment(private, task, toy_dataset)
     result = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="mine")
     result.save(tmp_path / "r.json")
     # a row is sealed by an entry of the list with the receipt that the holder of the private part alone can make
@@ -72,8 +72,8 @@ def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, t
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
     monkeypatch.setattr(named, "folder", lambda _: tmp_path)
     entry = next(one for one in named.listed().values() if one.task == "toy-v1")
-    given = sealed.receipt(private, entry.sha256)
-    assert given["commitment"] == commitment and given != sealed.receipt(private, "0" * 64)
+    given = predictions.receipt(private, entry.sha256)
+    assert given["commitment"] == commitment and given != predictions.receipt(private, "0" * 64)
     named.write_list([msgspec.structs.replace(entry, evidence="sealed", **given)], tmp_path / named.LIST)
     board = leaderboard.collect(task)
     assert board.rows[0].evidence == "sealed" and "  sealed  " in leaderboard.text(board).splitlines()[4]
@@ -93,16 +93,16 @@ def test_what_was_changed_is_refused(parts, task, toy_dataset, tmp_path):
                                       ("{}", hashlib.sha256(b"{}").hexdigest(), "not that of a sealed set")):
         private.write_text(json.dumps({**table, "text": text, "commitment": commitment}))
         with pytest.raises(TaskError, match=message):
-            sealed.check_commitment(private, task, toy_dataset)
+            predictions.check_commitment(private, task, toy_dataset)
     with pytest.raises(TaskError, match="is a sealed set of task toy-v1, not of this text"):
-        next(sealed.questions(public, dataclasses.replace(task, sha256="0" * 64)))
+        next(predictions.questions(dataclasses.replace(task, sha256="0" * 64), public))
     file = next(public.glob("*.npz"))
     file.write_bytes(file.read_bytes()[:-1] + b"x")
     with pytest.raises(TaskError, match="was changed after the set was sealed"):
-        list(sealed.questions(public, task))
+        list(predictions.questions(task, public))
     with pytest.raises(TaskError, match="is no part of a sealed set"):
-        next(sealed.questions(tmp_path, task))
+        next(predictions.questions(task, tmp_path))
     with pytest.raises(TaskError, match="exists already"):
-        sealed.seal(task, toy_dataset, public, tmp_path / "new.json")
+        predictions.seal(task, toy_dataset, public, tmp_path / "new.json")
     with pytest.raises(TaskError, match="would lie in the public folder"):
-        sealed.seal(task, toy_dataset, tmp_path / "new", tmp_path / "new" / "private.json")
+        predictions.seal(task, toy_dataset, tmp_path / "new", tmp_path / "new" / "private.json")

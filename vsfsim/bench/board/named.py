@@ -53,8 +53,8 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     task: str
     method: str
     evidence: Literal["open", "sealed", "verified"]
-    """"open": made once; "sealed": scored against a private part (`vsfsim.bench.sealed`); "verified": made again to the
-    same numbers by those who keep the leaderboard, by what follows."""
+    """"open": made once; "sealed": scored against a private part (`vsfsim.bench.predictions`); "verified": made again
+    to the same numbers by those who keep the leaderboard, by what follows."""
     command: str
     commit: str
     machine: str
@@ -63,7 +63,7 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     commitment: _Sha256 | None = None
     """Of the sealed set."""
     receipt: _Sha256 | None = None
-    """That its private part scored this row (`vsfsim.bench.sealed.receipt`)."""
+    """That its private part scored this row (`vsfsim.bench.predictions.receipt`)."""
 
     def __post_init__(self) -> None:
         if self.evidence == "sealed" and None in (self.commitment, self.receipt):

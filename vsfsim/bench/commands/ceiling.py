@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench import curves
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.identity import contents_of
@@ -36,7 +35,7 @@ from vsfsim.bench.protocol import Answers, Trial, divide, record, support, test_
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import load, save
-from vsfsim.bench.trials.score import result_of
+from vsfsim.bench.trials.score import result_of, save_curves
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
@@ -106,7 +105,7 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
     result.save(out)
     shutil.rmtree(part, ignore_errors=True)
     if keep:
-        curves.save(answers, task, dataset, result.seeds, out)
+        save_curves(answers, task, dataset, result.seeds, out)
     return result
 
 

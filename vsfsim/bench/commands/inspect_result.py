@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from vsfsim.bench import curves
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task
+from vsfsim.bench.trials.score import Curves, load_curves
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.scene import load_scene
@@ -39,7 +39,7 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
         TaskError: the file is not a result, its predictions are of another one, or it has no such shot.
     """
     result = Result.load(path)
-    kept = curves.load(result, path)
+    kept = load_curves(result, path)
     metric, ranking = _asked(result)
     shot = shot or ranking
     if shot not in result.shots:
@@ -91,7 +91,7 @@ def _asked(result: Result) -> tuple[str, str]:
     return ("rmse_ratio" if "rmse_ratio" in result.scores else "rmse"), result.shots[-2 if len(result.shots) > 1 else 0]
 
 
-def _touches(result: Result, shot: str, kept: curves.Curves | None) -> list[dict[str, Any]]:
+def _touches(result: Result, shot: str, kept: Curves | None) -> list[dict[str, Any]]:
     """The query touches, means over runs, the worst first: the root mean square error by shot [unit]; the share of it
     at ``shot`` of what predicting zero errs on the object's touches [-]; and the gain, the factor of the truth that
     comes nearest to the prediction [-]. The last two are NaN where they are not known."""
