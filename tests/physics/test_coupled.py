@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vsfsim.core.bubble import Bubble
-from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
@@ -92,12 +91,6 @@ def test_the_way_to_first_contact(bubble, block):
     assert free_way(block(1e5), bubble, pose, np.array([0.0, 0.0, -1.0])) == pytest.approx(0.007, abs=1e-9)
     pose[0, 3] = 1.0
     assert free_way(block(1e5), bubble, pose, np.array([0.0, 0.0, -1.0])) == np.inf
-
-
-def test_too_fine_a_sensor_is_refused(bubble, block):
-    fine = dataclasses.replace(bubble, mesh=dataclasses.replace(bubble.mesh, points=np.zeros((3001, 3))))
-    with pytest.raises(SceneError, match="3001 nodes"):
-        CoupledSolver(block(1e5), fine)
 
 
 def test_a_slack_skin_is_felt_or_its_frames_are_marked(block, device):

@@ -4,7 +4,7 @@ object, and those of its edges, corners and rims, which are contact points."""
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -94,55 +94,35 @@ def _sharp(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, n
     return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
 
-def _edges(edges: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-           corners: Sequence[tuple[np.ndarray, np.ndarray]],
-           spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of straight ``edges`` (two ends, outward), ends not included, and of ``corners`` (place, outward)."""
-    points, outward, length = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
-    for a, b, out in edges:
-        way = float(np.linalg.norm(b - a))
-        count = max(1, int(np.ceil(way / spacing)) - 1)
-        points.append(a + (np.arange(1, count + 1) / (count + 1))[:, None] * (b - a))
-        outward.append(np.repeat(out[None], count, axis=0))
-        length.append(np.full(count, way / (count + 1)))
-    for place, out in corners:
-        points.append(place[None])
-        outward.append(out[None])
-        length.append(np.zeros(1))
-    out = np.vstack(outward)
-    return np.vstack(points), out / np.maximum(np.linalg.norm(out, axis=1), 1e-12)[:, None], np.concatenate(length)
-
-
 def _creases(vertices: np.ndarray, faces: np.ndarray,
              spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same of a closed triangle mesh: edges where its outward side turns by more than `_CREASE`, convex ones, and
-    the corners where more than two of them meet or their line bends."""
-    across = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
-    normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-    sides: dict[tuple[int, int], list[int]] = {}
-    for f, face in enumerate(faces.tolist()):
-        for i in range(3):
-            a, b = face[i], face[(i + 1) % 3]
-            sides.setdefault((min(a, b), max(a, b)), []).append(f)
-    edges, at = [], {}
-    for (a, b), both in sides.items():
-        if len(both) != 2 or normal[both[0]] @ normal[both[1]] > np.cos(_CREASE):
-            continue
-        far = next(v for v in faces[both[1]] if v not in (a, b))
-        if normal[both[0]] @ (vertices[far] - vertices[a]) > 0.0:
-            continue  # a concave crease meets nothing
-        out = normal[both[0]] + normal[both[1]]
-        edges.append((vertices[a], vertices[b], out))
-        way = (vertices[b] - vertices[a]) / max(float(np.linalg.norm(vertices[b] - vertices[a])), 1e-300)
-        at.setdefault(a, []).append((way, out))
-        at.setdefault(b, []).append((-way, out))
-    corners = [(vertices[v], np.sum([out for _, out in ways], axis=0)) for v, ways in at.items()]
-    points, outward, length = _edges(edges, corners, spacing)
+    """The same of a closed triangle mesh: edges where its outward side turns by more than `_CREASE`, convex ones, since
+    a concave one meets nothing, and the corners where more than two of them meet or their line bends."""
+    import trimesh  # a sphere does not need it
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    sharp = (mesh.face_adjacency_angles > _CREASE) & mesh.face_adjacency_convex
+    ends, outward = mesh.face_adjacency_edges[sharp], mesh.face_normals[mesh.face_adjacency[sharp]].sum(axis=1)
+    way = vertices[ends[:, 1]] - vertices[ends[:, 0]]
+    length = np.linalg.norm(way, axis=1)
+    count = np.maximum(1, np.ceil(length / spacing).astype(int) - 1)  # points of each edge, its ends not included
+    edge = np.repeat(np.arange(len(ends)), count)
+    part = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + 1.0) / (count + 1.0)[edge]
+    corner, at = np.unique(ends, return_inverse=True)
+    at, leave, mean = at.reshape(-1, 2), np.zeros((len(corner), 3)), np.zeros((len(corner), 3))
+    along = way / np.maximum(length, 1e-300)[:, None]
+    for k, sign in ((0, 1.0), (1, -1.0)):
+        np.add.at(leave, at[:, k], sign * along)
+        np.add.at(mean, at[:, k], outward)
+    stands = (length / (count + 1.0))[edge]
     # a corner on a line that goes on straight stands for half of each edge beside it
-    straight = [len(ways) == 2 and ways[0][0] @ ways[1][0] < -np.cos(_CREASE) for ways in at.values()]
-    if any(straight):
-        length[len(points) - len(corners):][straight] = min(spacing, float(np.median(length[length > 0.0])))
-    return points, outward, length
+    straight = (np.bincount(at.ravel(), minlength=len(corner)) == 2) & (
+        (leave**2).sum(axis=1) < 2.0 - 2.0 * np.cos(_CREASE))
+    half = min(spacing, float(np.median(stands))) if len(stands) else 0.0
+    out = np.vstack([outward[edge], mean])
+    return (np.vstack([vertices[ends[edge, 0]] + part[:, None] * way[edge], vertices[corner]]),
+            out / np.maximum(np.linalg.norm(out, axis=1), 1e-12)[:, None],
+            np.concatenate([stands, np.where(straight, half, 0.0)]))
 
 
 def _surface(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray]:

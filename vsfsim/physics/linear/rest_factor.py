@@ -289,7 +289,7 @@ class _Sparse:
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
         self._factor, self._dof = factor, dof
-        self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
+        self._nodes = dof.cpu().numpy()[:, ::3] // 3  # -1 at padding
         batch, width = dof.shape
         few = batch <= _FEW and 8.0 * batch * width * factor.size <= factor.columns_bytes
         self._whole = torch.zeros((batch, width, factor.size), device=device, dtype=(
@@ -300,20 +300,18 @@ class _Sparse:
     def _prepare(self, touches: torch.Tensor, dof: torch.Tensor) -> None:
         """Make what `between` and `patch` need for forces on ``dof`` (k, m)."""
         for b, row in zip(touches.tolist(), dof.cpu().numpy(), strict=True):
-            own = self._nodes[b]
-            asked = np.zeros_like(self._ready[b])
+            own, asked = self._nodes[b], np.zeros_like(self._ready[b])
             asked[row // 3] = True
-            asked &= ~self._ready[b]
-            self._ready[b] |= asked
-            if not asked[:len(own)].any():
+            asked &= ~self._ready[b] & (own >= 0)
+            if not asked.any():
                 continue
-            asked[len(own):] = False
-            at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
-            columns = torch.as_tensor(self._factor.columns(own[asked[:len(own)]]))
+            self._ready[b] |= asked
+            at, there = (torch.as_tensor((3 * np.flatnonzero(which)[:, None] + np.arange(3)).ravel())
+                         for which in (asked, own >= 0))
+            columns = torch.as_tensor(self._factor.columns(own[asked]))
             if self._whole is not None:
                 self._whole[b, at] = columns.to(self._whole)
-            dof = torch.as_tensor((3 * own[:, None] + np.arange(3)).ravel())
-            self._compliance[b, at, :3 * len(own)] = columns[:, dof].to(self._compliance)
+            self._compliance[b, at[:, None], there] = columns[:, self._dof[b, there].cpu()].to(self._compliance)
 
     def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
         self._prepare(touches, dof)

@@ -8,17 +8,15 @@ else is `Solver`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.core.errors import SceneError
-from vsfsim.physics.contact.pair.contact import SENSOR_NODES, PairContact
+from vsfsim.physics.contact.pair.contact import PairContact, PairFactors
 from vsfsim.physics.contact.pair.sides import farthest, scale
-from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
 from vsfsim.physics.solve.frames import Frames, SolverOptions
@@ -26,20 +24,6 @@ from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.touches import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
-
-
-@dataclass(frozen=True)
-class PairFactors:
-    """The rest-state factors of two bodies that do not touch."""
-
-    object: RestFactor
-    sensor: RestFactor
-    split: int
-    """Degrees of freedom of the object, which come first."""
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Displacements (3 N, k) [m] under forces (3 N, k) [N]."""
-        return np.concatenate([self.object.solve(right[:self.split]), self.sensor.solve(right[self.split:])])
 
 
 def side_by_side(model: Model, sensor: Model) -> Model:
@@ -51,7 +35,7 @@ def side_by_side(model: Model, sensor: Model) -> Model:
         model, mesh=replace(model.mesh, points=np.concatenate([model.mesh.points, sensor.mesh.points])),
         blocks=(*model.blocks, *moved), free=np.concatenate([model.free, sensor.free]),
         load=np.concatenate([model.load, np.zeros_like(sensor.free)]), soft_factor=None,
-        factor=PairFactors(model.preconditioner, sensor.factor, 3 * count))  # type: ignore[arg-type]
+        factor=PairFactors(model.preconditioner, sensor.factor))  # type: ignore[arg-type]
 
 
 class CoupledSolver(Solver):
@@ -62,16 +46,10 @@ class CoupledSolver(Solver):
         sensor: the sensor in its own frame, +z towards the object; its displacements are 0 in the free state.
         friction: Coulomb's coefficient of the pair [-].
         device, options: see `Solver`.
-
-    Raises:
-        SceneError: the sensor has more than `SENSOR_NODES` nodes.
     """
 
     def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu",
                  options: SolverOptions | None = None):
-        if len(sensor.mesh.points) > SENSOR_NODES:
-            raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} "
-                             f"are allowed, since its compliance is kept whole. Give fewer nodes.")
         self._setup(side_by_side(model, sensor), np.array([farthest(sensor)]), np.array([float(friction)]), device,
                     options, False)
         self.object, self.sensor = model, sensor
@@ -102,8 +80,8 @@ class CoupledSolver(Solver):
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[PairContact, np.ndarray]:
         start = poses[0] if start is None else start.reshape(poses.shape[1:])
         way = _along_the_way(np.concatenate([start[None], poses])[:, :, 0], scale(self.sensor))
-        contact = PairContact(self.object, self.sensor, float(self.friction[0]), way, device=self.device,
-                              stride=self._stride)
+        contact = PairContact(self.object, self.sensor, self.model.factor, float(self.friction[0]), way,
+                              device=self.device, stride=self._stride)
         first, meets = start.copy(), self._meets(contact, start)
         first[meets, :, :3, 3] -= self._stride * first[meets, :, :3, 2]  # a stride back where it barely touches
         self._inside = meets & self._meets(contact, first)

@@ -125,31 +125,24 @@ def gmres(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     upper = torch.zeros((k, iterations + 1, iterations), dtype=torch.float64, device=right.device)
     steps = torch.zeros(k, dtype=torch.int64, device=right.device)
     running = torch.ones(k, dtype=torch.bool, device=right.device)
-    y = None
+    y = upper[:, :0, :1]  # of no vector of the basis
     for j in range(iterations):
         if j and clock.now() > deadline:
             break
         steps += running
         searched.append(precondition(basis[j], None))
         w = multiply(searched[j], None)
-        for _ in range(2):  # twice is enough (Kahan)
-            for i, v in enumerate(basis):
-                h = column_dots(v, w)
-                upper[:, i, j] += h
-                w = w - h * v
-        length = column_dots(w, w).sqrt()
-        upper[:, j + 1, j] = length
+        for i, v in 2 * list(enumerate(basis)):  # twice is enough (Kahan)
+            h = column_dots(v, w)
+            upper[:, i, j] += h
+            w = w - h * v
+        upper[:, j + 1, j] = length = column_dots(w, w).sqrt()
         basis.append(w / length.clamp(min=1e-300))
-        own = upper[:, :j + 2, :j + 1]
-        goal = torch.zeros((k, j + 2, 1), dtype=torch.float64, device=right.device)
-        goal[:, 0, 0] = size
+        own, goal = upper[:, :j + 2, :j + 1], size[:, None, None] * torch.eye(j + 2, 1).to(size)
         q, r = torch.linalg.qr(own)
         new = torch.linalg.solve_triangular(r, q.mT @ goal, upper=True)
         left = (own @ new - goal)[:, :, 0].norm(dim=1)
-        grown = torch.zeros((k, j + 1, 1), dtype=torch.float64, device=right.device)
-        if y is not None:
-            grown[:, :j] = y
-        y = torch.where(running[:, None, None], new, grown)
+        y = torch.where(running[:, None, None], new, torch.nn.functional.pad(y, (0, 0, 0, 1)))
         running = running & (left > tolerance * size)
         if not bool(running.any()):
             break

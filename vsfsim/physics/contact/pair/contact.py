@@ -7,6 +7,7 @@ knows, for every node of either surface, the faces of the other surface that it 
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from vsfsim.physics.contact.pair import kernels
 from vsfsim.physics.contact.pair.sides import farthest, make_sides, reachable
 from vsfsim.physics.contact.patch import first_of
 from vsfsim.physics.contact.points import Contact
-from vsfsim.physics.linear.rest_factor import Response, response
+from vsfsim.physics.linear.rest_factor import RestFactor, response
 from vsfsim.physics.model import Model
 
 SENSOR_NODES = 3000
@@ -36,6 +37,7 @@ class PairContact(Contact):
     Args:
         model: the object.
         sensor: the body with the touching surface, in its own frame; its displacements are 0 in the free state.
+        factor: of both at rest.
         friction: Coulomb's coefficient of the pair [-].
         poses: all poses to come, sensor to world (T, B, 4, 4): they tell what is in reach.
         device: Warp device.
@@ -53,7 +55,8 @@ class PairContact(Contact):
     origin: torch.Tensor
     """Its origins (B, 1, 3) [m], world."""
 
-    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
+    def __init__(self, model: Model, sensor: Model, factor: PairFactors, friction: float, poses: np.ndarray, *,
+                 device: str, stride: float):
         self.device, self.batch, self.has_friction, self.kernels = (
             device, poses.shape[1], friction > 0.0, kernels.kernels())
         self._margin, self._reach = _MARGIN * stride, farthest(sensor)
@@ -78,7 +81,7 @@ class PairContact(Contact):
             "coefficient": friction, "coulomb": self.coulomb, "x": self.x, "x_before": self.x_before,
             "x_swept": self.x_swept}, device=device)
         self._sets = [side.tensors for side in self.sides]
-        self.response = PairResponse(model, sensor, self.dof[:, :3 * width], device=device)
+        self.response = response(factor, self.dof, device=device)
         self._passage = PairOverlap(model, sensor, device=device)
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
         # the touches whose points in contact were looked at last, and these
@@ -229,43 +232,40 @@ class PairContact(Contact):
         return torch.linalg.cross(lever, self._on_sensor(columns)).sum(dim=1, keepdim=True)
 
 
-class PairResponse:
-    """Rest-state response of both bodies of B touches; N are the nodes of both.
+class PairFactors:
+    """The rest-state factors of two bodies that do not touch, as one `RestFactor`: their degrees of freedom one after
+    the other.
 
     Args:
-        model: the object.
-        sensor: the body with the touching surface.
-        dof: degrees of freedom of the object's nodes in reach of each touch (B, 3 s); those of the sensor follow.
-        device: Warp device.
+        bodies: the factors of both.
     """
 
-    resident = False
+    columns_bytes = RestFactor.columns_bytes
 
-    def __init__(self, model: Model, sensor: Model, dof: torch.Tensor, *, device: str):
-        self.device, self.sensor = device, sensor
-        self._rows, self._split = 3 * len(model.mesh.points), dof.shape[1]
-        inverse = sensor.factor.solve(np.diag(sensor.free))
-        self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=self.device)
-        self._object: Response = response(model.preconditioner, dof, device=device)
+    def __init__(self, *bodies: RestFactor):
+        self._bodies, self.free = bodies, np.concatenate([body.free for body in bodies])
+        self.size, self._split = len(self.free), bodies[0].size
 
-    def between(self, touches: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
-        """See `rest_factor.Response`; bodies do not move one another."""
-        sensor, there = dof >= self._split, (dof - self._split).clamp(min=0)
-        here = torch.where(sensor, dof[:, :1].clamp(max=self._split - 1), dof)  # the object's dof come first
-        return torch.where(sensor[:, :, None] & sensor[:, None], self._sensor_compliance[
-            there[:, :, None], there[:, None]], torch.where(
-                sensor[:, :, None] | sensor[:, None], 0.0, self._object.between(touches, here)))
+    @property
+    def real(self) -> type:
+        """See `RestFactor`."""
+        return np.float64 if any(body.real is np.float64 for body in self._bodies) else np.float32
 
-    def solve(self, right: torch.Tensor) -> torch.Tensor:
-        """Displacements (3 N, k) [m] under forces (3 N, k) [N] that are 0 where held."""
-        return torch.cat([self._object.solve(right[:self._rows].contiguous()), self._sensor_solve(right[self._rows:])])
+    def solve(self, right: np.ndarray, *, exactly: bool = True) -> np.ndarray:
+        """See `RestFactor`."""
+        parts = zip(self._bodies, np.split(right, [self._split]), strict=True)
+        return np.concatenate([body.solve(own) if exactly else body.apply(own) for body, own in parts])
 
-    def _sensor_solve(self, right: torch.Tensor) -> torch.Tensor:
-        if self.device == "cpu":
-            return torch.as_tensor(self.sensor.factor.apply(right.contiguous().numpy()))
-        return self._sensor_compliance @ right
+    apply = functools.partialmethod(solve, exactly=False)
+    """See `RestFactor`."""
 
-    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the surface nodes of ``touches`` (k,)."""
-        return torch.cat([self._object.patch(touches, force[:, :self._split]),
-                          self._sensor_solve(force[:, self._split:].T)])
+    def columns(self, nodes: np.ndarray) -> np.ndarray:
+        """See `RestFactor`; bodies do not move one another."""
+        out, first = np.zeros((3 * len(nodes), self.size)), 3 * nodes < self._split
+        out[np.repeat(first, 3), :self._split] = self._bodies[0].columns(nodes[first])
+        out[np.repeat(~first, 3), self._split:] = self._bodies[1].columns(nodes[~first] - self._split // 3)
+        return out
+
+    def dense(self, device: str) -> torch.Tensor:
+        """See `RestFactor`."""
+        return torch.block_diag(*(body.dense(device) for body in self._bodies))
