@@ -19,23 +19,19 @@ that of the indentation that is missing down to the depth `SOFT` h, and that of 
 (Johnson 1985, Contact Mechanics, sections 5.2 and 5.3, without the logarithm of the wedge).
 """
 
-import functools
 from collections.abc import Sequence
-from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
-import warp as wp
 from scipy.spatial import cKDTree
 
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
+from vsfsim.physics.contact.intrusion import Enclosure
 from vsfsim.physics.contact.patch import NO_PART, PENALTY, Patch, poisson_ratio
-from vsfsim.physics.elements import closest_point
 from vsfsim.physics.model import Model
-from vsfsim.physics.runtime import real, vec3
 
 SPACING = 0.15
 """Distance of the points along an edge, over the element size [-]."""
@@ -91,8 +87,7 @@ class BodyPoints:
         self.met = [np.zeros(0, _MET)] * batch
         self._renewals = 0
         if len(self.spot):
-            self._kernels = kernels()
-            self._faces = torch.as_tensor(model.mesh.faces[None].astype(np.int32), device=device)
+            self._surface = Enclosure(model.mesh.faces, np.zeros((0, 3)), device=device)
             self._rest = torch.as_tensor(model.mesh.points, device=device)
 
     def begin_step(self) -> None:
@@ -182,25 +177,19 @@ class BodyPoints:
         return bool(((np.abs(depth[0] - depth[1]) > most) | (acts & (shift > _SHIFT * self._size))).any())
 
     def _find(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, near: float) -> list[np.ndarray]:
-        k, device, count = self._kernels, self.device, len(columns)
-        host = columns.cpu().numpy()
-        moved = u[:, columns].view(-1, 3, count).permute(2, 0, 1)
-        x = (self._rest + moved).contiguous()
-        turn, origin = pose[host][:, :, :3, :3][:, self.body], pose[host][:, :, :3, 3][:, self.body]
-        spot = origin + np.einsum("kmij,mj->kmi", turn, self.spot)
-        outward = np.einsum("kmij,mj->kmi", turn, self._outward)
+        count, here = len(columns), pose[columns.cpu().numpy()][:, self.body]
+        x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
+        spot = here[..., :3, 3] + np.einsum("kmij,mj->kmi", here[..., :3, :3], self.spot)
+        outward = np.einsum("kmij,mj->kmi", here[..., :3, :3], self._outward)
+        point, outward = (torch.as_tensor(a, device=self.device) for a in (spot, outward))
+        _, face, values, normal = self._surface.nearest(x, point, outward, near=near, facing=_FACING)
+        corners = x[torch.arange(count, device=self.device)[:, None, None], self._surface.faces[0][face.long()].long()]
+        away = point - (values[..., None] * corners).sum(dim=2)
+        above = (away * normal).sum(dim=2, keepdim=True) > 0.0
+        leave = torch.nn.functional.normalize(torch.where(above, away, -away) + 1e-3 * self._size * normal, dim=2)
         met = np.zeros((count, len(self.spot)), _MET)
         met["sample"] = np.arange(len(self.spot))
-        face = torch.full(met.shape, -1, dtype=torch.int32, device=device)
-        values, normal, gap = (torch.zeros((*met.shape, *more), dtype=torch.float64, device=device)
-                               for more in ((6,), (3,), ()))
-        wp.launch(k.find, dim=met.shape, device=device, inputs=[
-            wp.from_torch(self._faces.expand(count, -1, -1)), near, 1e-3 * self._size,
-            wp.array(spot, dtype=k.vec3, device=device), wp.array(outward, dtype=k.vec3, device=device),
-            wp.from_torch(x, dtype=k.vec3), wp.from_torch(closest_point.balls(x, self._faces), dtype=k.vec4),
-            wp.from_torch(face), wp.from_torch(values, dtype=k.vec6), wp.from_torch(normal, dtype=k.vec3),
-            wp.from_torch(gap)])
-        for name, found in (("face", face), ("values", values), ("normal", normal), ("gap", gap)):
+        for name, found in (("face", face), ("values", values), ("normal", leave), ("gap", (leave * away).sum(dim=2))):
             met[name] = found.cpu().numpy()
         return [own[own["face"] >= 0] for own in met]
 
@@ -272,69 +261,3 @@ def remember(tensors: tuple[torch.Tensor, ...], kept: tuple[torch.Tensor, ...], 
         for mine, values in zip(tensors, (anchor + np.einsum("qji,qj->qi", turn[b, body], shift), owner, limit * ratio,
                                           across), strict=True):
             mine[b, now] = torch.as_tensor(values, device=mine.device)
-
-
-@functools.cache
-def kernels() -> Any:
-    """The kernel that finds the places of points on a deformed boundary, and its types."""
-    vec4 = wp.types.vector(length=4, dtype=real)
-    vec6 = wp.types.vector(length=6, dtype=real)
-    module = "vsfsim_body_points"
-    closest = closest_point.functions(module)
-    facing = wp.constant(real(_FACING))
-
-    @wp.kernel(module=module, enable_backward=False)
-    def find(
-        # model
-        faces: wp.array3d(dtype=wp.int32),
-        near: real,
-        tiny: real,
-        # state in
-        spot: wp.array2d(dtype=vec3),
-        outward: wp.array2d(dtype=vec3),
-        x_in: wp.array2d(dtype=vec3),
-        ball_in: wp.array2d(dtype=vec4),
-        # state out
-        face_out: wp.array2d(dtype=wp.int32),
-        values_out: wp.array2d(dtype=vec6),
-        normal_out: wp.array2d(dtype=vec3),
-        gap_out: wp.array2d(dtype=real),
-    ):
-        # the nearest face; behind the middle of a sheet that is its far side, and the nearest that faces the body is
-        # taken
-        b, i = wp.tid()
-        p = spot[b, i]
-        least = near
-        least_facing = near
-        other = real(1.0)
-        face = int(-1)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
-        values = vec6()
-        at = vec3()
-        normal = vec3()
-        for f in range(faces.shape[1]):
-            ball = ball_in[b, f]
-            if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least_facing:
-                v, c, n = closest.nearest(p, b, f, 6, faces, x_in)
-                away = wp.length(p - c)
-                if away < least:
-                    least = away
-                    other = wp.dot(n, p - c)
-                if away < least_facing and wp.dot(n, outward[b, i]) < facing:
-                    least_facing = away
-                    face = f
-                    values = v
-                    at = c
-                    normal = n
-        # outside the object, beside a face that does not face the body: no contact
-        if face >= 0 and not (least < least_facing and other >= real(0.0)):
-            gap = wp.dot(normal, p - at)
-            n = (at - p) + tiny * normal
-            if gap > real(0.0):
-                n = (p - at) + tiny * normal
-            n = wp.normalize(n)
-            face_out[b, i] = face
-            values_out[b, i] = values
-            normal_out[b, i] = n
-            gap_out[b, i] = wp.dot(n, p - at)
-
-    return SimpleNamespace(find=find, vec3=vec3, vec4=vec4, vec6=vec6)

@@ -74,20 +74,31 @@ class Enclosure:
 
     def depth(self, x: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Depths (k, m) [m] of ``points`` (k, m, 3) [m] inside the surface with the nodes at x (k, n, 3) [m], 0
-        outside, and the nearest face of each that is inside (k, m), int32."""
+        outside, and the nearest face of each that is inside (k, m), int32, 0 for the others."""
+        depth, face, *_ = self.nearest(x, points, torch.zeros_like(points), near=0.0, facing=1.0)
+        return depth, torch.where(depth > 0.0, face, 0)
+
+    def nearest(self, x: torch.Tensor, points: torch.Tensor, outward: torch.Tensor, *, near: float,
+                facing: float) -> tuple[torch.Tensor, ...]:
+        """The depths of `depth`; the nearest face of each point (k, m), int32, with a normal whose cosine with its
+        direction ``outward`` (k, m, 3) is below ``facing``, -1 where another one is nearer to a point outside and for
+        points further than ``near`` [m] outside the box about the surface; the shape values of the place on it (k, m,
+        6), and its outward normal (k, m, 3)."""
         k, count = kernels(), len(x)
-        depth, face = points.new_zeros(points.shape[:2]), torch.zeros(points.shape[:2], dtype=torch.int32,
-                                                                      device=self.device)
+        depth, *more = (points.new_zeros((*points.shape[:2], *size)) for size in ((), (6,), (3,)))
+        face = torch.full(depth.shape, -1, dtype=torch.int32, device=self.device)
         if not points.shape[1]:  # a plane has none
-            return depth, face
+            return depth, face, *more
         own = x[:, self._nodes]
-        low, high = (wp.from_torch(v.contiguous(), dtype=vec3) for v in (own.amin(dim=1), own.amax(dim=1)))
-        wp.launch(k.behind, dim=depth.shape, device=self.device, inputs=[
-            self.faces.shape[2], wp.from_torch(self.faces.expand(count, -1, -1)), self._closing,
-            wp.from_torch(points.contiguous(), dtype=vec3), low, high,
-            wp.from_torch(closest_point.balls(x, self.faces), dtype=k.vec4),
-            wp.from_torch(x.contiguous(), dtype=vec3), wp.from_torch(depth), wp.from_torch(face)])
-        return depth, face
+        low, high = (wp.from_torch(v.contiguous(), dtype=vec3)
+                     for v in (own.amin(dim=1) - near, own.amax(dim=1) + near))
+        wp.launch(k.nearest, dim=depth.shape, device=self.device, inputs=[
+            self.faces.shape[2], wp.from_torch(self.faces.expand(count, -1, -1)), self._closing, near or 1e30, facing,
+            wp.from_torch(points.contiguous(), dtype=vec3), wp.from_torch(outward.contiguous(), dtype=vec3), low, high,
+            wp.from_torch(closest_point.balls(x, self.faces), dtype=k.vec4), wp.from_torch(x.contiguous(), dtype=vec3),
+            wp.from_torch(depth), wp.from_torch(face), wp.from_torch(more[0], dtype=k.vec6),
+            wp.from_torch(more[1], dtype=vec3)])
+        return depth, face, *more
 
 
 class Intrusion:
@@ -257,19 +268,23 @@ def rim_disk(faces: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def kernels() -> Any:
-    """The kernel of the check and its types."""
+    """The kernel that finds the nearest faces of a surface, and its types."""
     vec4 = wp.types.vector(length=4, dtype=real)
+    vec6 = wp.types.vector(length=6, dtype=real)
     module = "vsfsim_intrusion"
     closest = closest_point.functions(module)
 
     @wp.kernel(module=module, enable_backward=False)
-    def behind(
+    def nearest(
         # model
         nodes: int,
         faces: wp.array3d(dtype=wp.int32),
         closing: wp.array2d(dtype=wp.int32),
+        near: real,
+        facing: real,
         # state in
         point: wp.array2d(dtype=vec3),
+        outward: wp.array2d(dtype=vec3),
         low: wp.array(dtype=vec3),
         high: wp.array(dtype=vec3),
         ball_in: wp.array2d(dtype=vec4),
@@ -277,22 +292,34 @@ def kernels() -> Any:
         # state out
         depth_out: wp.array2d(dtype=real),
         face_out: wp.array2d(dtype=wp.int32),
+        values_out: wp.array2d(dtype=vec6),
+        normal_out: wp.array2d(dtype=vec3),
     ):
+        # the depth, the nearest face to which `outward` has a cosine below `facing`, and the place on it
         b, s = wp.tid()
         p = point[b, s]
         for i in range(3):
             if p[i] < low[b][i] or p[i] > high[b][i]:
                 return
-        least = real(1e30)
+        least = near
+        least_facing = near
         height = real(0.0)
-        nearest = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
+        known = int(0)  # noqa: UP018, RUF046  Warp variables, not constants: they change in a loop
+        face = int(-1)  # noqa: UP018, RUF046
         for f in range(faces.shape[1]):
             ball = ball_in[b, f]
-            if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least:
-                _values, c, n = closest.nearest(p, b, f, nodes, faces, x_in)
-                least, height, nearest = closest.nearer(p, c, n, f, least, height, nearest)
+            if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least_facing:
+                v, c, n = closest.nearest(p, b, f, nodes, faces, x_in)
+                if wp.length(p - c) < least_facing and wp.dot(n, outward[b, s]) < facing:
+                    least_facing = wp.length(p - c)
+                    face = f
+                    values_out[b, s] = v
+                    normal_out[b, s] = n
+                least, height, known = closest.nearer(p, c, n, f, least, height, known)
         if height < real(0.0) and closest.encloses(p, height, least, b, nodes, faces, closing, x_in):
             depth_out[b, s] = least
-            face_out[b, s] = nearest
+        elif least < least_facing:  # outside the object, beside a face that `outward` does not meet
+            face = -1
+        face_out[b, s] = face
 
-    return SimpleNamespace(behind=behind, vec4=vec4)
+    return SimpleNamespace(nearest=nearest, vec3=vec3, vec4=vec4, vec6=vec6)

@@ -70,26 +70,7 @@ def kernels() -> Any:
             total += value_in[t, b]
         sum_out[p, b] = total
 
-    @wp.kernel(module=module, enable_backward=False)
-    def add_blocks(
-        # model
-        block: wp.array3d(dtype=wp.int32),
-        # state in
-        matrix_in: wp.array3d(dtype=real),
-        # state out
-        values_out: wp.array3d(dtype=wp.float64),
-    ):
-        # on a CPU one element after the other
-        t = wp.tid()
-        for i in range(block.shape[1]):
-            for j in range(block.shape[2]):
-                at = block[t, i, j]
-                if at >= 0:
-                    for c in range(3):
-                        for d in range(3):
-                            values_out[at, c, d] += wp.float64(matrix_in[t, 3 * i + c, 3 * j + d])
-
-    return SimpleNamespace(gather=gather, add=add, add_blocks=add_blocks)
+    return SimpleNamespace(gather=gather, add=add)
 
 
 def _add(index: wp.array, compact: int, values: wp.array, parts: wp.array, out: wp.array) -> None:
@@ -277,10 +258,10 @@ class Elasticity:
                 rows = slice(first, first + _TOGETHER)
                 nodes = block.nodes[rows].astype(np.int64)
                 matrix = block.part(rows, nodes).matrices(at, state.numpy()[rows, :, touch])
-                places = order.find(nodes[:, :, None], nodes[:, None, :])
-                wp.launch(self.kernels.add_blocks, dim=len(nodes), device="cpu", inputs=[
-                    wp.array(places, dtype=wp.int32, device="cpu"), wp.array(matrix, dtype=real, device="cpu"),
-                    wp.array(values, dtype=wp.float64, device="cpu", copy=False)])
+                places = order.find(nodes[:, :, None], nodes[:, None, :])[:, :, None, :, None]
+                entry = 9 * places + 3 * np.arange(3)[:, None, None] + np.arange(3)  # (m, a, 3, a, 3)
+                on = np.broadcast_to(places >= 0, entry.shape)
+                values.ravel()[:] += np.bincount(entry[on], matrix.reshape(entry.shape)[on], values.size)
 
     def of_elements(self, block: int) -> np.ndarray:
         """Nodal forces of each element of one block at the last `forces` (m, 3 a, B) [N], until the next product."""

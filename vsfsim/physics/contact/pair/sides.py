@@ -141,12 +141,12 @@ def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:
             continue
         flat = faces[b, :count[b]].ravel()
         order = np.argsort(flat, kind="stable")
-        valence = np.bincount(flat, minlength=1) if len(flat) else np.zeros(1, int)
-        start = np.concatenate([[0], np.cumsum(valence)])
-        table = np.full((width * nodes, max(1, int(valence.max()))), -1)
-        for slot in range(table.shape[1]):
-            has = valence[flat] > slot
-            table[:len(flat)][has, slot] = order[start[flat[has]] + slot]
+        node = flat[order]
+        slot = np.arange(len(node)) - np.searchsorted(node, node)
+        corners = np.full((flat.max(initial=0) + 1, slot.max(initial=0) + 1), -1)
+        corners[node, slot] = order
+        table = np.full((width * nodes, corners.shape[1]), -1)
+        table[:len(flat)] = corners[flat]
         tables.append(table)
     most = max(t.shape[1] for t in tables)
     return np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables])
