@@ -54,7 +54,7 @@ def hencky(nodes):
     sheet, flat = disc(nodes)
     guess = dome(flat, 0.02 * A)
     pressure = EH / A * (0.02 / 0.6) ** 3
-    found = sheet.at_volume(guess, pressure, 0.5187 * math.pi * A**2 * 0.02 * A)
+    found = sheet.balanced(guess, pressure, 0.5187 * math.pi * A**2 * 0.02 * A)
     w0 = found.displacement[2::3].max()
     c, cv = HENCKY["C"], HENCKY["c_V"]
     return w0 / (c * (found.pressure * A**4 / EH) ** (1.0 / 3.0)) - 1.0, found.volume / (cv * math.pi * A**2 * w0) - 1.0
@@ -86,7 +86,7 @@ def test_taut_elliptical_drum():
     tension = EH / 3.0 * (1.0 - stretch**-6)  # of the stretched sheet, per present length
     w0 = 2e-4
     pressure = 2.0 * tension * w0 * (a**2 + b**2) / (a * b) ** 2
-    found = sheet.at_pressure(dome(flat, w0, a, b), pressure)
+    found = sheet.balanced(dome(flat, w0, a, b), pressure)
     w = found.displacement[2::3]
     expected = w0 * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)
     assert w.max() == pytest.approx(w0, rel=2e-3)
@@ -113,7 +113,7 @@ def blown(nodes):
     for stretch, (p, w, v) in BLOWN.items():
         while True:
             step = min(1.6 * volume, v * A**3)
-            found = sheet.at_volume(u * (step / volume) ** 0.7, pressure, step)
+            found = sheet.balanced(u * (step / volume) ** 0.7, pressure, step)
             assert found is not None
             u, pressure, volume = found.displacement, found.pressure, step
             if step == v * A**3:
@@ -183,7 +183,7 @@ def test_sphere_passes_its_limit_point_under_volume_control():
     at = np.array([1.1, 1.2, 1.3, 7.0 ** (1 / 6), 1.5, 1.7])
     pressure = []
     for s in at:
-        found = sheet.at_volume(swollen(mesh, sheet.free, s), exact(s), v0 * s**3)
+        found = sheet.balanced(swollen(mesh, sheet.free, s), exact(s), v0 * s**3)
         pressure.append(found.pressure)
         assert abs(np.abs(sheet.forces(found.displacement) - found.pressure
                           * gas.gradient(mesh.points + found.displacement.reshape(-1, 3), mesh.faces)).max()) < 1e-9
@@ -216,7 +216,7 @@ def balls():
     out = []
     for cuts in (1, 2):
         sheet, mesh = ball(cuts)
-        found = sheet.at_volume(swollen(mesh, sheet.free, 1.2), exact(1.2), float(mesh.volume[0]) * 1.2**3)
+        found = sheet.balanced(swollen(mesh, sheet.free, 1.2), exact(1.2), float(mesh.volume[0]) * 1.2**3)
         out.append((sheet, mesh, found))
     return out
 
@@ -273,7 +273,7 @@ def plate(nodes):
     sheet, flat = disc(nodes, a=a, modulus=e * h, bending=e * h**3 / (12.0 * (1.0 - nu**2)))
     u, out = dome(flat, 1.3e-4, a), []
     for q, w0 in PLATE.items():
-        found = sheet.at_pressure(u, q)
+        found = sheet.balanced(u, q)
         assert found is not None
         u = found.displacement
         out.append(u[2::3].max() / w0 - 1.0)

@@ -181,7 +181,7 @@ def _inflated(spec: Bubble, mesh: tuple[np.ndarray, np.ndarray, np.ndarray],
     own = sheet(spec, *mesh)
     if known is not None:
         guess = (locate(*known[:2], mesh[0]) @ known[2]).ravel() * own.free
-        found = own.at_pressure(guess, spec.gauge_pressure, iterations=20)
+        found = own.balanced(guess, spec.gauge_pressure, iterations=20)
         if found is not None:
             return found.displacement.reshape(-1, 3)
     return inflate(own, _dome(spec, mesh[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 
 from vsfsim.core.errors import SceneError
@@ -91,19 +91,10 @@ class Sheet:
         acting = np.abs(pressure * gradient[self._moves]).sum() + 1e-9 * np.abs(forces[self._moves]).sum() + 1e-300
         return residual, gradient[self._moves], float(np.abs(residual).sum() / acting)
 
-    def at_volume(self, u: np.ndarray, pressure: float, volume: float, *,
-                  iterations: int = _ITERATIONS) -> Balanced | None:
-        """The equilibrium with this volume [m^3] from the guess u (3 n,) [m] and pressure [Pa], or None if Newton's
-        method does not converge."""
-        return self._newton(u, pressure, volume, iterations)
-
-    def at_pressure(self, u: np.ndarray, pressure: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
-        """The equilibrium at this gauge pressure [Pa] from the guess u (3 n,) [m], or None if Newton's method does not
-        converge."""
-        return self._newton(u, pressure, None, iterations)
-
-    def _newton(self, u: np.ndarray, pressure: float, volume: float | None, iterations: int) -> Balanced | None:
-        """With ``volume`` None the pressure stays as it is; otherwise it is an unknown."""
+    def balanced(self, u: np.ndarray, pressure: float, volume: float | None = None, *,
+                 iterations: int = _ITERATIONS) -> Balanced | None:
+        """The equilibrium at a gauge pressure [Pa], or with a volume [m^3], to which the pressure is a guess, from the
+        guess u (3 n,) [m]; None if Newton's method does not converge."""
         def missing_volume(at: np.ndarray) -> float:
             return 0.0 if volume is None else 1.0 - self.volume(at) / volume
 
@@ -159,16 +150,15 @@ def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> 
     """
     first = _shallow(sheet, guess, pressure, where)
     states, growth, limited = [first], _GROWTH, False
-    while (states[-1].pressure < pressure and not limited and growth > 1.0 + _LEAST
-           and states[-1].volume < _MOST_TIMES * first.volume):
+    while (states[-1].pressure < pressure and growth > 1.0 + _LEAST and states[-1].volume < _MOST_TIMES * first.volume):
         volume = growth * states[-1].volume
-        found = sheet.at_volume(*_ahead(states, volume), volume)
-        if found is None:
+        found = sheet.balanced(*_ahead(states[-2:], volume), volume)
+        limited = found is not None and found.pressure < states[-1].pressure
+        if found is None or limited:
             growth = 1.0 + 0.5 * (growth - 1.0)
             continue
         growth = min(_GROWTH, 1.0 + 1.5 * (growth - 1.0))
-        limited = found.pressure < states[-1].pressure
-        states.append(_top(sheet, [*states[-2:], found]) if limited else found)
+        states.append(found)
     last = states[-1]
     if last.pressure < pressure:
         reach, why = ("'s limit point is at", ": beyond it a rubber membrane blows up without bound") if limited else (
@@ -177,15 +167,14 @@ def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> 
                          f"(volume {1e6 * last.volume:.4g} mL, height "
                          f"{1e3 * float(np.abs(last.displacement).max()):.3g} mm){why}. Give less pressure, or a "
                          f"larger young_modulus or thickness.")
-    lower = [first, *(state for state in states if state.volume < last.volume)][-1]
-    return _between(sheet, lower, last, pressure, where)
+    return last if len(states) == 1 else _between(sheet, states[-2:], pressure, where)
 
 
 def _shallow(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> Balanced:
     """A state below the pressure, near the plane: there the pressure grows with the volume or faster."""
     volume = sheet.volume(guess)
     for _ in range(60):
-        found = sheet.at_volume(guess, pressure, volume)
+        found = sheet.balanced(guess, pressure, volume)
         if found is not None and found.pressure <= pressure:
             return found
         share = 0.5 if found is None else max(0.05, min(0.7, pressure / found.pressure))
@@ -195,45 +184,25 @@ def _shallow(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> Ba
 
 
 def _ahead(states: list[Balanced], volume: float) -> tuple[np.ndarray, float]:
-    """Displacement and pressure extrapolated from the last two states."""
+    """Displacement and pressure at a volume, by the line through two states, or in proportion to one."""
     now = states[-1]
     if len(states) == 1:
         return now.displacement * volume / now.volume, now.pressure * volume / now.volume
-    before = states[-2]
+    before = states[0]
     share = (volume - now.volume) / (now.volume - before.volume)
     return (now.displacement + share * (now.displacement - before.displacement),
             now.pressure + share * (now.pressure - before.pressure))
 
 
-def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
-    """The state of highest pressure between the first and the last of these."""
-    known = list(around)
-
-    def fall(volume: float) -> float:
-        near = min(known, key=lambda s: abs(s.volume - volume))
-        found = sheet.at_volume(near.displacement, near.pressure, volume)
-        if found is not None:
-            known.append(found)
-        return 0.0 if found is None else -found.pressure
-
-    minimize_scalar(fall, bounds=(around[0].volume, around[-1].volume), method="bounded",
-                    options={"xatol": 1e-4 * around[-1].volume, "maxiter": 24})
-    return max(known, key=lambda s: s.pressure)
-
-
-def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
+def _between(sheet: Sheet, ends: list[Balanced], pressure: float, where: str) -> Balanced:
     """The state at the pressure, which is between those of two states of the rising branch."""
-    if low is high:
-        return high
-    for _ in range(50):
-        share = (pressure - low.pressure) / (high.pressure - low.pressure)
-        found = sheet.at_pressure(low.displacement + share * (high.displacement - low.displacement), pressure)
-        if found is not None and (1.0 - 1e-9) * low.volume <= found.volume <= (1.0 + 1e-9) * high.volume:
-            return found
-        volume = 0.5 * (low.volume + high.volume)
-        middle = sheet.at_volume(*_ahead([low, high], volume), volume)
-        if middle is None:
-            break
-        low, high = (middle, high) if middle.pressure < pressure else (low, middle)
-    raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
-                     f"young_modulus, thickness and pre_stretch.")
+    def found(volume: float) -> Balanced:
+        state = sheet.balanced(*_ahead(ends, volume), volume)
+        if state is None:
+            raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; "
+                             f"check young_modulus, thickness and pre_stretch.")
+        return state
+
+    low, high = ends
+    near = found(brentq(lambda volume: found(volume).pressure - pressure, low.volume, high.volume, rtol=1e-6))
+    return sheet.balanced(near.displacement, pressure) or near

@@ -155,44 +155,28 @@ def _strip(points: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarr
     others its mirror images."""
     if len(inner) == 1:
         return np.stack([outer, np.roll(outer, -1), np.full(len(outer), inner[0])], axis=1)
-    out: list[tuple[int, int, int]] = []
     n, m = len(outer), len(inner)
-    # the middle of a line with an even number of nodes is an edge: it belongs to a triangle that is its own mirror
-    # image
-    straddles = m % 4 == 2
-    stop = m // 4 + (1 if straddles else 0)
     i = j = 0
-    pairs: list[tuple[str, int, int]] = []
+    quarter: list[tuple[int, int, int]] = []  # nodes of the outer loop, then n plus those of the inner one
     while i < n // 4 or j < m // 4:
         # on the long axis a triangle of the line and the ring's first node would have no area
-        if j >= m // 4 or i == 0:
-            outward = True
-        elif i >= n // 4:
-            outward = False
-        else:
-            new_outer = np.linalg.norm(points[outer[i + 1]] - points[inner[j]])
-            new_inner = np.linalg.norm(points[outer[i]] - points[inner[j + 1]])
-            outward = bool(new_outer <= new_inner)
-        pairs.append(("o" if outward else "i", i, j))
+        outward = j >= m // 4 or i == 0 or bool(
+            i < n // 4 and np.linalg.norm(points[outer[i + 1]] - points[inner[j]])
+            <= np.linalg.norm(points[outer[i]] - points[inner[j + 1]]))
+        quarter.append((i, i + 1, n + j) if outward else (i, n + j + 1, n + j))
         i, j = (i + 1, j) if outward else (i, j + 1)
-    for kind, i, j in pairs:
-        # first quarter, then mirrored in x, in both, in y (mirroring turns the winding round)
-        for flip_x, flip_y in ((False, False), (True, False), (True, True), (False, True)):
-            def o(k: int, fx: bool = flip_x, fy: bool = flip_y) -> int:
-                k = n // 2 - k if fx else k
-                return int(outer[-k % n if fy else k % n])
-
-            def p(k: int, fx: bool = flip_x, fy: bool = flip_y) -> int:
-                k = m // 2 - k if fx else k
-                return int(inner[-k % m if fy else k % m])
-
-            corners = (o(i), o(i + 1), p(j)) if kind == "o" else (o(i), p(j + 1), p(j))
-            out.append(corners if flip_x == flip_y else corners[::-1])
-    if straddles:
-        j = stop - 1
-        out.append((int(outer[n // 4]), int(inner[j + 1]), int(inner[j])))
-        out.append((int(outer[3 * n // 4]), int(inner[(-j) % m]), int(inner[(-j - 1) % m])))
-    return np.array([c for c in out if len(set(c)) == 3])
+    first = np.array(quarter)
+    steps, inward = np.arange(n), np.arange(m)
+    x = np.concatenate([(n // 2 - steps) % n, n + (m // 2 - inward) % m])  # mirrored in x, and in y
+    y = np.concatenate([-steps % n, n + -inward % m])
+    four = np.stack([first, x[first][:, ::-1], y[x[first]], y[first][:, ::-1]], axis=1).reshape(-1, 3)
+    out = np.concatenate([outer, inner])[four]
+    if m % 4 == 2:
+        # the middle of a line with an even number of nodes is an edge, of triangles that are their own mirror images
+        j = m // 4
+        out = np.concatenate([out, [(outer[n // 4], inner[j + 1], inner[j]),
+                                    (outer[3 * n // 4], inner[-j % m], inner[(-j - 1) % m])]])
+    return out[[len(set(corners)) == 3 for corners in out.tolist()]]
 
 
 def _smooth(points: np.ndarray, triangles: np.ndarray, rim: int) -> np.ndarray:
