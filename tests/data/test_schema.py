@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.data.hdf5 import write_view
+from vsfsim.data.hdf5 import encode_view
 from vsfsim.data.manifest import make_manifest
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, Touch, Truth, View
@@ -34,7 +34,7 @@ def test_every_field_has_dims_and_a_unit_from_the_si_list():
 
 def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
     path = tmp_path / "a.h5"
-    write_view(path, mock_view(0))
+    path.write_bytes(encode_view(mock_view(0)))
     by_path = {f.path: f for f in FIELDS}
     seen = set()
 

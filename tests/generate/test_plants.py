@@ -11,7 +11,7 @@ from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import find_scene, find_task
-from vsfsim.data.hdf5 import read_view, write_view
+from vsfsim.data.hdf5 import encode_view, read_view
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants.subject import prepare_job
 from vsfsim.generate.plants.touches import make_together, make_view
@@ -37,7 +37,7 @@ def made(scene_file, tmp_path_factory):
     recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2)
     job = jobs_of(recipe, scene_file.path, tmp_path_factory.mktemp("plants"))[1]
     view = make_view(job, device="cpu")
-    write_view(job.file, view)
+    job.file.write_bytes(encode_view(view))
     return read_view(job.file), view, job
 
 

@@ -10,7 +10,7 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.dome import Dome, read_dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
-from vsfsim.core.shape import parse_probe_shape, probe_table
+from vsfsim.core.shape import parse_probe_shapes, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
 from vsfsim.generate import bubble_touch as touch_bubble
@@ -142,7 +142,7 @@ def dome_volume(points, triangles):
 
 def test_a_dome_is_read_back_and_knows_its_heights(made):
     (view,) = Dataset.open(made)
-    again = parse_probe_shape(probe_table(view.probe), "here")
+    (again,) = parse_probe_shapes(probe_table(view.probe), "here")
     assert again == view.probe
     at = again.points[:, :2]
     assert again.heights(at) == pytest.approx(again.points[:, 2], abs=1e-9)

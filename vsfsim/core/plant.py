@@ -75,35 +75,29 @@ class Plant:
                                  f"shape {shape}, for two nodes or more.")
         if not 0.0 <= self.poisson_ratio < 0.5:
             raise SceneError(f"plant: Poisson's ratio is {self.poisson_ratio}; it must be from 0 to under 0.5.")
-        self._check("parent", self.parent, 0, np.arange(n) - 1)
-        for name, low, high in (("radius", 1e-5, 1.0), ("young_modulus", 1.0, 1e13), ("half_width", 0.0, np.inf),
-                                ("density", 0.0, np.inf)):
-            self._check(name, getattr(self, name), low, high)
-        self._check("length", self.lengths(), 1e-5, 10.0)
-        if self.yielding is not None:
-            if self.yielding.shape != (n, 2):
-                raise SceneError(f"plant: yielding has the shape {self.yielding.shape}; give the bending stiffness of "
-                                 f"each core and its yield moment, ({n}, 2).")
-            second = np.where(self.half_width > 0.0, 4.0 / 3.0 * self.half_width * self.radius**3,
-                              0.25 * np.pi * self.radius**4)
-            self._check("bending stiffness of the core", self.yielding[:, 0], 0.0,
-                        (1.0 + 1e-9) * self.young_modulus * second)
-            self._check("yield moment of the core", self.yielding[:, 1], 0.0, 1e300)
+        second = np.where(self.half_width > 0.0, 4.0 / 3.0 * self.half_width * self.radius**3,
+                          0.25 * np.pi * self.radius**4)
+        core = np.zeros((n, 2)) if self.yielding is None else self.yielding
+        if core.shape != (n, 2):
+            raise SceneError(f"plant: yielding has the shape {core.shape}; give the bending stiffness of each core and "
+                             f"its yield moment, ({n}, 2).")
+        for name, values, low, high in (
+                ("parent", self.parent, 0, np.arange(n) - 1), ("radius", self.radius, 1e-5, 1.0),
+                ("young_modulus", self.young_modulus, 1.0, 1e13), ("half_width", self.half_width, 0.0, np.inf),
+                ("density", self.density, 0.0, np.inf), ("length", self.lengths(), 1e-5, 10.0),
+                ("bending stiffness of the core", core[:, 0], 0.0, (1.0 + 1e-9) * self.young_modulus * second),
+                ("yield moment of the core", core[:, 1], 0.0, 1e300)):
+            most = np.broadcast_to(high, n)
+            wrong = 1 + np.flatnonzero(~((values >= low) & (values <= most))[1:])  # entry 0 is not read
+            if len(wrong):
+                raise SceneError(f"plant: the {name} of segment {wrong[0]} is {values[wrong[0]]:g}; it must be from "
+                                 f"{low:g} to {most[wrong[0]]:g}.")
         along = (self.nodes[1:] - self.nodes[self.parent[1:]]) / self.lengths()[1:, None]
         blade = self.half_width[1:] > 0.0
         tilt = np.abs(np.einsum("ij,ij->i", along, self.blade_normal[1:]))[blade]
         size = np.linalg.norm(self.blade_normal[1:], axis=1)[blade]
         if not ((tilt < 1e-6) & (np.abs(size - 1.0) < 1e-6)).all():
             raise SceneError("plant: the normal of a blade must be a unit vector across its segment.")
-
-    @staticmethod
-    def _check(name: str, values: np.ndarray, low: float, high: float | np.ndarray) -> None:
-        """Raises a `SceneError` if a segment's value is out of its range; entry 0 is not read."""
-        most = np.broadcast_to(high, values.shape)
-        for i in np.flatnonzero(~((values >= low) & (values <= most)))[:2]:
-            if i > 0:
-                raise SceneError(f"plant: the {name} of segment {i} is {values[i]:g}; it must be from {low:g} to "
-                                 f"{most[i]:g}.")
 
     def lengths(self) -> np.ndarray:
         """Length of each segment (n,) [m]; 0 for entry 0."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -88,16 +87,12 @@ def parse_probe(node: Any, path: Path, *, touches: bool) -> tuple[ProbeShape, tu
     if node is None:
         return Sphere(0.02), (), None
     table = check_keys(node, where, ("shape", "parts", "mount_stiffness"))
-    shape = table.get("shape")
-    for key, instead in (("chain", "[arm]"), ("dome", "[sensor]")):
-        if isinstance(shape, Mapping) and key in shape:
-            raise SceneError(f"{where}: a {key} is no probe of a scene; write {instead}.")
     mount = table.get("mount_stiffness")
     if mount is not None and not touches:
         raise SceneError(f"{where}: mount_stiffness is {mount!r}, but there is no [touches]; a [press] moves the probe "
                          f"itself. Take mount_stiffness out.")
     stiffness = value(mount, Annotated[float, between(1.0, 1e9, "N/m")] | None, f"{where}: mount_stiffness")
-    return (beside(parse_probe_shape(shape, where), path),
+    return (beside(parse_probe_shape(table.get("shape"), where), path),
             parse_bodies(table.get("parts", []), path, "probe.parts", "offset"), stiffness)
 
 

@@ -7,7 +7,7 @@ centre; that of a `Plane` is on its surface.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
@@ -145,11 +145,8 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
     return _shape(table, where, OBJECT_SHAPES, "box = [0.1, 0.1, 0.05]")
 
 
-def parse_probe_shape(table: Any, where: str) -> ProbeShape:
+def parse_probe_shape(table: Any, where: str) -> Analytic | MeshFile:
     """The shape of ``[probe]`` from its TOML table; see `parse_object_shape`."""
-    for name, read in (("chain", read_chain), ("dome", read_dome)):  # of a dataset's file; a scene says [arm], [sensor]
-        if isinstance(table, Mapping) and name in table:
-            return read(table[name], where)
     return _shape(table, where, PROBE_SHAPES, "sphere = 0.02")
 
 
@@ -176,9 +173,15 @@ def _shape(table: Any, where: str, allowed: tuple[str, ...], example: str) -> An
 
 
 def parse_probe_shapes(tables: Any, where: str) -> tuple[ProbeShape, ...]:
-    """The probes that `probe_tables` wrote; raises as `parse_probe_shape`."""
-    given = tables if isinstance(tables, list) and tables else [tables]
-    return tuple(parse_probe_shape(table, where) for table in given)
+    """The probes that `probe_tables` wrote: those of a scene, the chain of an [arm] or the dome of a [sensor].
+
+    Raises:
+        SceneError: as `parse_probe_shape`.
+    """
+    readers: dict[str, Callable[[Any, str], ProbeShape]] = {"chain": read_chain, "dome": read_dome}
+    return tuple(readers[key](table[key], where) if (key := next(iter(table), "")) in readers
+                 else parse_probe_shape(table, where)
+                 for table in (tables if isinstance(tables, list) and tables else [tables]))
 
 
 def probe_tables(shapes: Sequence[ProbeShape]) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
-from vsfsim.data.disk import file_sha256, write_atomic
+from vsfsim.data.disk import file_sha256
 from vsfsim.data.records import ObjectView, Touch, Truth, View, values_of
 from vsfsim.data.safety import check_name, check_tree, whole_number
 from vsfsim.data.schema import (
@@ -36,20 +36,12 @@ Items: TypeAlias = Mapping[str, h5py.Group | h5py.Dataset]
 _COMPRESS_FROM = 4096  # bytes; below this a chunk's own bookkeeping costs more than it saves
 
 
-def write_view(path: str | Path, object_view: ObjectView) -> None:
-    """Store ``object_view``, truth and all, as ``path``; the file appears whole or not at all.
-
-    May be called from worker processes, each with files of its own.
+def encode_view(object_view: ObjectView) -> bytes:
+    """The bytes of the file of ``object_view``, truth and all. Nothing in them depends on the clock or the machine.
 
     Raises:
-        DatasetError: a field does not fit the schema, a number is not finite in a frame marked converged, or the
-            disk refuses.
+        DatasetError: a field does not fit the schema, or a number is not finite in a frame marked converged.
     """
-    write_atomic(Path(path), encode_view(object_view))
-
-
-def encode_view(object_view: ObjectView) -> bytes:
-    """The bytes of an object file; see `write_view`. Nothing in them depends on the clock or the machine."""
     if object_view.truth is None:
         raise DatasetError(f"object view '{object_view.name}' has no truth (it is blind); a dataset stores "
                            f"the truth too.")

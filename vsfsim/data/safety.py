@@ -22,8 +22,6 @@ LARGEST_CHUNK = 64 << 20
 """Bytes of a chunk, which is unpacked as a whole."""
 LARGEST_RATIO, SMALL = 100, 256 << 20
 """A file may hold this many times its own size, besides a small amount [bytes]: numbers do not compress by more."""
-LARGEST_ATTRIBUTE = 16 << 20
-"""Bytes of an attribute."""
 
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 NAME = r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}"
@@ -61,7 +59,6 @@ def check_tree(file: h5py.File, path: Path) -> dict[str, h5py.Group | h5py.Datas
         if where.count("/") > 8 or len(group) > 10_000:
             raise DatasetError(f"{path}{where} is nested too deep or has too many members; it was not written by "
                                f"vsfsim.")
-        _check_attributes(group, f"{path} {group.name}")
         links = group.id.links
         for raw in group.id:  # h5py's low level: a file has thousands of fields, and most of the time went into names
             name = raw.decode("utf-8", "surrogateescape")
@@ -77,7 +74,6 @@ def check_tree(file: h5py.File, path: Path) -> dict[str, h5py.Group | h5py.Datas
             if not isinstance(opened, h5py.h5d.DatasetID):
                 raise DatasetError(f"{spot} is neither a group nor a dataset.")
             found[inside[1:]] = item = h5py.Dataset(opened)
-            _check_attributes(item, spot)
             total += _size(item, spot)
             if total > budget:
                 raise DatasetError(f"{path} announces more than {budget / 1e6:.0f} MB and has "
@@ -105,17 +101,6 @@ def _size(item: h5py.Dataset, spot: str) -> int:
         raise DatasetError(f"{spot} has shape {shape}, {size / 1e6:.0f} MB; a field has at most "
                            f"{LARGEST_FIELD / 1e6:.0f} MB, and a chunk {LARGEST_CHUNK / 1e6:.0f} MB.")
     return size
-
-
-def _check_attributes(item: h5py.Group | h5py.Dataset, spot: str) -> None:
-    count = h5py.h5a.get_num_attrs(item.id)
-    if count > 100:
-        raise DatasetError(f"{spot} has {count} attributes; it was not written by vsfsim.")
-    for k in range(count):
-        if h5py.h5a.get_info(item.id, index=k).data_size > LARGEST_ATTRIBUTE:
-            name = h5py.h5a.open(item.id, index=k).name.decode(errors="replace")
-            raise DatasetError(f"{spot} has an attribute '{plain(name, longest=100)}' of more than "
-                               f"{LARGEST_ATTRIBUTE / 1e6:.0f} MB.")
 
 
 def whole_number(value: object, where: str) -> int:

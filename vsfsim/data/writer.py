@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -196,10 +197,17 @@ class DatasetWriter:
         if differences:
             raise DatasetError(f"folder {where} holds another dataset: {'; '.join(differences)}. Choose another "
                                f"--out, or delete that folder first.")
-        if code is not None and dict(code) != made_by():
-            raise DatasetError(f"folder {where} was begun by other code: {_code(code)} there, {_code(made_by())} "
-                               f"here. Files of two versions are not mixed: "
-                               f"check out that version to finish it, or delete the folder and start again.")
+        if code is not None:
+            self._check_code(code, "begun")
+
+    def _check_code(self, there: Mapping[str, str | None], done: str) -> None:
+        """Refuse to go on with what other code has ``done``."""
+        if dict(there) != made_by():
+            words = [f"vsfsim {made.get('vsfsim')} at commit {made.get('commit') or 'unknown'}"
+                     for made in (there, made_by())]
+            raise DatasetError(f"{self.store.where} was {done} by other code: {words[0]} there, {words[1]} here. Files "
+                               f"of two versions are not mixed: check out that version to finish it, or delete the "
+                               f"folder and start again.")
 
     def _begin(self) -> dict[str, str | None]:
         self._refuse_other()  # again, now that no other process can write
@@ -232,11 +240,7 @@ class DatasetWriter:
         bad = [entry for entry in finished.entries if not self._is_whole(entry, files)]
         if not bad and set(finished.names()) | set(finished.left_out) == set(self.names):
             return False
-        if dict(finished.made_by) != made_by():
-            raise DatasetError(f"{self.store.where}: {', '.join(e.file for e in bad)} missing or damaged, and the rest "
-                               f"was made by other code ({_code(finished.made_by)} there, "
-                               f"{_code(made_by())} here). Check out that version to repair it, or delete the "
-                               f"folder and start again.")
+        self._check_code(finished.made_by, "made")
         for entry in finished.entries:
             if entry in bad:
                 lines.forget(self.store, entry.name)
@@ -273,8 +277,3 @@ class DatasetWriter:
         if before:
             self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
         return lock
-
-
-def _code(made: object) -> str:
-    table = dict(made)  # type: ignore[call-overload]
-    return f"vsfsim {table.get('vsfsim')} at commit {table.get('commit') or 'unknown'}"

@@ -11,8 +11,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from vsfsim.core.chain import Chain
-from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import MeshFile, ProbeShape, parse_probe_shape
 from vsfsim.core.table import Angle, Count, Finite, Rows, Vector, between, check_keys, typed, value
@@ -149,7 +147,7 @@ def _other(own: Mapping[str, Any], node: Any, where: str, path: Path) -> tuple[P
     """A press of another kind: what its row does not say is as in [touches]."""
     row = dict(check_keys(node, where, ("shape", "depth", "depth_range", "tilt", "level")))
     shape = parse_probe_shape(row.pop("shape"), where) if "shape" in row else None
-    if isinstance(shape, (Chain, Dome, MeshFile)):
+    if isinstance(shape, MeshFile):
         raise SceneError(f"{where}: shape is {node['shape']!r}; a touch of a dataset is made with a simple shape, e.g. "
                          f"shape = {{ cylinder = [0.01, 0.02] }}.")
     dropped = {"other", *(("depth", "depth_range") if {"depth", "depth_range"} & row.keys() else ())}

@@ -63,57 +63,47 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     table = check_keys(node, where, {"material", *(one.name for one in fields(ObjectSpec))} - {"foam"})
     shape = beside(parse_object_shape(table.get("shape"), where), path)  # type: ignore[arg-type]
     material, family = parse_material(table.get("young_modulus"), where), isinstance(shape, Family)
-    foam = _foam(table, where, family)
+    foam, law = _law(table, where, family)
     if foam is not None and "young_modulus" not in table:
         material = MaterialField(foam.young_modulus)
     if material.base is None and not family:
         raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
                          f"{{ base = 1e5, inclusions = [..] }}.")
     found = typed(table, ObjectSpec, where, also=own, shape=shape, young_modulus=material, foam=foam,
-                  law=_law(table, where, family))
+                  law=law)
     return found if foam is None else replace(found, poisson_ratio=foam.poisson_ratio)
 
 
-def _foam(table: Mapping[str, Any], where: str, family: bool) -> Foam | None:
-    """The foam that ``material`` names.
+def _law(table: Mapping[str, Any], where: str, family: bool) -> tuple[
+        Foam | None, tuple[str, dict[str, tuple[float, ...]]] | None]:
+    """The foam that ``material`` names, and the law that ``law`` names, with its rows of numbers.
 
     Raises:
-        SceneError: there is no such foam, it has a Poisson's ratio of its own, or the object is of several materials.
+        SceneError: there is no such foam, it has a Poisson's ratio of its own, a law is no name or table of numbers, or
+            the object has its laws from elsewhere.
     """
-    if "material" not in table:
-        return None
-    name = table["material"]
-    if not isinstance(name, str) or name not in FOAMS:
-        raise SceneError(f"{where}: material is {name!r}, which is no foam with known parameters. "
-                         f"{did_you_mean(str(name), FOAMS)} Without material the law is neo-Hookean, with "
-                         f"young_modulus and poisson_ratio.")
-    if "poisson_ratio" in table:
-        raise SceneError(f"{where}: material = {name!r} has a Poisson's ratio of its own, "
-                         f"{FOAMS[name].poisson_ratio:.3g}; leave poisson_ratio = {table['poisson_ratio']!r} out.")
-    if family:
-        raise SceneError(f"{where}: material = {name!r} is for objects of one material; a family's parts have "
-                         f"materials of their own. Leave it out, or give a box, a cylinder, a sphere or a mesh.")
-    return FOAMS[name]
-
-
-def _law(table: Mapping[str, Any], where: str, family: bool) -> tuple[str, dict[str, tuple[float, ...]]] | None:
-    """The law that ``law`` names, with its rows of numbers.
-
-    Raises:
-        SceneError: it is no name or table of numbers, or the object has its laws from elsewhere.
-    """
-    if "law" not in table:
-        return None
-    given = value(table["law"], Annotated[str | dict[str, str | Finite | list[Finite]], msgspec.Meta(
-        description='a name, or a table of a name and numbers, e.g. law = { name = "hyperfoam", mu = [2e5, 2e4], '
-                    'alpha = [8.0, -2.0], beta = [0.0, 0.0] }')], f"{where}: law")
-    rows = {"name": given} if isinstance(given, str) else given
-    named = [key for key, row in rows.items() if isinstance(row, str)]
-    if named != ["name"]:
-        raise SceneError(f"{where}: law is {given!r}; it must have a name, and numbers besides.")
-    if family or "material" in table:
-        raise SceneError(f"{where}: law = {given!r} beside "
+    given = [key for key in ("material", "law") if key in table]
+    if given and (family or len(given) > 1):
+        raise SceneError(f"{where}: {given[-1]} = {table[given[-1]]!r} beside "
                          f"{'a family, whose parts have laws' if family else 'material, which has a law'} of its own. "
                          f"Leave one of them out.")
-    return rows["name"], {key: tuple(row) if isinstance(row, list) else (row,)
-                          for key, row in rows.items() if key != "name"}
+    if "material" in table:
+        name = table["material"]
+        if not isinstance(name, str) or name not in FOAMS:
+            raise SceneError(f"{where}: material is {name!r}, which is no foam with known parameters. "
+                             f"{did_you_mean(str(name), FOAMS)} Without material the law is neo-Hookean, with "
+                             f"young_modulus and poisson_ratio.")
+        if "poisson_ratio" in table:
+            raise SceneError(f"{where}: material = {name!r} has a Poisson's ratio of its own, "
+                             f"{FOAMS[name].poisson_ratio:.3g}; leave poisson_ratio = {table['poisson_ratio']!r} out.")
+        return FOAMS[name], None
+    if "law" not in table:
+        return None, None
+    said = value(table["law"], Annotated[str | dict[str, str | Finite | list[Finite]], msgspec.Meta(
+        description='a name, or a table of a name and numbers, e.g. law = { name = "hyperfoam", mu = [2e5, 2e4], '
+                    'alpha = [8.0, -2.0], beta = [0.0, 0.0] }')], f"{where}: law")
+    rows = {"name": said} if isinstance(said, str) else said
+    if [key for key, row in rows.items() if isinstance(row, str)] != ["name"]:
+        raise SceneError(f"{where}: law is {said!r}; it must have a name, and numbers besides.")
+    return None, (rows["name"], {key: tuple(row) if isinstance(row, list) else (row,)
+                                 for key, row in rows.items() if key != "name"})
