@@ -45,33 +45,30 @@ class Subject:
     """Which touches are queries, and which may be given."""
     recording: Recording
     """Of all its touches."""
+    near: np.ndarray
+    """Which of the probed surface points some touch reached (P,) bool."""
     points: np.ndarray
-    """Where the stiffness is asked, world (k, 3) [m]: the probed surface points that some touch reached."""
-    columns: np.ndarray | None
-    """Where the stiffness is asked for a mask, world (q, 3) [m]; None where the task does not rank by one."""
-    hidden: tuple[np.ndarray, np.ndarray] | None
-    """Vertices (n, 3) [m] and triangles (m, 3) of the object that is to be located; None where the task does not rank
-    by its pose."""
+    """Where these are, world (k, 3) [m]: there the stiffness is asked."""
+    columns: Columns | None
+    """Where the stiffness is asked for a mask; None where the task does not rank by one."""
+    inclusions: Inclusions | None
+    """Which are the mask, or without `columns` are to be located; None where the task ranks by neither."""
 
     @classmethod
-    def of(cls, view: ObjectView, places: np.ndarray, recording: Recording, task: Task, dataset: Dataset) -> Subject:
+    def of(cls, view: ObjectView, places: np.ndarray, task: Task, dataset: Dataset) -> Subject:
         """A test object.
 
         Args:
-            view: without its truth. places: of its probed points, world (P, 3) [m]. recording: of its touches. task:
-            whose protocol it is asked by. dataset: where it is.
+            view: of the object. places: of its probed points, world (P, 3) [m]. task: whose protocol it is asked by.
+            dataset: where it is.
 
         Raises:
             TaskError: it has too few touches.
         """
-        draw = divide(view, task.protocol)
-        inclusions, ranked = None, task.metric.answer
-        if ranked in (Answer.MASK, Answer.POSE):
-            inclusions = Inclusions.of(dataset.recipe, view)
-        columns = Columns.of(places, view).points if ranked is Answer.MASK else None
-        hidden = inclusions.known_object()[:2] if inclusions is not None and ranked is Answer.POSE else None
-        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw, recording,
-                   places[reached_in(view, places)], columns, hidden)
+        near, ranked = reached_in(view, places), task.metric.answer
+        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), divide(view, task.protocol),
+                   record(view, task), near, places[near], Columns.of(places, view) if ranked is Answer.MASK else None,
+                   Inclusions.of(dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None)
 
     @property
     def actions(self) -> tuple[Action, ...]:
@@ -136,9 +133,8 @@ class Reader:
         with self._lock:
             if key not in self._subjects:
                 view, places = dataset.shown(name)
-                recording = record(view, task)
-                self._subjects[key] = Subject.of(view, places, recording, task, dataset)
-                self._specimens.setdefault(readings, specimen_of(view, recording))
+                self._subjects[key] = Subject.of(view, places, task, dataset)
+                self._specimens.setdefault(readings, specimen_of(view, self._subjects[key].recording))
             return self._subjects[key]
 
 
@@ -186,9 +182,9 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
                 raise MethodError(f"stiffness for {where} must be a non-negative mean a point; its smallest is "
                                   f"{mean.min()}.")
         if "stiffness" in offers and subject.columns is not None:
-            column_mean, _ = _stiffness(process, subject.columns, where)
-        if "locate" in offers and subject.hidden is not None:
-            pose = _pose(process, subject.hidden, where)
+            column_mean, _ = _stiffness(process, subject.columns.points, where)
+        if "locate" in offers and subject.columns is None and subject.inclusions is not None:
+            pose = _pose(process, subject.inclusions.known_object()[:2], where)
     took = process.seconds
     return Answers(trial, readings, readings_std, mean, std, column_mean, pose, took["adapt"],
                    sum(took[name] for name in ("choose", "predict", "predict_std", "stiffness", "locate")))

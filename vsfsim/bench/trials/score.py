@@ -12,10 +12,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.metrics import Answer, can_be_scored, record_scores, scores_of, touch_errors, touch_uncertainty
 from vsfsim.bench.protocol import Answers, Recording, divide, record
-from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.result_file import (
     MAP_COLUMNS,
@@ -28,6 +26,7 @@ from vsfsim.bench.result_file import (
     stored,
 )
 from vsfsim.bench.task import Task
+from vsfsim.bench.trials.answers import Subject
 from vsfsim.core.errors import TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -81,20 +80,17 @@ def _add(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset, ro
     """
     view = dataset.load(name)
     assert view.truth is not None
-    draw, recording, ranked = divide(view, task.protocol), record(view, task), task.metric.answer
-    near = reached_in(view, view.truth.probe_points)
-    places, known = view.truth.probe_points[near], view.truth.probe_stiffness[near]
+    subject = Subject.of(view, view.truth.probe_points, task, dataset)
+    known, columns, inclusions = view.truth.probe_stiffness[subject.near], subject.columns, subject.inclusions
     usable = known > 0.0  # ratios are scored; a cone that met nothing has none
-    inclusions = Inclusions.of(dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None
-    columns = Columns.of(view.truth.probe_points, view) if ranked is Answer.MASK else None
     mapped = (task.ranking_shot, 0) if task.protocol.folds and view.view_index == 0 else None
 
     def keep(answer: Answer, given: Answers, values: Mapping[str, Any]) -> None:
         rows[answer].append({"object": name, "shot": given.trial.shot, "seed": given.trial.seed, **values})
 
     for given in answers:
-        for k, index in enumerate(draw.query):
-            clean, valid = recording.queries[index].clean, recording.queries[index].scored
+        for k, index in enumerate(subject.draw.query):
+            clean, valid = subject.recording.queries[index].clean, subject.recording.queries[index].scored
             keep(Answer.READINGS, given, {"touch": index, **touch_errors(given.readings[k], clean, valid)})
             if given.readings_std is not None:
                 keep(Answer.READING_STD, given, {
@@ -104,14 +100,14 @@ def _add(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset, ro
                          "std": None if given.std is None else given.std[usable]}
             keep(Answer.STIFFNESS, given, record_scores(Answer.STIFFNESS, [stiffness]))
         if given.mean is not None and (given.trial.shot, given.trial.seed) == mapped:
-            _extend(maps, _map_of(name, places, known, given.mean, given.std))
+            _extend(maps, _map_of(name, subject.points, known, given.mean, given.std))
         if given.column_mean is not None and columns is not None and inclusions is not None:
             values = {"value": columns.largest(given.column_mean), "stiff": columns.covers(inclusions)}
             keep(Answer.MASK, given, record_scores(Answer.MASK, [values]))
-        if given.pose is not None and inclusions is not None and ranked is Answer.POSE:
+        if given.pose is not None and inclusions is not None:
             poses = {"estimate": given.pose, "truth": inclusions.known_object()[2]}
             keep(Answer.POSE, given, record_scores(Answer.POSE, [poses]))
-    _extend(readings, readings_of([(recording, draw.query)]))
+    _extend(readings, readings_of([(subject.recording, subject.draw.query)]))
 
 
 def _extend(columns: dict[str, list], more: Mapping[str, list]) -> None:
