@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.baselines.visible_cloud import digest, visible_cloud
+from vsfsim.bench.inclusions import reached
 from vsfsim.bench.method import Reading
-from vsfsim.bench.reached_points import reached
 from vsfsim.core.errors import MethodError, VsfError, did_you_mean
 from vsfsim.data.records import View
 

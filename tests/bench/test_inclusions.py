@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.inclusions import Columns, Inclusions, mesh_of
+from vsfsim.bench.inclusions import Columns, Inclusions, mesh_of, reached_in
 from vsfsim.bench.leaderboard import collect, score_table, text
 from vsfsim.bench.method import Estimate
 from vsfsim.bench.metrics import Answer, record_scores
 from vsfsim.bench.mock import BLOCK, mock_view
-from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.material import Inclusion

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from vsfsim.bench.reached_points import reached
+from vsfsim.bench.inclusions import reached
 from vsfsim.robot.arm import Arm, body_torque, chain_of
 from vsfsim.vsf.observations import arm_displacements_each, arm_torque_rows_each
 

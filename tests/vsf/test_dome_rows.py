@@ -4,7 +4,7 @@ touch."""
 import numpy as np
 import pytest
 
-from vsfsim.bench.reached_points import reached
+from vsfsim.bench.inclusions import reached
 from vsfsim.core.dome import Dome
 from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.fields.line_integrals import dome as cap

@@ -21,8 +21,8 @@ _PLUMBING = ("vsfsim.core.shelf", "vsfsim.core.system", "vsfsim.core.errors", "v
              "vsfsim.core.plain_text", "vsfsim.core.text_table")
 """Modules of vsfsim, with all below them, that a method's answers pass through, and those of them that answer nothing:
 the particle model and the solver count, a message does not."""
-_SCORES = ("inclusions", "metrics", "noise", "observations", "protocol", "reached_points",
-           "task", "trials.answers", "trials.score", "trials.training")
+_SCORES = ("inclusions", "metrics", "noise", "observations", "protocol", "task", "trials.answers", "trials.score",
+           "trials.training")
 """Modules of `vsfsim.bench` that decide what is asked and what an answer scores."""
 
 

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.inclusions import Columns, Inclusions
+from vsfsim.bench.inclusions import Columns, Inclusions, reached_in
 from vsfsim.bench.isolation.process import Learned, MethodHost, Process
 from vsfsim.bench.isolation.wire import decoded, encoded
 from vsfsim.bench.method import Action, Specimen, checked_choice, checked_prediction, frozen_view
 from vsfsim.bench.metrics import FEWEST_POINTS, Answer
 from vsfsim.bench.protocol import Answers, Draw, Recording, Trial, divide, record, specimen_of, support
-from vsfsim.bench.reached_points import reached_in
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import MethodError
 from vsfsim.data.dataset import Dataset
