@@ -15,13 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench.inclusions import Columns, Inclusions, reached_in
 from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, frozen_view
+from vsfsim.bench.metrics import FEWEST_POINTS, Answer
 from vsfsim.bench.noise import Noise, noisy_node_force, noisy_nodes, window
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.records import ObjectView, Touch
+from vsfsim.data.records import ObjectView, Touch, View
 
 
 @dataclass(frozen=True)
@@ -193,6 +195,58 @@ def support(view: Any, draw: Draw, label: str, seed: int, protocol: Protocol) ->
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(1, view.object_index, view.view_index, seed))
     order = np.random.default_rng(stream).permutation(np.array(draw.pool, dtype=int))
     return tuple(int(i) for i in order[:int(label)])
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A test object."""
+
+    name: str
+    """Of the object view."""
+    object_index: int
+    """From 0."""
+    view_index: int
+    """Of the view of that object, from 0."""
+    view: View
+    """What the method sees."""
+    draw: Draw
+    """Which touches are queries, and which may be given."""
+    recording: Recording
+    """Of all its touches."""
+    near: np.ndarray
+    """Which of the probed surface points some touch reached (P,) bool."""
+    points: np.ndarray
+    """Where these are, world (k, 3) [m]: there the stiffness is asked."""
+    columns: Columns | None
+    """Where the stiffness is asked for a mask; None where the task does not rank by one."""
+    inclusions: Inclusions | None
+    """Which are the mask, or without `columns` are to be located; None where the task ranks by neither."""
+
+    @classmethod
+    def of(cls, view: ObjectView, places: np.ndarray, task: Task, dataset: Dataset) -> Subject:
+        """A test object.
+
+        Args:
+            view: of the object. places: of its probed points, world (P, 3) [m]. task: whose protocol it is asked by.
+            dataset: where it is.
+
+        Raises:
+            TaskError: it has too few touches.
+        """
+        near, ranked = reached_in(view, places), task.metric.answer
+        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), divide(view, task.protocol),
+                   record(view, task), near, places[near], Columns.of(places, view) if ranked is Answer.MASK else None,
+                   Inclusions.of(dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None)
+
+    @property
+    def actions(self) -> tuple[Action, ...]:
+        """Of the query touches."""
+        return tuple(self.recording.queries[i].action for i in self.draw.query)
+
+    @property
+    def asks_stiffness(self) -> bool:
+        """Whether enough points were reached."""
+        return len(self.points) >= FEWEST_POINTS
 
 
 @dataclass(frozen=True)

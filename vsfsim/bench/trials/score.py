@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from vsfsim.bench.metrics import Answer, can_be_scored, record_scores, scores_of, touch_errors, touch_uncertainty
-from vsfsim.bench.protocol import Answers, Recording, divide, record
+from vsfsim.bench.protocol import Answers, Recording, Subject, divide, record
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.result_file import (
     MAP_COLUMNS,
@@ -26,7 +26,6 @@ from vsfsim.bench.result_file import (
     stored,
 )
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.answers import Subject
 from vsfsim.core.errors import TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
