@@ -54,6 +54,8 @@ class Contact:
     """1 where `dof` is no padding (B, 3 s) [-]."""
     free: torch.Tensor
     """1 where a degree of freedom may move (B, 3 s) [-]."""
+    rest: torch.Tensor
+    """Places of the nodes at rest (B, 3 s) [m]."""
     response: Any
     """How the bodies respond at rest, `rest_factor.Response`."""
     has_friction: bool
@@ -77,6 +79,15 @@ class Contact:
     def turn(self) -> tuple[int, torch.Tensor] | None:
         """See `stiffness.assembled`, of all touches."""
         return None
+
+    def _take(self, listed: np.ndarray, free: np.ndarray, points: np.ndarray) -> None:
+        """Set `dof`, `mask`, `free` and `rest` for the nodes ``listed`` (B, s), -1 for padding, of all nodes with their
+        ``free`` (3 n,) and ``points`` (n, 3) [m]."""
+        dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(len(listed), -1)
+        self.dof = torch.as_tensor(dof, device=self.device)
+        self.mask = (self.dof >= 0).to(torch.float64)
+        self.free, self.rest = (torch.as_tensor(values.ravel(), dtype=torch.float64, device=self.device)[
+            self.dof.clamp(min=0)] * self.mask for values in (free, points))
 
     def _all(self, name: str, columns: torch.Tensor) -> torch.Tensor:
         return torch.cat([points[name][columns].flatten(1) for points in self._sets], dim=1)

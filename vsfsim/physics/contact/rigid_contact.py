@@ -106,15 +106,11 @@ class RigidContact(Contact):
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
         padded = self._padded = body_points.pad(self.patches, self._parts, self._body_points)
-        listed, parts, faces, nodes = padded.nodes, padded.parts, padded.parts.shape[1], padded.nodes.shape[1]
+        parts, faces, nodes = padded.parts, padded.parts.shape[1], padded.nodes.shape[1]
         tensor = functools.partial(torch.as_tensor, device=self.device)
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
-        dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
-        same = hasattr(self, "dof") and np.array_equal(self.dof.cpu().numpy(), dof)
-        self.dof = tensor(dof)
-        self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
-        self.mask = (self.dof >= 0).to(torch.float64)
-        self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
+        known = getattr(self, "dof", None)
+        self._take(padded.nodes, self.model.free, self.model.mesh.points)
         # of every contact point; a padded part has all its nodes at 0 and no stiffness
         self._local, self._values, self._stiffness = (
             tensor(parts[name].copy()) for name in ("local", "shape", "stiffness"))
@@ -134,7 +130,7 @@ class RigidContact(Contact):
         found["owner"].fill_(-1)
         self.gap, self.body, self.normal, self.force, self._stiff, self._geometric = (
             found[name].flatten(1, 2) for name in ("gap", "body", "normal", "force", "stiff", "geometric"))
-        if not same:  # the same nodes may have more points
+        if known is None or not torch.equal(known, self.dof):  # the same nodes may have more points
             self.response: Response = response(self.model.factor if self._linear else self.model.preconditioner,
                                                self.dof, device=self.device)
         missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)

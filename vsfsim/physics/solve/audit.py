@@ -62,21 +62,12 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor) -> Rows:
     wrong[Reason.INVERTED], wrong[Reason.CRUSHED] = state["det"] <= 0.0, state["det"] < CRUSHED
     for why, where in wrong.items():
         reason[where.cpu().numpy() & (reason == Reason.NONE)] = why
-    out["reason"], out["converged"] = np.zeros_like(reason), np.ones(batch, bool)
-    out["unbalanced_force"] = np.zeros_like(out["force"])
-    for why in Reason:
-        mark(out, reason == why, why)
+    out["reason"], out["converged"] = reason, reason == Reason.NONE
+    out["unbalanced_force"] = np.where(out["converged"][:, None], 0.0, out["force"])
+    for name in OF_AN_EQUILIBRIUM:
+        out[name][~out["converged"]] = np.nan
     out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
     return out
-
-
-def mark(out: Rows, where: np.ndarray, why: Reason) -> None:
-    """Mark the touches ``where`` (B,) bool of a frame as no equilibrium, for the reason ``why``; nothing for `NONE`."""
-    if why == Reason.NONE or not where.any():
-        return
-    out["unbalanced_force"][where], out["reason"][where], out["converged"][where] = out["force"][where], why, False
-    for name in OF_AN_EQUILIBRIUM:
-        out[name][where] = np.nan
 
 
 def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, ...]:

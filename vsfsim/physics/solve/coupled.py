@@ -79,9 +79,11 @@ class CoupledSolver(Solver):
 
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[PairContact, np.ndarray]:
         start = poses[0] if start is None else start.reshape(poses.shape[1:])
-        way = _along_the_way(np.concatenate([start[None], poses])[:, :, 0], scale(self.sensor))
-        contact = PairContact(self.object, self.sensor, self.model.factor, float(self.friction[0]), way,
-                              device=self.device, stride=self._stride)
+        # what lies between two distant frames may be met, too
+        way = [start, *(pose for ends in pairwise([start, *poses])
+                        for pose in increments.pieces(*ends, scale(self.sensor), self._reaches))]
+        contact = PairContact(self.object, self.sensor, self.model.factor, float(self.friction[0]),
+                              np.stack(way)[:, :, 0], device=self.device, stride=self._stride)
         first, meets = start.copy(), self._meets(contact, start)
         first[meets, :, :3, 3] -= self._stride * first[meets, :, :3, 2]  # a stride back where it barely touches
         self._inside = meets & self._meets(contact, first)
@@ -131,16 +133,6 @@ class CoupledSolver(Solver):
             self.pressure.append(np.where(out["converged"], pressure, np.nan))
             self.volume.append(wp.to_torch(self.elasticity.volume).cpu().numpy().copy())
         return out
-
-
-def _along_the_way(poses: np.ndarray, longest: float) -> np.ndarray:
-    """Poses (T', B, 4, 4) with more between those (T, B, 4, 4) whose origins are further apart than ``longest`` [m]:
-    what lies between two distant frames may be met, too."""
-    out = [poses[:1]]
-    for before, after in pairwise(poses):
-        count = max(1, int(np.ceil(np.linalg.norm((after - before)[:, :3, 3], axis=1).max() / longest)))
-        out += [increments.between(before, after, i / count)[None] for i in range(1, count)] + [after[None]]
-    return np.concatenate(out)
 
 
 def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) -> float:

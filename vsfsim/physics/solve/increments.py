@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
-from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
 
 # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body. With friction
@@ -41,27 +40,6 @@ def mean_thickness(model: Model) -> float:
     if model.mesh.faces.shape[1] == 3:
         return min(model.mesh.edge() / 3.0, 0.75 * model.element_size)
     return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
-
-
-def begin(make: Callable[..., RigidContact], bodies: RigidBodies, model: Model, poses: np.ndarray,
-          start: np.ndarray | None) -> tuple[RigidContact, np.ndarray, float, np.ndarray]:
-    """The contact of a run, the poses (B, K, 4, 4) that its steps begin at, the longest of them [m], and which touches
-    begin `inside` the object (B,) bool.
-
-    Args:
-        make: makes the contact for ``poses`` (T', B, K, 4, 4).
-        bodies: the rigid bodies (K).
-        model: the object.
-        poses: of all frames (T, B, K, 4, 4).
-        start: where the path begins, see `touches.Solver.run`.
-    """
-    start = poses[0] if start is None else start.reshape(poses.shape[1:])
-    first = clear(start, poses[0], bodies, model)
-    reached = pieces(first, poses[0], stride(bodies, mean_thickness(model)), bodies.reaches)  # on their way in
-    contact = make(poses=poses if np.array_equal(first, poses[0]) else np.stack([*reached, *poses]))
-    longest = stride(bodies, min(mean_thickness(model), thinnest(model, [patch.faces for patch in contact.patches])),
-                     friction=contact.has_friction)
-    return contact, first, longest, inside(bodies, model, start, contact.device)
 
 
 def clear(start: np.ndarray, end: np.ndarray, bodies: RigidBodies, model: Model) -> np.ndarray:

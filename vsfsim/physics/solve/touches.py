@@ -10,7 +10,6 @@ remembers where points stuck.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -157,9 +156,17 @@ class Solver:
 
     def _make_contact(self, poses: np.ndarray, start: np.ndarray | None = None) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
-        make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
-                                 mount=self._mount, linear=self.linear, **self.options.indentation)
-        contact, first, self._stride, self._inside = increments.begin(make, self.bodies, self.model, poses, start)
+        bodies, model, thickness = self.bodies, self.model, increments.mean_thickness(self.model)
+        start = poses[0] if start is None else start.reshape(poses.shape[1:])
+        first = increments.clear(start, poses[0], bodies, model)
+        if not np.array_equal(first, poses[0]):  # on their way in
+            way = increments.pieces(first, poses[0], increments.stride(bodies, thickness), bodies.reaches)
+            poses = np.stack([*way, *poses])
+        contact = RigidContact(model, bodies, self.friction, poses, device=self.device, mount=self._mount,
+                               linear=self.linear, **self.options.indentation)
+        thinnest = increments.thinnest(model, [patch.faces for patch in contact.patches])
+        self._stride = increments.stride(bodies, min(thickness, thinnest), friction=contact.has_friction)
+        self._inside = increments.inside(bodies, model, start, self.device)
         return contact, first
 
     def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any) -> np.ndarray:

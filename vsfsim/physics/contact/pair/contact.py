@@ -63,17 +63,12 @@ class PairContact(Contact):
         reach, own = reachable(model, sensor, poses), sensor.mesh.points
         nodes = [np.unique(model.mesh.faces[f]) for f in reach]
         self.width = width = max(1, max(len(n) for n in nodes))
-        listed, rest = np.full((self.batch, width), -1, np.int64), np.zeros((self.batch, width, 3))
-        for b, n in enumerate(nodes):
-            listed[b, :len(n)], rest[b, :len(n)] = n, model.mesh.points[n]
-        carried = np.arange(len(own)) + len(model.mesh.points)
-        listed = np.concatenate([listed, np.tile(carried, (self.batch, 1))], axis=1)
-        dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1)
-        self.dof = torch.as_tensor(dof.reshape(self.batch, -1), device=device)
-        self.mask = (self.dof >= 0).to(torch.float64)
-        free = torch.as_tensor(np.concatenate([model.free, sensor.free]), dtype=torch.float64, device=device)
-        self.free = free[self.dof.clamp(min=0)] * self.mask
-        self._rest = torch.as_tensor(np.concatenate([rest, np.tile(own, (self.batch, 1, 1))], axis=1), device=device)
+        listed = np.full((self.batch, width + len(own)), -1)
+        listed[:, width:] = np.arange(len(own)) + len(model.mesh.points)
+        for row, n in zip(listed, nodes, strict=True):
+            row[:len(n)] = n
+        self._take(listed, np.concatenate([model.free, sensor.free]), np.concatenate([model.mesh.points, own]))
+        self._rest = self.rest.view(self.batch, -1, 3)
         # positions now, when the step began, and where the surfaces would be if both had kept their shapes
         self.x, self.x_before, self.x_swept = (self._rest.clone() for _ in range(3))
         self._overlap, self.coulomb = (torch.zeros_like(self.mask[:, 0]) for _ in range(2))
