@@ -24,7 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -44,7 +43,6 @@ _NEAR = 0.3  # gap up to which a point of a body is kept ready, over the element
 _FACING = -0.1  # largest cosine between the outward directions of a body and of the object where they meet
 _GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over h
 _TINY = 1e-4  # depth at which a point is added or taken away, over the element size
-_APART = 10.0  # of the mesh's size: distance in which points of different faces are put apart
 _RENEWALS = 3  # times in a step; a body that is then inside is marked all the same, see `intrusion`
 
 
@@ -202,11 +200,6 @@ class Padded(NamedTuple):
     parts: np.ndarray
     """Their parts, then those of points of bodies (B, f) of `PART`."""
 
-    def places(self, touch: int, points: np.ndarray) -> np.ndarray:
-        """The contact points of a touch (6 f, 3) [m] on a mesh whose nodes are at ``points`` (n, 3) [m]."""
-        own = self.parts[touch]
-        return (own["shape"] @ points[self.nodes[touch][own["local"]]]).reshape(-1, 3)
-
 
 def pad(patches: Sequence[Patch], least: int, points: BodyPoints) -> Padded:
     """The patches (B), of ``least`` parts, and the points of bodies that they meet."""
@@ -220,44 +213,29 @@ def _stacked(rows: Sequence[np.ndarray], least: int, fill: np.ndarray) -> np.nda
     return np.stack([np.concatenate([row, np.repeat(fill, width - len(row))]) for row in rows])
 
 
-def remember(tensors: tuple[torch.Tensor, ...], kept: tuple[torch.Tensor, ...], points: tuple[Padded, Padded],
-             touches: Sequence[int], rest: np.ndarray, moved: torch.Tensor, turn: np.ndarray) -> None:
-    """Write the friction state of some ``touches`` into the ``tensors`` of their contact points: anchors (B, 6 f, 3)
-    [m], their owners (B, 6 f), limits (B, 6 f) [N] and normals of the tangent planes (B, 6 f, 3) [-].
+def remember(tensors: Sequence[torch.Tensor], kept: Sequence[torch.Tensor], parts: tuple[np.ndarray, np.ndarray],
+             touches: Sequence[int]) -> None:
+    """Write the friction state of some ``touches`` into the ``tensors`` (B, f, 6, ...) of their contact points:
+    anchors, owners, limits and normals of the tangent planes.
 
-    Every point takes what the nearest of the old points on its face, or the same point of a body, remembers: its
-    anchor moved along, its limit scaled by the stiffness. One whose face was not in the patch remembers nothing.
+    Points of a face that was in the patch with as many parts, and points of bodies that were met, take what they
+    remembered; the others remember nothing.
 
     Args:
         tensors, touches: see above.
         kept: such tensors of the old points.
-        points: the old points and those of the tensors.
-        rest: positions of the mesh's nodes at rest (n, 3) [m].
-        moved: their displacements at the beginning of the step (3 n, B) [m].
-        turn: rotations of the bodies then (B, K, 3, 3).
+        parts: of the old points and of those of the tensors, see `Padded`.
     """
-    old, new = points
-    if old is new:
-        at = list(touches)
-        for mine, theirs in zip(tensors, kept, strict=True):
-            mine[at] = theirs[at]
-        return
-    apart = _APART * float(np.ptp(rest, axis=0).max())
     for b in touches:
-        before = rest + moved[:, b].cpu().numpy().reshape(-1, 3)
-        was, now = (np.flatnonzero(p.parts["stiffness"][b]) for p in points)
-        for mine, nothing in zip(tensors, (0.0, -1, 0.0, 0.0), strict=True):
+        _, was, now = np.intersect1d(*(_names(own["key"][b]) for own in parts), return_indices=True)
+        for mine, theirs, nothing in zip(tensors, kept, (0.0, -1, 0.0, 0.0), strict=True):
             mine[b] = nothing
-        if not len(was):
-            continue
-        there, here = (np.column_stack([p.places(b, rest)[at], apart * p.parts["key"][b, at // 6]])
-                       for p, at in zip(points, (was, now), strict=True))
-        away, near = cKDTree(there).query(here)
-        now, was = now[away < 0.5 * apart], was[near[away < 0.5 * apart]]
-        anchor, owner, limit, across = (t[b].cpu().numpy()[was] for t in kept)
-        body = np.where(owner < -1, -2 - owner, np.maximum(owner, 0))
-        shift = new.places(b, before)[now] - old.places(b, before)[was]
-        ratio = new.parts["stiffness"][b].ravel()[now] / old.parts["stiffness"][b].ravel()[was]
-        for mine, values in zip(tensors, (anchor + np.einsum("qji,qj->qi", turn[b, body], shift), owner, limit * ratio,
-                                          across), strict=True):
-            mine[b, now] = torch.as_tensor(values, device=mine.device)
+            mine[b, now] = theirs[b, was]
+
+
+def _names(key: np.ndarray) -> np.ndarray:
+    """A number for each part (f,) from its ``key``, how many parts have that key, and which of these it is; those with
+    the same key stand together. Padding has numbers of its own, below 0."""
+    _, first, of, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    at = np.arange(len(key))
+    return np.where(key >= 0, (key * 100 + count[of]) * 100 + at - first[of], -1 - at)

@@ -76,41 +76,40 @@ class LocalIndentation:
         padded: the contact points, f parts a touch.
         gaps: distances to the rigid bodies (K).
         points: contact points at rest (B, 6 f, 3) [m].
-        law: share of the stiffness of each (B, f, 6) [-] that acts down to a depth (B, f) [m], which are set here.
+        law: share of the stiffness of each (B, f, 6) [-] that acts down to a depth (B, f) [m], which are set here for
+            points of faces; points of bodies have a law of their own, see `body_points`.
         on: whether there is any such compliance.
-        missing: what the object lacks where it is touched; None for the mean of places.
+        response: of the body at rest to forces, where what the object lacks at the place of the touch is asked of it;
+            None for the mean of places.
     """
 
     def __init__(self, model: Model, padded: Padded, gaps: Gaps, points: torch.Tensor,
-                 law: tuple[torch.Tensor, torch.Tensor], *, on: bool, missing: MissingCompliance | None = None):
+                 law: tuple[torch.Tensor, torch.Tensor], *, on: bool, response: Response | None = None):
         nu, radii, faces = poisson_ratio(model), [smooth_radius(s) for s in gaps.bodies.shapes], model.mesh.faces
         curvature = model.mesh.curvature() if faces.shape[1] == 6 else np.zeros(len(faces))
         self._round = [0.0 < r < np.inf or bool(r and curvature.any()) for r in radii]
         self._on = on and nu is not None and any(self._round)
-        self._gaps, self._factor, self._missing = gaps, FITTED * (1.0 - (nu or 0.0) ** 2), missing
+        self._gaps, self._factor = gaps, FITTED * (1.0 - (nu or 0.0) ** 2)
         self._points = points.transpose(0, 1).contiguous()
         parts = padded.parts
         face = np.where(parts["key"] < len(faces), parts["key"], -1)
         edge = np.append(np.sqrt(2.0 * model.mesh.face_area()), 0.0)[face]
-        of_body = (parts["host"] >= 0)[:, :, None]
         # area and curvature of each point; edge of the elements at each part, 0 at padding and points of bodies
-        self._cover, self._bent, self._edge, self._of_body, self._body_share, self._body_soft = (
-            torch.as_tensor(a, device=points.device) for a in (
-                (parts["area"][:, :, None] * WEIGHTS).reshape(len(face), -1),
-                np.append(curvature, 0.0)[face].repeat(6, axis=1), edge, of_body, parts["share"][:, :, None].copy(),
-                parts["soft"].copy()))
+        self._cover, self._bent, self._edge, self._of_body = (torch.as_tensor(a, device=points.device) for a in (
+            (parts["area"][:, :, None] * WEIGHTS).reshape(len(face), -1),
+            np.append(curvature, 0.0)[face].repeat(6, axis=1), edge, parts["host"] >= 0))
         self._deepest = _SMALL * min((r for r in radii if r > 0.0), default=0.0)
         self._share, self._soft = law
         self._set(torch.ones_like(self._share), (SATURATED * self._edge).clamp(max=self._deepest))
         self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
-        if missing is not None:
-            missing.see(face, self._cover, self._edge, points)
+        self._missing = None if response is None else MissingCompliance(
+            model, response, padded, face, self._cover, self._edge, points)
 
     def _set(self, share: torch.Tensor, soft: torch.Tensor) -> None:
-        """Set the share of the stiffness (B, f, 6) [-] that acts down to the depth ``soft`` (B, f) [m]; points of
-        bodies have a law of their own, see `body_points`."""
-        self._share.copy_(torch.where(self._of_body, self._body_share, share))
-        self._soft.copy_(torch.where(self._of_body[:, :, 0], self._body_soft, soft))
+        """Set the share of the stiffness (B, f, 6) [-] of points of faces that acts down to the depth ``soft`` (B, f)
+        [m]."""
+        self._share.copy_(torch.where(self._of_body[:, :, None], self._share, share))
+        self._soft.copy_(torch.where(self._of_body, self._soft, soft))
 
     def move(self, pose: np.ndarray) -> None:
         """Set the compliance for the bodies at poses (B, K, 4, 4)."""
@@ -223,8 +222,11 @@ class MissingCompliance:
     Args:
         model: the object, of quadratic tetrahedra.
         response: of the body at rest to forces.
-        faces: nodes and shape values of the parts of the patches, see `patch.nodal_sums`.
-        width: nodes of a patch s.
+        padded: the contact points, f parts a touch.
+        face: boundary triangle of each part (B, f), -1 for none.
+        cover: area (B, 6 f) [m^2] of their points.
+        edge: of their elements (B, f) [m], 0 for none.
+        points: rest places of their points (B, 6 f, 3) [m].
     """
 
     @staticmethod
@@ -232,26 +234,21 @@ class MissingCompliance:
         """Whether an object of these elements lacks anything under bodies of these ``shapes``."""
         return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in shapes)
 
-    def __init__(self, model: Model, response: Response, faces: tuple[torch.Tensor, torch.Tensor], width: int):
-        self._response, self._parts, self._width = response, faces, width
-        tensor = functools.partial(torch.as_tensor, device=faces[0].device)
+    def __init__(self, model: Model, response: Response, padded: Padded, face: np.ndarray, cover: torch.Tensor,
+                 edge: torch.Tensor, points: torch.Tensor):
+        tensor = functools.partial(torch.as_tensor, device=points.device)
+        self._response, self._width, self._cover, self._places = response, padded.nodes.shape[1], cover, points
+        self._parts = tuple(tensor(padded.parts[name].copy()) for name in ("local", "shape"))
         self._nu, mesh = poisson_ratio(model) or 0.0, model.mesh
         a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
-        self._of_face, across = model.surface_modulus, np.cross(b - a, c - a)
-        self._normals = across / np.linalg.norm(across, axis=1)[:, None]
-        self._outward = tensor(self._normals)
-        table = shape_values(POINTS)
+        across = np.cross(b - a, c - a)
+        normals = across / np.linalg.norm(across, axis=1)[:, None]
+        self._outward, table = tensor(normals), shape_values(POINTS)
         self._boundary = tensor(np.einsum("qa,fac->fqc", table, mesh.points[mesh.faces]))  # (F, 6, 3)
         self._area, self._table = tensor(mesh.face_area()[:, None] * WEIGHTS), tensor(table)
         self._faces, self._free = tensor(mesh.faces.astype(np.int64)).flatten(), tensor(model.free)[:, None]
-
-    def see(self, face: np.ndarray, cover: torch.Tensor, edge: torch.Tensor, points: torch.Tensor) -> None:
-        """Take the parts (B, f) of the touches: their boundary triangle, -1 for none, area (B, 6 f) [m^2] and rest
-        places (B, 6 f, 3) [m] of their points, and the edge (B, f) [m] of their elements, 0 for none."""
-        normal, modulus = self._normals[face], self._of_face[face]
-        self._cover, self._places = cover, points
-        self._edge, self._normal, self._modulus = (
-            torch.as_tensor(t, device=edge.device).repeat_interleave(6, dim=1) for t in (edge, normal, modulus))
+        self._edge, self._normal, self._modulus = (tensor(t).repeat_interleave(6, dim=1) for t in (
+            edge, normals[face], model.surface_modulus[face]))
 
     def under(self, gap: torch.Tensor) -> torch.Tensor:
         """The compliance c E [m] of each touch under a round body whose distances from the contact points at rest are

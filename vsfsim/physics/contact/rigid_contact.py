@@ -111,20 +111,19 @@ class RigidContact(Contact):
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         known = getattr(self, "dof", None)
         self._take(padded.nodes, self.model.free, self.model.mesh.points)
-        # of every contact point; a padded part has all its nodes at 0 and no stiffness
-        self._local, self._values, self._stiffness = (
-            tensor(parts[name].copy()) for name in ("local", "shape", "stiffness"))
         self._member, self._of_body = torch.zeros_like(tensor(self._cuts), dtype=torch.bool), tensor(parts["host"] >= 0)
         for row, patch in zip(self._member, self.patches, strict=True):
             row[tensor(patch.faces)] = True
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         self._points, found = bound(k.Points, {
-            "shape": self._values, "local": self._local, "stiffness": self._stiffness,
-            **{name: parts[name] for name in ("host", "spot", "leave")},
+            **{name: parts[name] for name in ("shape", "local", "stiffness", "host", "spot", "leave", "soft")},
+            "share": np.tile(parts["share"][:, :, None], 6),
             "bodies": self._gaps.set, "count": len(self.bodies),
             "coulomb": self.coulomb, "coefficient": self._coefficient, "onset": self._onset, "x": self._x,
             "x_before": self._x_before, "origin": self._now[0], "turn": self._now[1],
             "origin_before": self._before[0], "turn_before": self._before[1]}, (batch, faces, 6), self.device)
+        # of every contact point; a padded part has all its nodes at 0 and no stiffness
+        self._local, self._values, self._stiffness = (found[name] for name in ("local", "shape", "stiffness"))
         self._sets = [found]
         found["gap"].fill_(1e30)
         found["owner"].fill_(-1)
@@ -133,10 +132,9 @@ class RigidContact(Contact):
         if known is None or not torch.equal(known, self.dof):  # the same nodes may have more points
             self.response: Response = response(self.model.factor if self._linear else self.model.preconditioner,
                                                self.dof, device=self.device)
-        missing = self._by_place and MissingCompliance(self.model, self.response, (self._local, self._values), nodes)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
         self.local_indentation = LocalIndentation(self.model, padded, self._gaps, at_rest, (
-            found["share"], found["soft"]), on=self._sinks, missing=missing or None)
+            found["share"], found["soft"]), on=self._sinks, response=self.response if self._by_place else None)
 
     @property
     def symmetric(self) -> bool:
@@ -242,15 +240,13 @@ class RigidContact(Contact):
         return self._padded, super().friction_state()
 
     def restore_friction(self, columns: torch.Tensor, state: Any) -> None:
-        """See `Contact`; a patch that has grown since takes what its old points remembered."""
+        """See `Contact`; points of a patch that has grown since take what they remembered."""
         points, kept = state
         if points is self._padded:
             super().restore_friction(columns, kept)
         elif self.has_friction:
-            mine, theirs = (tuple(found[name].flatten(1, 2) for name in self._memory)
-                            for (found,) in (self._sets, kept))
-            remember(mine, theirs, (points, self._padded), columns.tolist(), self.model.mesh.points, self._u_before,
-                     self._before[1].cpu().numpy())
+            mine, theirs = ([found[name] for name in self._memory] for (found,) in (self._sets, kept))
+            remember(mine, theirs, (points.parts, self._padded.parts), columns.tolist())
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""

@@ -78,7 +78,6 @@ class PairContact(Contact):
         self._sets = [side.tensors for side in self.sides]
         self.response = response(factor, self.dof, device=device)
         self._passage = PairOverlap(model, sensor, device=device)
-        self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
         # the touches whose points in contact were looked at last, and these
         self._known: tuple[torch.Tensor, list[torch.Tensor]] | None = None
         # whose normals were blended once more in this step
@@ -109,11 +108,8 @@ class PairContact(Contact):
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
         """See `RigidContact`; finds what the touches ``columns`` (k,) may meet on the way."""
         self._overlap[columns], self._known = 0.0, None
-        pose, known = pose[:, 0], self._moved_to
+        pose, self._blended[columns] = pose[:, 0], False
         self._place(pose)
-        if known is not None and np.array_equal(known[0], pose) and torch.equal(known[1], self._moved):
-            return
-        self._moved_to, self._blended[columns] = (pose.copy(), self._moved), False
         self.x_swept.copy_(self._world(slice(None), self._moved))
         self.x[columns] = self.x_swept[columns]
         change = pose - self._pose_before
