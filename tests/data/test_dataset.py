@@ -20,8 +20,7 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.data import writer as writer_module
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.summary import summary_rows
-from vsfsim.data.verify import verify
+from vsfsim.data.verify import summary_rows, verify
 from vsfsim.data.writer import DatasetWriter
 
 RECIPE = Recipe(scene="mock", scene_text='name = "mock"\nseed = 1\n', seed=0, objects=3, views=1, touches=4,

@@ -16,8 +16,7 @@ from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.formats.export import export
 from vsfsim.data.formats.openvsf import pcd_bytes
-from vsfsim.data.summary import summary_rows
-from vsfsim.data.verify import verify
+from vsfsim.data.verify import summary_rows, verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.generate.recorded.openvsf import GAUGE, Options, _mount, import_openvsf

@@ -16,8 +16,8 @@ from vsfsim.core.system import engines
 from vsfsim.core.system.engines import Fan, shard_of
 from vsfsim.data import lines
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import Store
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.store import Store
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate import workers

@@ -121,8 +121,8 @@ def generate(scene: SceneName, request: Request, out: str | None = None, json: J
 
 
 def _kept(folder: Path | str) -> str:
+    from vsfsim.data.disk import Store
     from vsfsim.data.lines import finished_names
-    from vsfsim.data.store import Store
 
     kept = len(finished_names(Store(folder)))
     return (f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again to make the "

@@ -60,15 +60,7 @@ def did_you_mean(given: str, allowed: Iterable[str]) -> str:
     """
     names = sorted(str(name) for name in allowed)
     near = difflib.get_close_matches(str(given), names, n=1, cutoff=0.6)
-    listing = ", ".join(names) if names else "(none)"
-    if near:
-        return f"Did you mean '{near[0]}'? Allowed: {listing}."
-    return f"Allowed: {listing}."
-
-
-def unknown_key(where: str, given: str, allowed: Iterable[str]) -> str:
-    """The message for a key that a table does not have."""
-    return f"{where}: unknown key '{given}'. {did_you_mean(given, allowed)}"
+    return (f"Did you mean '{near[0]}'? " if near else "") + f"Allowed: {', '.join(names) or '(none)'}."
 
 
 def no_such_file(kind: str, given: str | Path) -> str:
@@ -80,10 +72,8 @@ def no_such_file(kind: str, given: str | Path) -> str:
     """
     path = Path(given)
     parent = path.parent
-    if path.is_dir():
-        return f"'{path}' is a folder, not a {kind}."
-    if path.is_file():
-        return f"'{path}' is a file, not a {kind}."
+    if path.exists():
+        return f"'{path}' is a {'folder' if path.is_dir() else 'file'}, not a {kind}."
     if not parent.is_dir():
         return f"there is no {kind} '{path}': there is no folder '{parent}'."
     names = sorted(found.name for found in parent.iterdir() if not found.name.startswith("."))

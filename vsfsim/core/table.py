@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from vsfsim.core.errors import SceneError, VsfsimError, did_you_mean, unknown_key
+from vsfsim.core.errors import SceneError, VsfsimError, did_you_mean
 from vsfsim.core.plain_text import plain
 
 LARGEST_FILE = 4 << 20
@@ -110,11 +110,13 @@ def typed(table: Any, kind: type[T], where: str, *, also: tuple[str, ...] = (),
     """
     fields = {f.name: f for f in dataclasses.fields(kind) if f.name not in given}  # type: ignore[arg-type]
     check_keys(table, where, (*fields, *also), error)
-    for key, one in fields.items():
-        if key not in table and one.default is one.default_factory is dataclasses.MISSING:
-            raise error(f"{where}: '{key}' is missing.")
     hints = _hints(kind)  # type: ignore[arg-type]
-    values = {key: value(table[key], hints[key], f"{where}: {key}", error) for key in fields if key in table}
+    values = {}
+    for key, one in fields.items():
+        if key in table:
+            values[key] = value(table[key], hints[key], f"{where}: {key}", error)
+        elif one.default is one.default_factory is dataclasses.MISSING:
+            raise error(f"{where}: '{key}' is missing.")
     try:
         return kind(**values, **given)
     except ValueError as problem:  # what the class itself says
@@ -132,7 +134,7 @@ def check_keys(table: Any, where: str, allowed: Collection[str],
         raise error(f"{where} is {table!r}; it must be a table.")
     for key in table:
         if key not in allowed:
-            raise error(unknown_key(where, key, allowed))
+            raise error(f"{where}: unknown key '{key}'. {did_you_mean(key, allowed)}")
     return table
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.system.interactive import html_table
-from vsfsim.data.disk import write_atomic
+from vsfsim.data.disk import Store, is_url, write_atomic
 from vsfsim.data.hdf5 import fault_of, read_shown, read_view
 from vsfsim.data.manifest import (
     MANIFEST,
@@ -27,7 +27,6 @@ from vsfsim.data.manifest import (
 )
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
-from vsfsim.data.store import Store, is_url
 
 if TYPE_CHECKING:
     from vsfsim.data.torch_view import TorchView
@@ -125,10 +124,10 @@ class Dataset:
         Raises:
             DatasetError: no such name, or the file is missing or damaged.
         """
-        path = self._checked_file(name)
+        entry, path = self._checked_file(name)
         if self.progress is not None:
             self.progress(self.names().index(name), len(self), name)
-        return self._as_listed(read_view(path, blind=self.is_blind), path, name)
+        return _as_listed(read_view(path, blind=self.is_blind), path, entry)
 
     def shown(self, name: str) -> tuple[ObjectView, np.ndarray]:
         """One object view without its truth, and where the small cone was pressed on it, world (P, 3) [m]; nothing else
@@ -137,35 +136,27 @@ class Dataset:
         Raises:
             DatasetError: as `load`.
         """
-        path = self._checked_file(name)
+        entry, path = self._checked_file(name)
         view, places = read_shown(path)
-        return self._as_listed(view, path, name), places
+        return _as_listed(view, path, entry), places
 
-    def _as_listed(self, view: ObjectView, path: Path, name: str) -> ObjectView:
-        (entry,) = (e for e in self.entries if e.name == name)
-        for key in ("name", "split", "object_index", "view_index"):
-            if getattr(view, key) != getattr(entry, key):
-                raise DatasetError(f"{path} says {key} = {getattr(view, key)!r}, and {MANIFEST} says "
-                                   f"{getattr(entry, key)!r}. Delete the folder and generate the dataset again.")
-        return view
-
-    def _checked_file(self, name: str) -> Path:
-        for entry in self.entries:
-            if entry.name == name:
-                path = self.path / entry.file
-                if self.origin and not path.is_file():
-                    content = Store(self.origin).get(entry.file)
-                    if content is None:
-                        raise DatasetError(f"{self.origin}/{entry.file} does not exist. Run the same `vsfsim generate` "
-                                           f"again; it makes only what is missing.")
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    write_atomic(path, content)
-                # HDF5 would read a flipped byte without a word, and a score would rest on it.
-                if (fault := fault_of(path, entry.sha256)) is not None:
-                    raise DatasetError(f"{path} {' '.join(fault)}")
-                return path
-        raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. "
-                           f"{did_you_mean(name, self.names())}")
+    def _checked_file(self, name: str) -> tuple[Entry, Path]:
+        """An entry and its file, after its bytes were compared with the sha256."""
+        entry = next((entry for entry in self.entries if entry.name == name), None)
+        if entry is None:
+            raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. "
+                               f"{did_you_mean(name, self.names())}")
+        path = self.path / entry.file
+        if self.origin and not path.is_file():
+            content = Store(self.origin).get(entry.file)
+            if content is None:
+                raise DatasetError(f"{self.origin}/{entry.file} does not exist. Run the same `vsfsim generate` again; "
+                                   f"it makes only what is missing.")
+            write_atomic(path, content)
+        # HDF5 would read a flipped byte without a word, and a score would rest on it.
+        if (fault := fault_of(path, entry.sha256)) is not None:
+            raise DatasetError(f"{path} {' '.join(fault)}")
+        return entry, path
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -254,6 +245,14 @@ def load(folder: str | Path, *, blind: bool = False) -> Dataset:
     return Dataset.open(folder, blind=blind)
 
 
+def _as_listed(view: ObjectView, path: Path, entry: Entry) -> ObjectView:
+    for key in ("name", "split", "object_index", "view_index"):
+        if getattr(view, key) != getattr(entry, key):
+            raise DatasetError(f"{path} says {key} = {getattr(view, key)!r}, and {MANIFEST} says "
+                               f"{getattr(entry, key)!r}. Delete the folder and generate the dataset again.")
+    return view
+
+
 def _fetched_manifest(origin: str) -> Path:
     """Copy dataset.json of an object store into the folder that its content names, which is returned."""
     store = Store(origin)
@@ -264,6 +263,5 @@ def _fetched_manifest(origin: str) -> Path:
                            f"done." if unfinished else f"{origin} holds no dataset (there is no {MANIFEST}).")
     root = Path(os.environ.get("VSFSIM_FETCHED") or Path.home() / ".cache" / "vsfsim" / "fetched")
     path = root / hashlib.sha256(content).hexdigest()[:32]
-    path.mkdir(parents=True, exist_ok=True)
     write_atomic(path / MANIFEST, content)
     return path

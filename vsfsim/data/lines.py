@@ -15,11 +15,11 @@ from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.plain_text import from_json, plain
+from vsfsim.data.disk import Store
 from vsfsim.data.hdf5 import encode_view
 from vsfsim.data.manifest import Entry, entry_of, file_name
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
-from vsfsim.data.store import Store
 
 FOLDER = "manifest"
 KIND = f"{FOLDER}/kind"

@@ -13,7 +13,7 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.file_lock import Held, release, sync_folder, take
 from vsfsim.data import lines
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import file_sha256
+from vsfsim.data.disk import Store, file_sha256, is_url
 from vsfsim.data.manifest import (
     CARD,
     FORMAT,
@@ -32,7 +32,6 @@ from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_name
 from vsfsim.data.schema import SCHEMA_VERSION
-from vsfsim.data.store import Store, is_url
 
 _OUR_PART = re.compile(r"\.(h5|json|md)(\.\d+\.(part|new))+$")
 """Files that `write_atomic` left when it was killed; nothing else is ever removed from a folder."""

@@ -62,7 +62,7 @@ def draw_scene(name: str, seed: int) -> tuple[str, Drawing]:
 def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[str], dict[str, Any]]:
     from vsfsim.data.contact_sheet import contact_sheet
     from vsfsim.data.dataset import Dataset
-    from vsfsim.data.summary import summary_rows
+    from vsfsim.data.verify import summary_rows
 
     data = Dataset.open(folder)
     path = out or Path(f"{folder.resolve().name}.png")

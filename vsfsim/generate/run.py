@@ -18,9 +18,9 @@ from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import dataset_folder, datasets, find_scene
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import is_url
 from vsfsim.data.lines import finished_names, poisoned
 from vsfsim.data.recipe import Recipe
-from vsfsim.data.store import is_url
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate.effector import effector_of, kernels_of
 from vsfsim.generate.job import Job, jobs_of

@@ -16,11 +16,11 @@ from typing import Any
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.engines import one_thread
+from vsfsim.data.disk import Store
 from vsfsim.data.lines import MOST_FAILURES, Failure, check_kind, failure, finished_names, put_failure, put_view
 from vsfsim.data.manifest import Entry
 from vsfsim.data.provenance import machine_kind
 from vsfsim.data.records import ObjectView
-from vsfsim.data.store import Store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 from vsfsim.generate.recipe import check_files

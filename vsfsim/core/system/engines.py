@@ -50,8 +50,6 @@ def shard_of(given: str, environment: Mapping[str, str] | None = None) -> tuple[
         VsfsimError: another text, i is not below n, or the environment says nothing.
     """
     env = os.environ if environment is None else environment
-    allowed = ("Allowed: i/n with 0 <= i < n, e.g. 0/4 to 3/4; auto in a Slurm job array; auto/n there or in a "
-               "Kubernetes Indexed Job.")
     index, _, count = given.partition("/")
     try:
         if index == "auto":
@@ -61,12 +59,13 @@ def shard_of(given: str, environment: Mapping[str, str] | None = None) -> tuple[
             count = count or env["SLURM_ARRAY_TASK_COUNT"]
         if 0 <= int(index) < int(count) <= MOST:
             return int(index), int(count)
-        raise VsfsimError(f"--shard is {index}/{count}. {allowed}")
+        why = ""
     except KeyError as name:
-        raise VsfsimError(f"--shard is '{given}', but {name} is not set: this is no task of a job array, or the "
-                          f"environment does not say how many there are. {allowed}") from None
+        why = f", but {name} is not set: this is no task of a job array, or it does not say how many there are"
     except ValueError as wrong:
-        raise VsfsimError(f"--shard is '{given}', of '{index}' and '{count}': {wrong}. {allowed}") from None
+        why = f": {wrong}"
+    raise VsfsimError(f"--shard is '{given}', of '{index}' and '{count}'{why}. Allowed: i/n with 0 <= i < n, e.g. 0/4 "
+                      f"to 3/4; auto in a Slurm job array; auto/n there or in a Kubernetes Indexed Job.")
 
 
 MOST_TASKS = 1000

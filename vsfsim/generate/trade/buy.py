@@ -11,8 +11,8 @@ from vsfsim.core.errors import SceneError, VsfsimError
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
+from vsfsim.data.disk import Store
 from vsfsim.data.manifest import MANIFEST, PART_MANIFEST
-from vsfsim.data.store import Store
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.trade import front
 from vsfsim.generate.trade.front import Point
