@@ -20,10 +20,8 @@ class Figure:
 
     value: float
     """Mean, or the only number [unit of the table]."""
-    spread: float | None
-    """Standard deviation over the paper's seeds; None where it prints none."""
     unit: str
-    """Of both; "" for a share."""
+    """"" for a share."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +60,12 @@ def figure(name: str) -> Figure:
         raise TaskError(f"figures: '{name}' names no table. {did_you_mean(of, TABLES)}")
     table = TABLES[of]
     if row == "all" and table.alone:
-        return Figure(next(iter(table.alone.values())), None, table.unit)
+        return Figure(next(iter(table.alone.values())), table.unit)
     for part, known in ((column, table.columns), (row, table.rows)):
         if part not in known:
             raise TaskError(f"figures: '{name}' names no cell of {of}. {did_you_mean(part, known)}")
     cell = table.columns[column][table.rows.index(row)]
-    return Figure(*cell, table.unit) if isinstance(cell, tuple) else Figure(cell, None, table.unit)
+    return Figure(cell[0] if isinstance(cell, tuple) else cell, table.unit)
 
 
 def said(names: tuple[str, ...], words: str) -> str:

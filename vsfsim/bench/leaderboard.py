@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.admission.admit import admit
-from vsfsim.bench.admission.fingerprint import shipped_record
+from vsfsim.bench.admission.fingerprint import Record, shipped_record
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
 from vsfsim.bench.board.named import (
@@ -75,15 +75,10 @@ class Board:
     """The task."""
     dataset_sha256: str
     """Of the dataset that the ranked results were scored on."""
-    has_record: bool
-    """The task ships a record of its dataset, with which the results are compared; else with one another."""
-    again: float
-    """Share of the dataset's touches that came to another end on another machine [-]
-    (`vsfsim.bench.admission.admit`)."""
+    record: Record | None
+    """Of the task's dataset; None where it ships none."""
     rows: tuple[Row, ...]
     """One row a result."""
-    unresolved: tuple[int, int, float] | None = None
-    """Of its query touches (`vsfsim.bench.protocol.share_unresolved`); None where it was not measured."""
 
 
 def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
@@ -92,8 +87,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
 
     Scores are computed again from the rows of a result (`vsfsim.bench.admission.admit`). One that may not be ranked is
     shown with the reason. The board's dataset is that of the task's record; without one, it is the one that the task
-    names, else that of most shipped results (of most results, if none ships), and one with other bits is the same if
-    its readings are (`SAME_READINGS`). Equal results are one row.
+    names, else that of most shipped results (of most results, if none ships). Equal results are one row.
 
     Raises:
         TaskError: a file is not a result, or is a result of another task.
@@ -108,12 +102,11 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     record, entries, shot = shipped_record(task), listed(), task.ranking_shot
     reference = record.dataset_sha256 if record is not None else task.dataset.sha256 or _most(
         [r for path, r in told.items() if path.parent == own or r.values], task) or _most(told.values(), task)
-    known = next((r.readings for r in told.values() if r.dataset_sha256 == reference and r.readings), {})
     good: list[Row] = []
     odd: list[Row] = []
     for path, result in told.items():
         here = path not in packed and path.parent != own
-        found = admit(result, task, record, reference, known, entries, made_here=here, packed=path in packed)
+        found = admit(result, task, record, reference, entries, made_here=here, packed=path in packed)
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if found.mark else good
         if not found.mark:  # an earlier row that comes out again needs no row of its own
@@ -134,8 +127,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     good.sort(key=lambda row: (sign * row.scores[task.primary][shot].mean, row.result.method))
     ranks = joined_ranks([row.objects[shot] for row in good]) if task.protocol.folds else range(1, len(good) + 1)
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
-    again = record.again.touches if record is not None and record.again is not None else 0.0
-    return Board(task, reference, record is not None, again, (*ranked, *odd), record.unresolved if record else None)
+    return Board(task, reference, record, (*ranked, *odd))
 
 
 def _files(path: Path) -> list[Path]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -36,6 +36,9 @@ OTHERS = re.compile(r"(.+)-(development|seed-\d+)")
 
 _NOT_COUNTED = re.compile(r'(?m)^(superseded_by *=|unresolved *= *"scored").*\n')
 """Lines that the sha256 of a task is not of: tasks were released before they said that unresolved frames count."""
+
+
+_SAID = {"scene_sha256": "sha256 of the scene text", "sha256": "sha256 of the content"}
 
 
 @dataclass(frozen=True)
@@ -236,9 +239,8 @@ def parse_task(text: str, path: str | Path) -> Task:
     development = None
     if "development" in tree["dataset"]:
         where = f"{at['dataset']} development"
-        development = typed(tree["dataset"]["development"], DatasetWanted, where, scene=wanted.scene,
-                            views=wanted.views, touches=wanted.touches, scene_sha256=wanted.scene_sha256,
-                            tier=wanted.tier, sha256="")
+        same = {key: getattr(wanted, key) for key in ("scene", "views", "touches", "scene_sha256", "tier")}
+        development = typed(tree["dataset"]["development"], DatasetWanted, where, sha256="", **same)
         if development.seed == wanted.seed or development.folder == wanted.folder:
             raise TaskError(f"{where}: seed {development.seed} and folder '{development.folder}' must both differ from "
                             f"those of [dataset], so that no object is in both.")
@@ -286,17 +288,11 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         if (folder / "dataset.json").exists():
             raise
         raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(folder)}\n") from error
-    recipe, want = dataset.recipe, task.dataset
-    pairs = [("scene", recipe.scene, want.scene), ("seed", recipe.seed, want.seed),
-             ("objects", recipe.objects, want.objects),
-             ("views", recipe.views, want.views), ("touches", recipe.touches, want.touches)]
-    if want.tier != "auto":  # a recipe names the tier that was chosen, never "auto"
-        pairs.append(("tier", recipe.tier, want.tier))
-    if want.scene_sha256:
-        pairs.append(("sha256 of the scene text", recipe.scene_sha256, want.scene_sha256))
-    if want.sha256:
-        pairs.append(("sha256 of the content", dataset.sha256, want.sha256))
-    wrong = [f"{key} is {there!r}, not {asked!r}" for key, there, asked in pairs if there != asked]
+    asked = {key: value for key, value in asdict(task.dataset).items() if key != "folder" and value not in ("", "auto")}
+    # a recipe names the tier that was chosen, never "auto"
+    there = {key: dataset.sha256 if key == "sha256" else getattr(dataset.recipe, key) for key in asked}
+    wrong = [f"{_SAID.get(key, key)} is {there[key]!r}, not {value!r}" for key, value in asked.items()
+             if there[key] != value]
     if wrong:
         raise TaskError(f"the dataset in {folder} is not the one of task {task.name}: {'; '.join(wrong)}. This makes "
                         f"the right one:\n\n  {task.dataset.command()}\n")

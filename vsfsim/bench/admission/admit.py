@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 
 from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Record
-from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, claimed, far_apart, is_ceiling
+from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, claimed, is_ceiling
 from vsfsim.bench.board.named import Entry as Listed
 from vsfsim.bench.board.shipped import row_sha256
 from vsfsim.bench.metrics import METRICS, Score
@@ -53,16 +53,16 @@ class Admission:
     """What the repository's list says of it; None where it is not listed."""
 
 
-def admit(result: Result, task: Task, record: Record | None, reference: str, known: Mapping[str, list],
+def admit(result: Result, task: Task, record: Record | None, reference: str,
           entries: Mapping[str, Listed], *, made_here: bool, packed: bool = False) -> Admission:
     """Look at a result before it is ranked: is it of the task, are its data the task's, are its scores those of its
     rows, and is it of the method whose name it has?
 
     Args:
-        result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that the
-        board compares the results with one another. reference: sha256 of the board's dataset. known: readings of that
-        dataset, {} where they are not known. entries: the repository's list. made_here: it does not ship, so that it is
-        on no list. packed: it ships without its rows; its data were looked at before it was listed.
+        result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that only
+        the same bits are ranked. reference: sha256 of the board's dataset. entries: the repository's list. made_here:
+        it does not ship, so that it is on no list. packed: it ships without its rows; its data were looked at before it
+        was listed.
     """
     if packed:
         scores, reason = result.scores, "" if result.task_sha256 == task.sha256 else OTHER_TEXT
@@ -74,7 +74,7 @@ def admit(result: Result, task: Task, record: Record | None, reference: str, kno
         reason = (_other_task(result, task) or _wrong_rows(result, task, record) or _wrong_scores(result, scores)
                   or ("" if task.ranking_shot in scores.get(task.primary, {}) else
                       f"no {task.primary} at {task.ranking_shot}-shot")
-                  or (_other_data(result, record, known) if other else ""))
+                  or (_other_data(result, record) if other else ""))
     entry = None if made_here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
     if packed:
         other = entry is not None and entry.other_bits
@@ -138,12 +138,9 @@ def _wrong_scores(result: Result, scores: Mapping[str, Mapping[str, Score]]) -> 
     return ""
 
 
-def _other_data(result: Result, record: Record | None, known: Mapping[str, list]) -> str:
-    """Why the data are other ones than the board's: by their fingerprints where the task has a record, else by their
-    readings."""
-    if record is None:
-        return far_apart(result, known)
-    if not result.data:
+def _other_data(result: Result, record: Record | None) -> str:
+    """Why the data, whose bits are others than those of the board's, are others by their fingerprints."""
+    if record is None or not result.data:
         return f"other dataset ({result.dataset_sha256[:12]}), of which nothing is known"
     try:
         odd = differences(msgspec.convert(result.data, Record), record)

@@ -13,7 +13,7 @@ import functools
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -166,15 +166,6 @@ _SAME_SCORE = 1e-4
 """Relative difference below which two scores on such datasets count as one result."""
 _OTHER_SCORE = 0.02
 """The same, above which one method on one task cannot have given both."""
-
-
-def far_apart(result: Result, known: Mapping[str, list]) -> str:
-    """Why a result on other bits is not ranked where the task has no record, or ""."""
-    apart = readings_apart(result.readings, known)
-    if apart is not None and apart < SAME_READINGS:
-        return ""
-    difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
-    return f"other dataset ({result.dataset_sha256[:12]}{difference})"
 
 
 def is_same(result: Result, before: Result) -> bool:

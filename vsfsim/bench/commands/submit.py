@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +20,6 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import file_stem
 from vsfsim.core.shelf import methods
 from vsfsim.data.disk import write_atomic
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One check."""
-
-    what: str
-    """What was looked at."""
-    state: str
-    """"ok"; "told", which the pull request says; or "refused"."""
-    said: str
-    """One sentence, "" where all is well."""
 
 
 def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dict[str, Any]]:
@@ -60,9 +46,10 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     same = [row for row in board.rows if row.origin == "shipped, made again here" and (
         row.result.method, row.result.preset) == (result.method, result.preset)]
     row = (mine + same)[0]
-    findings = [Finding(what, weight if said else "ok", said) for what, weight, said in _findings(result, task, row)]
-    told = "\n".join(f"{one.state:<9}{one.what}" + (f": {one.said}" if one.said else "") for one in findings)
-    if any(one.state == "refused" for one in findings):
+    checks = [{"what": what, "state": weight if said else "ok", "said": said}
+              for what, weight, said in _findings(result, task, row)]
+    told = "\n".join(f"{one['state']:<9}{one['what']}" + (f": {one['said']}" if one["said"] else "") for one in checks)
+    if any(one["state"] == "refused" for one in checks):
         raise TaskError(f"{path} is no row of {task.name} yet, and nothing was written:\n\n{told}\n")
     name = file_stem(f"{result.method}.{result.preset}" if result.preset else result.method)
     target, text = out / "leaderboard" / task.name / f"{name}.json", out / "PULL_REQUEST.md"
@@ -71,13 +58,13 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     install = shlex.join(["pip", "install", f"{package['name']}=={package['version']}"]) if (
         package.get("name") not in (None, "", "vsfsim")) else ""
     page = filled("pull_request.md", result=result, task=task, place=place, file=str(target.relative_to(out)),
-                  score_table=Markup(score_table(result, task.primary)), install=install, facts=_facts(result),
-                  again=command_of(result, whole=True), findings=findings)
+                  score_table=Markup(score_table(result, task.primary)), install=install,
+                  again=command_of(result, whole=True), findings=checks)
     write_atomic(text, f"{page}\n".encode(), error=TaskError)
     words = (f"{told}\n\n{place}\n\nrow: {target}\npull request: {text}\n\nCopy the folder leaderboard/ of {out} into "
              f"a fork of the repository, answer the two questions at the end of the text, and send it.")
     return words, {"task": task.name, "method": result.method, "rank": row.rank, "row": str(target),
-                   "pull_request": str(text), "checks": [asdict(one) for one in findings]}
+                   "pull_request": str(text), "checks": checks}
 
 
 def _findings(result: Result, task: Task, row: Row) -> Iterator[tuple[str, str, str]]:
@@ -128,13 +115,3 @@ def _place(board: Board, row: Row) -> str:
         return words
     apart = paired(row.objects[shot], best.objects[shot])
     return f"{words}; {apart.mean:+.3f} ± {apart.error:.3f} from {best.result.method}, object by object"
-
-
-def _facts(result: Result) -> dict[str, str]:
-    """What a row rests on, in words."""
-    return {"entry": result.entry, "package": " ".join(result.package.values()), "preset": result.preset or "none",
-            "parameters": json.dumps(dict(result.parameters), default=str), "task sha256": result.task_sha256,
-            "dataset sha256": result.dataset_sha256, "sandbox": result.isolation or "none",
-            "vsfsim": f"{result.made_by.get('vsfsim')} {result.made_by.get('commit') or ''}",
-            "machine": f"{result.machine.get('cpu')}, {result.machine.get('cores')} cores",
-            **{f"sha256 of {key}": value for key, value in result.contents.items()}}
