@@ -103,7 +103,7 @@ class ParticleModel:
         bounds[0, 2] = min(settings.table_height, cloud[:, 2].min())
         # Points up to half a cell before the surface belong to it. Otherwise the first layer could be a whole cell
         # deep, and a shallow press would reach no particle.
-        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device,
+        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing,
                                         tolerance=0.5 * settings.spacing)
         if settings.band and len(particles):
             near = cKDTree(cloud).query(particles, distance_upper_bound=settings.band)[0]

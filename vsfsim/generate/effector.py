@@ -153,11 +153,10 @@ def find_effector(name: str) -> Effector:
 
 
 def kernels_of(scene: Scene, tier: str = "auto") -> list[Any]:
-    """The Warp kernels that a dataset of a scene needs: its effector's, the camera's and those of the oracle VSF."""
+    """The Warp kernels that a dataset of a scene needs: its effector's and the camera's."""
     from vsfsim.sensing import render_warp
-    from vsfsim.vsf import particles
 
     if tier in TIERS:
         body = dataclasses.replace(scene.required_object, tier=tier)  # type: ignore[arg-type]
         scene = dataclasses.replace(scene, object=body)
-    return [*effector_of(scene).kernels(scene), render_warp.cast_kernel, particles._behind]
+    return [*effector_of(scene).kernels(scene), render_warp.cast_kernel]

@@ -105,7 +105,7 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
     stiffness = probe_stiffness(model, points, normals, device=device)
     keep = np.isfinite(stiffness)
     bounds = bounds_from_view(view, margin=0.01)
-    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
+    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING)
     moves = [(probe, touch.probe_pose()) for touch, probe in zip(touches, probes, strict=True)]
     moved = simulate_each(particles, moves, friction=friction, device=device)
     rows = [normal_force_rows(way, len(particles), touch.axis)[np.flatnonzero(touch.converged)]

@@ -7,18 +7,12 @@ the observed surface no later than the point. These are the visible surface and 
 import math
 
 import numpy as np
-import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
 
-# The caller that shows progress reports compilation, so Warp's own messages are off.
-if wp.config.log_level == wp.LOG_INFO:
-    wp.config.log_level = wp.LOG_WARNING
-wp.set_module_options({"enable_backward": False})
-
 _MAX_GRID = 50_000_000
+_TOGETHER = 1_000_000  # grid points that are looked at together
 
 
 def bounds_from_view(view: View, *, margin: float = 0.02) -> np.ndarray:
@@ -49,7 +43,6 @@ def bounds_from_view(view: View, *, margin: float = 0.02) -> np.ndarray:
 
 
 def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing: float = 0.005,
-                        max_particles: int | None = None, seed: int = 0, device: str = "cpu",
                         tolerance: float = 0.0) -> np.ndarray:
     """Grid points on or behind the visible surface (n, 3) float64, world [m], in z, then y, then x order.
 
@@ -57,9 +50,6 @@ def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing
         view: depth, mask and camera.
         bounds: lower and upper corner of the volume, world (2, 3) [m]; None: `bounds_from_view`.
         spacing: edge of a grid cell [m]; the papers use 5 mm for shoes and 10 mm for plants. Points are cell centres.
-        max_particles: greatest number of points to keep, drawn uniformly without replacement; None for all.
-        seed: of that draw; an integer >= 0.
-        device: Warp device.
         tolerance: distance in front of the observed surface within which a point still belongs [m].
 
     Raises:
@@ -72,8 +62,6 @@ def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing
     if not 0.0 < spacing < math.inf:
         raise VsfError(f"vsf.particles: spacing is {spacing!r}; it must be a length in metres greater than 0, "
                        f"e.g. 0.005.")
-    if max_particles is not None and max_particles < 1:
-        raise VsfError(f"vsf.particles: max_particles is {max_particles!r}; it must be at least 1, or None for all.")
     # At least one cell an axis, and the grid is centred in the bounds. The 1e-9 makes 0.1 / 0.005 give 20 cells.
     count = np.maximum(np.floor((bounds[1] - bounds[0]) / spacing + 1e-9), 1.0)
     if count.prod() > _MAX_GRID:
@@ -84,46 +72,26 @@ def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing
         )
     shape = tuple(int(c) for c in count)
     first = 0.5 * (bounds[0] + bounds[1]) - 0.5 * (count - 1) * spacing
+    parts = []
+    for start in range(0, math.prod(shape), _TOGETHER):
+        number = np.arange(start, min(start + _TOGETHER, math.prod(shape)))
+        grid = first + spacing * np.stack(np.unravel_index(number, shape[::-1])[::-1], axis=1)
+        behind = behind_surface(view, grid)[1]
+        parts.append(grid[np.isfinite(behind) & (behind >= -tolerance)])
+    return np.concatenate(parts)
+
+
+def behind_surface(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (column, row) (n, 2) [px] of world points (n, 3) [m], and how far these lie behind the visible surface
+    along the optical axis (n,) [m], infinite where the pixel shows no object."""
     world_to_camera = np.linalg.inv(np.asarray(view.camera_pose, np.float64))
-    with wp.ScopedDevice(device):
-        keep = wp.zeros(shape[::-1], dtype=wp.bool)
-        wp.launch(_behind, dim=shape[::-1], inputs=[
-            wp.vec3d(*first), wp.float64(spacing), wp.float64(tolerance),
-            wp.mat33d(np.asarray(view.intrinsics, np.float64)),
-            wp.mat33d(world_to_camera[:3, :3]), wp.vec3d(*world_to_camera[:3, 3]),
-            wp.array(np.where(view.mask, view.depth, 0.0).astype(np.float32), dtype=wp.float32),
-        ], outputs=[keep])
-        inside = keep.numpy()
-    points = first + spacing * np.argwhere(inside)[:, ::-1]
-    if max_particles is not None and len(points) > max_particles:
-        rng = np.random.default_rng(np.random.SeedSequence(seed))
-        points = points[np.sort(rng.choice(len(points), max_particles, replace=False))]
-    return points
-
-
-@wp.kernel(enable_backward=False)
-def _behind(
-    # model
-    first: wp.vec3d,
-    spacing: wp.float64,
-    tolerance: wp.float64,
-    intrinsics: wp.mat33d,
-    rotation: wp.mat33d,
-    translation: wp.vec3d,
-    # state in
-    depth_in: wp.array2d(dtype=wp.float32),
-    # state out
-    keep_out: wp.array3d(dtype=wp.bool),
-):
-    k, j, i = wp.tid()
-    p = rotation * (first + spacing * wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k))) + translation
-    if p[2] <= wp.float64(0.0):
-        return
-    on_image = intrinsics * (p / p[2])
-    column = int(wp.rint(on_image[0]))
-    row = int(wp.rint(on_image[1]))
-    if row < 0 or column < 0 or row >= depth_in.shape[0] or column >= depth_in.shape[1]:
-        return
-    surface = wp.float64(depth_in[row, column])
-    if surface > wp.float64(0.0) and p[2] >= surface - tolerance:
-        keep_out[k, j, i] = True
+    local = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixel = (local / local[:, 2:]) @ view.intrinsics.T[:, :2]
+    pixel = np.where(local[:, 2:] > 0.0, pixel, -1e9)
+    column, row = np.rint(pixel).astype(np.int64).T
+    height, width = view.mask.shape
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+    hit = inside & view.mask[row, column] & (view.depth[row, column] > 0.0)
+    return pixel, np.where(hit, local[:, 2] - view.depth[row, column], np.inf)

@@ -66,8 +66,7 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
     stiffness = model.point_stiffness(segment, along, offset, normals)
     keep = np.isfinite(stiffness) & (away < 0.01)
     bounds = bounds_from_view(view, margin=0.01)
-    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None,
-                                    seed=0, device=device, tolerance=0.5 * VSF_SPACING)
+    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, tolerance=0.5 * VSF_SPACING)
     some = [np.unique(np.rint(np.linspace(0, len(touch.time) - 1, FITTED_FRAMES)).astype(int)) for touch in touches]
     joints = [touch.q[k] for touch, k in zip(touches, some, strict=True) if touch.q is not None]
     found = arm_torque_rows_each(particles, chain, joints, friction=friction, device=device, max_step=4e-3)

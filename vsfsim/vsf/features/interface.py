@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
+from vsfsim.vsf.particles import behind_surface
 
 NEIGHBOURS = 10
 """Visible particles whose mean an occluded one takes (SBML appendix B.2)."""
@@ -69,17 +70,8 @@ def projection(view: View, particles: np.ndarray, spacing: float) -> Projection:
     Raises:
         VsfError: no particle is behind the view's mask.
     """
-    world_to_camera = np.linalg.inv(np.asarray(view.camera_pose, np.float64))
-    local = particles @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixel = (local / local[:, 2:]) @ view.intrinsics.T[:, :2]
-    pixel = np.where(local[:, 2:] > 0.0, pixel, -1e9)
-    column, row = np.rint(pixel).astype(np.int64).T
-    height, width = view.mask.shape
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
-    hit = inside & view.mask[row, column]
-    behind = np.where(hit, local[:, 2] - view.depth[row, column], np.inf)
+    pixel, behind = behind_surface(view, particles)
+    hit = np.isfinite(behind)
     visible = hit & (np.abs(behind) <= spacing)
     if not visible.any():
         # The grid is so coarse, or the mask so thin, that no particle is near the surface: take the least deep ones.

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from vsfsim.core.errors import VsfError
+from vsfsim.physics.mesh.structured import disc
 
 
 @dataclass(frozen=True)
@@ -40,25 +41,10 @@ def dome(*, radius: float = 0.03, height: float = 0.015, rings: int = 8) -> tupl
         rings: of vertices; N = 1 + 3 rings (rings + 1).
     """
     ball = (radius**2 + height**2) / (2.0 * height)
-    points, start = [np.zeros((1, 3))], [0]
-    for ring in range(1, rings + 1):
-        r = radius * ring / rings
-        angle = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
-        start.append(start[-1] + (6 * (ring - 1) if ring > 1 else 1))
-        points.append(np.stack([r * np.cos(angle), r * np.sin(angle),
-                                np.full(6 * ring, ball - np.sqrt(ball**2 - r**2))], axis=1))
-    triangles = []
-    for ring in range(1, rings + 1):
-        for side in range(6):
-            for step in range(ring):
-                outer = start[ring] + (side * ring + step) % (6 * ring)
-                after = start[ring] + (side * ring + step + 1) % (6 * ring)
-                inner = start[ring - 1] + (side * (ring - 1) + step) % max(6 * (ring - 1), 1)
-                triangles.append((inner, after, outer))
-                if step < ring - 1:
-                    triangles.append((inner, start[ring - 1] + (side * (ring - 1) + step + 1) % (6 * (ring - 1)),
-                                      after))
-    return np.concatenate(points), np.array(triangles)
+    flat, triangles = disc(radius, rings)
+    ring = np.repeat(np.arange(rings + 1), [1, *(6 * np.arange(1, rings + 1))])
+    above = ball - np.sqrt(ball**2 - (radius * ring / rings) ** 2)
+    return np.column_stack([flat, above]), np.ascontiguousarray(triangles[:, ::-1])
 
 
 def oriented_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
