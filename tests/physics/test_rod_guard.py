@@ -1,5 +1,4 @@
-"""Guarded touches of rods: before the force limit the arm slows down, turns back and keeps its number of frames; and
-batches whose touches come and go."""
+"""Guarded touches of rods: before the force limit the arm slows down, turns back and keeps its number of frames."""
 
 from __future__ import annotations
 
@@ -8,8 +7,8 @@ import pytest
 from stems import crossing, stem
 
 from vsfsim.core.shape import Capsule
-from vsfsim.physics.rods.model import build
-from vsfsim.physics.rods.solver import Ended, RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.physics.rods.model import RodError, build
+from vsfsim.physics.rods.solver import Ended, RodFrames, RodOptions, RodSolver
 from vsfsim.physics.solve.frames import Reason
 
 HOLD, OUT, LIMIT = 3, 15, 40.0
@@ -70,24 +69,9 @@ def test_what_is_creeped_up_to_is_the_same_equilibrium(guarded, device):
     assert np.linalg.norm(alone.force[-1, 0, 0]) == pytest.approx(np.linalg.norm(force[at]), rel=0.02)
 
 
-def test_touches_that_come_and_go_have_the_bits_of_those_alone(guarded, device):
-    """Two plants, places for two touches, four touches: the third enters where the first was, the fourth waits."""
-    two = solver(1e6, 5e9, device=device)
-    batch = RodBatch(two, 2, frames=len(PLAN), poses=len(POSES))
-    rest = {"plan": PLAN[None], "friction": 0.4, "inward": np.array([len(PLAN) - OUT])}
-    waiting, inside, seen = [0, 1, 1, 0], {}, []
-    while waiting or inside:
-        while waiting and batch.room(1):
-            plant = waiting.pop(0)
-            inside[len(seen) + len(inside)] = plant, batch.add(np.array([plant]), POSES, **rest)
-        batch.advance(seconds=0.001)
-        for key in [k for k, (_, some) in inside.items() if batch.done(some)]:
-            plant, some = inside.pop(key)
-            frames = batch.take(some)
-            seen.append(plant)
-            assert np.array_equal(frames.force[:, 0], guarded.force[:, plant])
-            assert np.array_equal(frames.where[:, 0], guarded.where[:, plant])
-    assert sorted(seen) == [0, 0, 1, 1]
+def test_what_cannot_be_planned_is_refused(device):
+    with pytest.raises(RodError, match="numbers of the 31 poses"):
+        solver(1e6, device=device).run(np.zeros(1, int), POSES, plan=PLAN[None] + 1.0)
 
 
 def hooked(device: str, **options: object) -> RodFrames:

@@ -15,7 +15,6 @@ from vsfsim.core.shape import Capsule, Sphere
 from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
 from vsfsim.physics.solve.frames import Reason
-from vsfsim.scenes.plant import grow
 
 
 def finite(frames) -> bool:
@@ -112,28 +111,6 @@ def test_a_batch_gives_the_bits_of_touches_alone(device):
         alone = RodSolver([models[which[b]]], shapes, device=device,
                           options=RodOptions(share=5)).run(np.zeros(1, int), poses[:, b:b + 1], friction=0.3)
         assert (alone.force[:, 0] == together.force[:, b]).all() and (alone.energy[:, 0] == together.energy[:, b]).all()
-
-
-@pytest.mark.slow
-def test_many_lanes_give_the_bits_of_one(monkeypatch):
-    """A warp's 32 lanes as fibers of a CPU: the same states to the last bit, as no lane adds up what another does; sums
-    over lanes alone may round differently."""
-    monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
-    body = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
-    # cores that yield at a strain of 0.2 % of the surface
-    flat, r = body.half_width > 0.0, body.radius
-    second = np.where(flat, 4.0 / 3.0 * body.half_width * r**3, np.pi / 4.0 * r**4)
-    body = dataclasses.replace(body, yielding=np.stack([0.9 * body.young_modulus * second,
-                                                        0.002 * body.young_modulus * second / r], axis=1))
-    height, start = body.nodes[:, 2].max(), body.nodes[:, 0].min()
-    poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h * height, start=s) for h,
-                            s in ((0.7, start - 0.03), (0.5, -0.06))], axis=1)
-    one, many = (RodSolver([build(body)], [Capsule(0.03, 0.3)],
-                           options=RodOptions(lanes=n)).run(np.zeros(2, int), poses, friction=0.4, keep_nodes=True)
-                 for n in (1, 32))
-    assert one.contacts.max() > 1 and (one.iterations == many.iterations).all()
-    assert one.heat.max() > 1e-4 and np.abs(one.heat - many.heat).max() < 1e-12
-    assert np.abs(one.force - many.force).max() < 1e-9 and np.abs(one.nodes - many.nodes).max() < 1e-12
 
 
 def test_moduli_from_1e4_to_1e11_in_one_plant(device):

@@ -82,7 +82,7 @@ class ArmEffector:
         began = time.perf_counter()
         (aim,) = subject.aims
         tell = frames_done(request.progress, len(aim.plan))
-        frames = solve(subject, device=request.device, progress=tell, keep_nodes=True)
+        frames = solve([subject], device=request.device, progress=tell, keep_nodes=True)
         (touch,) = finish_touches(subject, frames)
         seconds = time.perf_counter() - began
         n = len(touch.time)

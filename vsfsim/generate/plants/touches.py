@@ -1,16 +1,14 @@
 """Touches of plants by an arm: equilibria, joint torques and records; of one view, or of many views together.
 
 One warp of a GPU solves one touch, so the touches of one view alone would leave most of the GPU idle. There CPU
-processes prepare and finish views, and one device solves the touches of all that are ready together. Views enter the
-batch when they are prepared and leave it when they are done. The bits of a touch do not depend on which others it is
-solved with.
+processes prepare and finish views, and one device solves the touches of many views together. The bits of a touch do not
+depend on which others it is solved with.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
 from typing import Any
 
 import numpy as np
@@ -18,17 +16,16 @@ import numpy as np
 from vsfsim.core.scene import Scene
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch
 from vsfsim.generate.job import Job
-from vsfsim.generate.plants.aim import ArmAim, load
-from vsfsim.generate.plants.subject import Subject, outline, prepare_job
+from vsfsim.generate.plants.aim import ArmAim
+from vsfsim.generate.plants.subject import Subject, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import recorded
 from vsfsim.generate.workers import enough_memory, process_pool, submit, write
-from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.physics.rods.solver import RodFrames, RodOptions, RodSolver
 from vsfsim.robot.arm import Arm, Postures, body_torque, chain_of
 from vsfsim.robot.path import times
 
-PLACES = 2048  # touches on a device at once, which take 3.5 GB
-SHORT_SPAN = 3.0  # duration of a launch on a GPU while more touches are being prepared [s]
+TOGETHER = 4096  # touches on a device at once, which take 7 GB
 # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
 # strides any more, and in all. With 200 for the second the work is a third more and the longest touch half as long
 # again, and 3.7 % of the readings are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as
@@ -39,7 +36,7 @@ TRAVEL, WORK, PATIENCE = 120, 120, 30_000
 def make_view(job: Job, *, device: str) -> ObjectView:
     """The object view of a job."""
     subject = prepare_job(job, device=device)
-    return finish(subject, solve(subject, device=device), device=device)
+    return finish(subject, solve([subject], device=device), device=device)
 
 
 def rod_options(scene: Scene) -> RodOptions:
@@ -52,36 +49,29 @@ def rod_options(scene: Scene) -> RodOptions:
     return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE)
 
 
-def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
-    """The touches of a subject enter a batch, as of its solver's plant ``number``; their places."""
-    aims = subject.aims
-    return batch.add(np.full(len(aims), number), subject.poses, plan=np.stack([a.plan for a in aims]),
-                     friction=subject.scene.required_object.friction, inward=np.array([a.inward for a in aims]))
-
-
-def solve(subject: Subject, *, device: str, progress: Callable[[int], None] | None = None,
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None,
           keep_nodes: bool = False) -> RodFrames:
-    """The equilibria of a view's touches; `make_together` solves views that come and go.
+    """The equilibria of the touches of views of one scene, view after view.
 
     Args:
-        subject: the view.
+        subjects: the views.
         device: Warp device.
         progress: called with the number of frames newly done.
         keep_nodes: as of `RodSolver.run`.
     """
-    solver = RodSolver([subject.model], subject.loaded_arm().shapes, device=device, options=rod_options(subject.scene))
-    batch = RodBatch(solver, len(subject.aims), frames=len(subject.aims[0].plan),
-                     poses=len(subject.poses), keep_nodes=keep_nodes)
-    places = begin(batch, subject, 0)
-    while batch.live:
-        new = batch.advance()
-        if progress is not None:
-            progress(new)
-    return batch.take(places)
+    scene = subjects[0].scene
+    solver = RodSolver([s.model for s in subjects], subjects[0].loaded_arm().shapes, device=device,
+                       options=rod_options(scene))
+    aims = [a for s in subjects for a in s.aims]
+    friction = [s.scene.required_object.friction for s in subjects for _ in s.aims]
+    return solver.run(np.repeat(np.arange(len(subjects)), [len(s.aims) for s in subjects]),
+                      np.concatenate([s.poses for s in subjects], axis=1), plan=np.stack([a.plan for a in aims]),
+                      friction=np.array(friction), inward=np.array([a.inward for a in aims]),
+                      keep_nodes=keep_nodes, progress=progress)
 
 
 def make_together(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
-    """Make and write views whose touches are solved together; yields the name of each as they come.
+    """Make and write views whose touches are solved together; yields the name of each.
 
     Args:
         jobs: what to make.
@@ -89,31 +79,19 @@ def make_together(jobs: Sequence[Job], *, device: str, workers: int | None) -> I
         workers: processes, or None for one a core.
     """
     with process_pool(len(jobs), workers, device=device) as pool:
-        going = {submit(pool, _prepared, job, device): k for k, job in enumerate(jobs)}
-        outlines = [outline(job) for job in jobs]  # the processes start meanwhile
-        scene = outlines[0].scene
-        count, (free, inward, hold, out) = scene.required_touches.count, scene.required_touches.frames
-        solver = RodSolver([o.model for o in outlines], load(scene.required_arm).shapes,
-                           device=device, options=rod_options(scene))
-        with enough_memory(jobs[0].recipe.scene, device):
-            batch = RodBatch(solver, max(count, min(PLACES, count * len(jobs))),
-                             frames=free + inward + hold + out, poses=inward + 1)
-        ready: list[tuple[int, Subject]] = []
-        inside: dict[int, tuple[Subject, slice]] = {}
+        prepared = [submit(pool, _prepared, job, device) for job in jobs]
+        views = max(1, TOGETHER // jobs[0].scene().required_touches.count)
         writing = []
-        while going or ready or inside:
-            for future in wait(list(going), 0.0 if batch.live else 2.0, FIRST_COMPLETED)[0]:
-                ready.append((going.pop(future), future.result()))
-            while ready and batch.room(len(ready[0][1].aims)):
-                k, subject = ready.pop(0)
-                # without the poses, which are not needed when it is sent to another process
-                inside[k] = dataclasses.replace(subject, poses=np.zeros(0)), begin(batch, subject, k)
-            if batch.live:
-                batch.advance(seconds=SHORT_SPAN if going or ready else GPU_SPAN)
-            for k in [k for k, (_, places) in inside.items() if batch.done(places)]:
-                subject, places = inside.pop(k)
-                writing.append(submit(pool, _write, jobs[k], subject, batch.take(places), device))
-                yield jobs[k].name
+        for begin in range(0, len(jobs), views):
+            some = slice(begin, begin + views)
+            subjects = [future.result() for future in prepared[some]]
+            with enough_memory(jobs[0].recipe.scene, device):
+                frames = solve(subjects, device=device)
+            last = np.cumsum([len(s.aims) for s in subjects])
+            for job, subject, end in zip(jobs[some], subjects, last, strict=True):
+                mine = frames.of(slice(end - len(subject.aims), end))
+                writing.append(submit(pool, _write, job, dataclasses.replace(subject, poses=np.zeros(0)), mine, device))
+                yield job.name
         for future in writing:
             future.result()
 

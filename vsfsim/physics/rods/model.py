@@ -55,11 +55,9 @@ class RodOptions:
     """Newton iterations after which a touch ends."""
     room: int = 512
     """Places for the contacts of a touch, three points of a fibre beside a capsule each."""
-    share: int = 0
-    """Newton iterations of a touch in one launch, 0 for a number that suits the device; bits do not depend on it."""
-    lanes: int = 1
-    """Threads of a CPU that work on a touch: 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests). A GPU
-    always uses 32."""
+    share: int = 500
+    """Newton iterations of a touch after which a launch ends, some seconds for a view on a core; bits do not depend on
+    it."""
 
 
 @dataclass(frozen=True)

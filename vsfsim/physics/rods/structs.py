@@ -60,11 +60,14 @@ def allocate(kind: Any, *, any_size: str = "", **sizes: int) -> Any:
     return out
 
 
-def filled(kind: Any, **values: np.ndarray) -> Any:
-    """An instance of a struct with the ``values`` of all its fields."""
+def filled(kind: Any, **values: Any) -> Any:
+    """An instance of a struct with the ``values`` of all its fields: arrays, and structs as they are."""
     out = kind()
     for field, variable in kind.vars.items():
-        setattr(out, field, wp.array(np.ascontiguousarray(values[field]), dtype=variable.type.dtype))
+        value = values[field]
+        if isinstance(variable.type, wp.array):
+            value = wp.array(np.ascontiguousarray(value), dtype=variable.type.dtype)
+        setattr(out, field, value)
     return out
 
 
@@ -123,12 +126,10 @@ Touches = struct(
     limits=Limits,
     plant="int32 B  number of the touched plant",
     friction="float64 B  coefficient of friction [-]",
-    frames="int32 B  number of frames",
     half="float64 K  half length of each capsule [m]",
     radius="float64 K  radius of each capsule [m]",
     position="vec3d BWK  positions of the capsules on the way [m]",
     rotation="quatd BWK  their rotations",
-    last_pose="int32 B  number of the last pose on the way",
     plan="float64 BT  where on the way each frame is planned [poses]",
     inward="int32 B  number of frames before the planned way out")
 
@@ -238,7 +239,7 @@ Contact = struct(
     force="vec3d -  force on the capsule [N]",
     moment="vec3d -  moment on the capsule about its origin [N m]")
 
-# How far each touch is. A launch may end in the middle of a frame; the next one continues there.
+# How far each touch is. A launch ends between two frames, and the next one continues there.
 Progress = struct(
     "Progress",
     list="int32 -  which of the two contact lists holds the last equilibrium",
@@ -247,10 +248,7 @@ Progress = struct(
     # 1 from a penetration that may end on the wrong side of a capsule until nothing touches, 2 from a capsule going
     # through the plant to the end of the touch
     wrong_side="int32 -  whether a link may be inside the plant",
-    part="float64 -  finished part of the present frame [-]",
-    stride="float64 -  next stride as a part of the frame, 0 for a new frame [-]",
-    used="int32 -  Newton iterations of the present frame",
-    broken="int32 -  1 if a stride of the present frame ended without an equilibrium",
+    used="int32 -  Newton iterations of the next frame so far, if a guarded arm does it again",
     total="int32 -  Newton iterations of the frames before it")
 
 # State of the guard, see `kernels.guard`.
@@ -325,25 +323,21 @@ def make_trees(m: Sequence[RodModel], device: str) -> Any:
                       **{name: np.concatenate(values) for name, values in each.items()})
 
 
-def start(work: Any, models: Sequence[RodModel], some: slice, plan: np.ndarray) -> None:
-    """Start the touches ``some``, of the plants ``models`` and planned at ``plan`` (b, T): plants at rest, no contact,
-    the arm at its first pose."""
-    for part in (work.nodes, work.kept):
-        for name, variable in part._cls.vars.items():
-            if isinstance(variable.type, wp.array):
-                getattr(part, name)[some].zero_()
-    for array in (work.count[0], work.count[1], work.progress):
-        array[some].zero_()
-    rest = np.zeros((len(models), work.now.x.shape[1], 3))
+def started(models: Sequence[RodModel], plan: np.ndarray, **sizes: int) -> Any:
+    """The `Work` of touches of the plants ``models``, planned at ``plan`` (B, T), before their first frame: plants at
+    rest, no contact, the arm at its first pose. ``sizes`` as of `allocate`."""
+    work = allocate(Work, **sizes)
+    rest = np.zeros((len(models), sizes["N"], 3))
     for row, model in zip(rest, models):
         row[:len(model.plant.nodes)] = model.plant.nodes
-    work.now.x[some].assign(rest)
-    work.now.q[some].assign(np.tile([0.0, 0.0, 0.0, 1.0], (*rest.shape[:2], 1)))
+    work.now.x.assign(rest)
+    work.now.q.assign(np.tile([0.0, 0.0, 0.0, 1.0], (*rest.shape[:2], 1)))
     guard = np.zeros(len(models), Guard.numpy_dtype())
     guard["pace"] = 1.0
     for where in ("position", "good_position", "turning_position", "clear_position"):
         guard[where] = plan[:, 0]
-    work.guard[some].assign(guard)
+    work.guard.assign(guard)
+    return work
 
 
 def _children(model: RodModel) -> tuple[np.ndarray, np.ndarray]:

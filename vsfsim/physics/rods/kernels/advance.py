@@ -1,9 +1,9 @@
 """The kernel that advances touches: frame after frame, each in strides short enough that no branch can be jumped over.
 
 A stride that finds no equilibrium is divided. A launch ends when every touch has used its share of Newton iterations,
-on a GPU also when its time is up, so that no touch waits long for a harder one. The next launch continues where it
-stopped, if need be in the middle of a frame; the bits do not depend on where launches end. On a GPU one warp works on a
-touch, see `lanes`. The module `guard` decides where the arm is in a frame and when it turns back.
+so that no touch waits long for a harder one, and the next launch continues there; bits do not depend on where launches
+end. On a GPU one warp works on a touch, see `lanes`. The module `guard` decides where the arm is in a frame and when it
+turns back.
 """
 
 import warp as wp
@@ -13,7 +13,7 @@ from vsfsim.physics.rods.kernels.contact_search import carry_unloaded, copy_stat
 from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.fibre import POINTS, end_force, fibre_patch, pressed, rubbed, segment_strain
 from vsfsim.physics.rods.kernels.guard import HOPELESS, frame_target, guard_frame, place_capsules
-from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync, time_is_up
+from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync
 from vsfsim.physics.rods.kernels.newton import equilibrate
 from vsfsim.physics.rods.kernels.segment import (
     ONE,
@@ -219,17 +219,14 @@ def advance(
     touch: Touches,
     live: wp.array(dtype=wp.int32),
     lanes: int,
-    share: int,
-    span: wp.int64,
     weighs: int,
     # state in and out
-    clock: wp.array(dtype=wp.uint64),
     w: Work,
     # state out
     out: Results,
 ):
-    """Advances the touches ``live`` with ``lanes`` threads each, until each has used ``share`` Newton iterations or
-    ``span`` [ns] have passed; ``weighs``: whether any plant has weight."""
+    """Advances the touches ``live`` with ``lanes`` threads each, until each has used its share of Newton iterations;
+    ``weighs``: whether any plant has weight."""
     thread = wp.tid()
     me = Thread()
     b = live[thread / lanes]
@@ -246,9 +243,8 @@ def advance(
         for i in range(me.n):
             load = load + wp.length(tree.load[me.o + i])
     taken = int(0)
-    go = int(1)
     p = w.progress[b]
-    while go == 1 and p.ended == 0 and p.next < touch.frames[b]:
+    while taken < touch.limits.share and p.ended == 0 and p.next < touch.plan.shape[1]:
         t = p.next
         goal = frame_target(touch, w, me, t)
         here = w.guard[b].position
@@ -256,91 +252,86 @@ def advance(
         work = touch.limits.work
         if touch.limits.guarded == 1 and w.guard[b].failures >= HOPELESS:
             work = 0
-        if p.stride == ZERO:
-            p.stride = base
+        part = ZERO  # of the frame that is done
+        stride = base  # the next one, as a part of the frame
+        used = p.used  # Newton iterations of the frame
+        broken = int(0)  # 1 if a stride ended without an equilibrium
         reason = int(Reason.NONE)
         residual = ZERO
         count = int(0)
         lost = int(0)
         skipped = int(0)
-        while go == 1 and p.part < WHOLE:
-            if taken >= share or time_is_up(clock, span) == 1:
-                go = 0
+        while part < WHOLE:
+            to = wp.min(part + stride, ONE)
+            if to > WHOLE:
+                to = ONE
+            place_capsules(touch, w, me, here, goal, part, to)
+            copy_state(w, me, 0, w.now, w.start)
+            reason = int(Reason.WRONG_SIDE)
+            its = int(0)
+            if capsules_cross(tree, touch, w, me) == 0:
+                reason, its, residual, count = equilibrate(tree, touch, w, me, p.list, 1 - p.list, weighs, load)
+            used = used + its
+            taken = taken + its + 1
+            if reason == Reason.NOT_FINITE or (
+                reason != Reason.NONE and stride > real(1.5) * base * SHORTEST
+                and (used < work or reason == Reason.WRONG_SIDE)
+            ):
+                copy_state(w, me, 0, w.start, w.now)
+                stride = real(0.25) * stride
+                if reason == Reason.NOT_FINITE and (stride < base * SHORTEST or used >= work):
+                    skipped = 1  # the state before this stride is kept
             else:
-                to = wp.min(p.part + p.stride, ONE)
-                if to > WHOLE:
-                    to = ONE
-                place_capsules(touch, w, me, here, goal, p.part, to)
-                copy_state(w, me, 0, w.now, w.start)
-                reason = int(Reason.WRONG_SIDE)
-                its = int(0)
-                if capsules_cross(tree, touch, w, me) == 0:
-                    reason, its, residual, count = equilibrate(tree, touch, w, me, p.list, 1 - p.list, weighs, load)
-                p.used = p.used + its
-                taken = taken + its + 1
-                if reason == Reason.NOT_FINITE or (
-                    reason != Reason.NONE and p.stride > real(1.5) * base * SHORTEST
-                    and (p.used < work or reason == Reason.WRONG_SIDE)
-                ):
-                    copy_state(w, me, 0, w.start, w.now)
-                    p.stride = real(0.25) * p.stride
-                    if reason == Reason.NOT_FINITE and (p.stride < base * SHORTEST or p.used >= work):
-                        skipped = 1  # the state before this stride is kept
+                part = to
+                stride = wp.min(real(2.0) * stride, base)
+                if reason == Reason.WRONG_SIDE:
+                    p.wrong_side = PASSED  # the capsules go on, and what they passed is lost
                 else:
-                    p.part = to
-                    p.stride = wp.min(real(2.0) * p.stride, base)
-                    if reason == Reason.WRONG_SIDE:
-                        p.wrong_side = PASSED  # the capsules go on, and what they passed is lost
-                    else:
-                        if reason != Reason.PATCH:
-                            p.list = 1 - p.list
-                            found = wp.where(reason == Reason.NONE, 1, 0)
-                            commit_stride(tree, touch, w, me, p.list, count, weighs, found)
-                        if reason != Reason.NONE:
-                            p.broken = 1
-                            if touch.limits.guarded == 1 and work > 0 and p.used >= 2 * work:
-                                skipped = 1  # the guard restarts from the last equilibrium; the rest is skipped
-                                lost = 1
-                if skipped == 1 and p.part < WHOLE:
-                    place_capsules(touch, w, me, here, goal, p.part, ONE)
-                    if capsules_cross(tree, touch, w, me) > 0:
-                        p.wrong_side = PASSED
-                    place_capsules(touch, w, me, here, goal, p.part, to)
-                    p.part = ONE
-        if p.part >= WHOLE:
-            frame, pressed_by, sunk = write_frame(tree, touch, w, out, me, t, p.list, count)
-            # After a failed frame a leaf may be inside a link, where it can find an equilibrium pierced by it, or come
-            # out on the other side. Such frames are marked until nothing touches any more.
-            # What a capsule went through stays on its wrong side, touching or not, to the end of the touch.
-            if sunk > ONE or lost == 1:
-                p.wrong_side = wp.max(p.wrong_side, 1)
-            elif frame.contacts == 0 and reason == Reason.NONE and p.wrong_side < PASSED:
-                p.wrong_side = 0
-            if p.wrong_side > 0 and reason == Reason.NONE:
-                reason = Reason.WRONG_SIDE
-            kept, restored, stopped = guard_frame(touch, w, me, t, goal, p.list, pressed_by, frame.contacts, reason,
-                                                  wp.min(p.wrong_side, 1))
-            if restored == 1:
-                p.wrong_side = 0
-            if stopped == 1 or (pressed_by > touch.limits.force_limit and touch.limits.guarded == 0):
-                p.ended = t + 1  # this frame is not kept
-            if kept == 1:
-                frame.residual = residual
-                frame.iterations = p.used
-                # the guard goes by the end of the frame alone: what it does next needs no path
-                frame.reason = wp.where(reason == Reason.NONE and p.broken == 1, int(Reason.PATH), reason)
-                frame.where = goal
-                if me.lane == 0:
-                    out.frame[b, t] = frame
-                p.total = p.total + p.used
-                p.used = 0
-                if p.total > touch.limits.patience and p.ended == 0:
-                    p.ended = t + 2  # this frame is kept
-            p.part = ZERO
-            p.stride = ZERO
-            p.broken = 0
-            p.next = t + kept
-    # the launch is over; the next one continues here, if need be in the middle of a frame
+                    if reason != Reason.PATCH:
+                        p.list = 1 - p.list
+                        found = wp.where(reason == Reason.NONE, 1, 0)
+                        commit_stride(tree, touch, w, me, p.list, count, weighs, found)
+                    if reason != Reason.NONE:
+                        broken = 1
+                        if touch.limits.guarded == 1 and work > 0 and used >= 2 * work:
+                            skipped = 1  # the guard restarts from the last equilibrium; the rest is skipped
+                            lost = 1
+            if skipped == 1 and part < WHOLE:
+                place_capsules(touch, w, me, here, goal, part, ONE)
+                if capsules_cross(tree, touch, w, me) > 0:
+                    p.wrong_side = PASSED
+                place_capsules(touch, w, me, here, goal, part, to)
+                part = ONE
+        frame, pressed_by, sunk = write_frame(tree, touch, w, out, me, t, p.list, count)
+        # After a failed frame a leaf may be inside a link, where it can find an equilibrium pierced by it, or come out
+        # on the other side. Such frames are marked until nothing touches any more. What a capsule went through stays on
+        # its wrong side, touching or not, to the end of the touch.
+        if sunk > ONE or lost == 1:
+            p.wrong_side = wp.max(p.wrong_side, 1)
+        elif frame.contacts == 0 and reason == Reason.NONE and p.wrong_side < PASSED:
+            p.wrong_side = 0
+        if p.wrong_side > 0 and reason == Reason.NONE:
+            reason = Reason.WRONG_SIDE
+        kept, restored, stopped = guard_frame(touch, w, me, t, goal, p.list, pressed_by, frame.contacts, reason,
+                                              wp.min(p.wrong_side, 1))
+        if restored == 1:
+            p.wrong_side = 0
+        if stopped == 1 or (pressed_by > touch.limits.force_limit and touch.limits.guarded == 0):
+            p.ended = t + 1  # this frame is not kept
+        p.used = used
+        if kept == 1:
+            frame.residual = residual
+            frame.iterations = used
+            # the guard goes by the end of the frame alone: what it does next needs no path
+            frame.reason = wp.where(reason == Reason.NONE and broken == 1, int(Reason.PATH), reason)
+            frame.where = goal
+            if me.lane == 0:
+                out.frame[b, t] = frame
+            p.total = p.total + used
+            p.used = 0
+            if p.total > touch.limits.patience and p.ended == 0:
+                p.ended = t + 2  # this frame is kept
+        p.next = t + kept
     sync()
     if me.lane == 0:
         w.progress[b] = p

@@ -44,7 +44,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
             }
     }
     // the columns of this lane: one, or all seven with a single lane; the right-hand side is the seventh
-#if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
+#if defined(__CUDA_ARCH__)
     constexpr int wide = 1;
 #else
     constexpr int wide = 7;

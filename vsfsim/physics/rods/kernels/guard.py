@@ -32,7 +32,7 @@ PROTECTIVE = wp.constant(wp.float64(1.25))
 
 
 @wp.func(inline=False)
-def pose_at(position: wp.array3d(dtype=vec3), rotation: wp.array3d(dtype=quat), last: int, b: int, k: int, s: real):
+def pose_at(position: wp.array3d(dtype=vec3), rotation: wp.array3d(dtype=quat), b: int, k: int, s: real):
     """Position and rotation of capsule ``k`` at position ``s`` of the way: at a pose exactly that pose, between two the
     cubic through the four around them (Lagrange), or the polynomial through all if there are fewer. The arguments are
     those of `Touches`."""
@@ -40,8 +40,8 @@ def pose_at(position: wp.array3d(dtype=vec3), rotation: wp.array3d(dtype=quat), 
     x = position[b, i, k]
     q = rotation[b, i, k]
     if s > real(i):
-        count = wp.min(4, last + 1)
-        first = wp.clamp(i - 1, 0, last + 1 - count)
+        count = wp.min(4, position.shape[1])
+        first = wp.clamp(i - 1, 0, position.shape[1] - count)
         u = s - real(first)
         near = q
         x = vec3()
@@ -67,8 +67,8 @@ def place_capsules(touch: Touches, w: Work, me: Thread, before: real, goal: real
     b = me.b
     way = ZERO
     for k in range(me.lane, touch.half.shape[0], me.lanes):
-        x0, q0 = pose_at(touch.position, touch.rotation, touch.last_pose[b], b, k, before)
-        x1, q1 = pose_at(touch.position, touch.rotation, touch.last_pose[b], b, k, goal)
+        x0, q0 = pose_at(touch.position, touch.rotation, b, k, before)
+        x1, q1 = pose_at(touch.position, touch.rotation, b, k, goal)
         if wp.dot(q0, q1) < ZERO:
             q1 = -q1
         w.capsules_start.x[b, k] = x0 + from_part * (x1 - x0)
@@ -86,10 +86,10 @@ def frame_target(touch: Touches, w: Work, me: Thread, t: int):
     """Position of frame ``t``. A creeping arm turns back here when the way, or the number of frames for it, is used
     up."""
     b = me.b
-    frames = touch.frames[b]
+    frames = touch.plan.shape[1]
     hold = touch.limits.hold
     g = w.guard[b]
-    end = real(touch.last_pose[b])
+    end = real(touch.position.shape[1] - 1)
     if g.phase == Phase.CREEPING and (t >= frames - hold - touch.limits.out or g.position >= end):
         g.phase = int(Phase.BACK)
         g.turning_frame = t
