@@ -159,7 +159,7 @@ def _total(reading: Reading):
 def _surface_of(action: Action, force: np.ndarray):
     """The front half of a ball, or the free dome of a bubble, along its path; ``force``: the readings (T,) in their
     unit."""
-    from vsfsim.vsf.fields.line_integrals import TotalTouch, dome
+    from vsfsim.vsf.fields.line_integrals import SurfaceTouch, dome
 
     if not isinstance(action.probe, (Sphere, Dome)):
         raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface "
@@ -171,11 +171,11 @@ def _surface_of(action: Action, force: np.ndarray):
     force = force * OBSERVATIONS[action.observation].force_per_unit
     if isinstance(action.probe, Dome):
         places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
-        return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force)
+        return SurfaceTouch(places, np.array(action.probe.faces), force, np.asarray(action.axis))
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
     shape = shape - [0.0, 0.0, action.probe.radius]
     side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])
     side /= np.linalg.norm(side)
     # The apex of the shape, at -z, points along the press.
     turn = np.stack([side, np.cross(-action.axis, side), -action.axis], axis=1)
-    return TotalTouch(shape @ turn.T + action.poses[:, None, :3, 3], triangles, np.asarray(action.axis), force)
+    return SurfaceTouch(shape @ turn.T + action.poses[:, None, :3, 3], triangles, force, np.asarray(action.axis))

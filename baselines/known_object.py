@@ -41,8 +41,6 @@ class PoseSearch:
 
     cover: float = 0.004
     """Assumed depth of the object's upper side under the touched surface [m], which touch determines poorly."""
-    turned: bool = False
-    """The object may lie on its other face; the training objects do not."""
     refine: int = 400
     """Steps of the random search."""
     seed: int = 0
@@ -85,7 +83,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
         return outline_pose(_known(vertices, triangles), (columns + 0.5) * STEP, stiffest, area=area, top=top,
-                            turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
+                            refine=settings.refine, seed=settings.seed).transform
     except VsfError:
         return upright
 

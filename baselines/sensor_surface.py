@@ -7,10 +7,10 @@ from scipy.spatial import Delaunay
 
 from vsfsim.bench.method import Reading
 from vsfsim.core.errors import MethodError
-from vsfsim.vsf.fields.line_integrals import DenseTouch
+from vsfsim.vsf.fields.line_integrals import SurfaceTouch
 
 
-def dense_touch(reading: Reading) -> DenseTouch | None:
+def dense_touch(reading: Reading) -> SurfaceTouch | None:
     """The frames of a touch in which the surface was reconstructed, with the force on its vertices.
 
     The force is NaN in a frame without a reading of it. The triangles are those of the Delaunay triangulation over the
@@ -41,4 +41,4 @@ def dense_touch(reading: Reading) -> DenseTouch | None:
     corners = Delaunay(local[:, :2]).simplices
     a, b, c = (local[corners[:, k], :2] for k in range(3))
     inwards = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
-    return DenseTouch(vertices[whole], np.where(inwards[:, None], corners[:, ::-1], corners), force)
+    return SurfaceTouch(vertices[whole], np.where(inwards[:, None], corners[:, ::-1], corners), force)

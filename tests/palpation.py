@@ -12,14 +12,14 @@ import numpy as np
 
 from vsfsim.bench.method import Action, Reading, Surface
 from vsfsim.core.shape import ProbeShape
-from vsfsim.vsf.fields.line_integrals import DenseTouch, dome, oriented_areas
+from vsfsim.vsf.fields.line_integrals import SurfaceTouch, dome, oriented_areas
 
 Field = Callable[[np.ndarray], np.ndarray]
 
 
 def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, float], depth: float = 0.012,
             rings: int = 8, tilt: float = 0.2, noise: float = 0.0, substeps: int = 20,
-            seed: int = 0) -> list[DenseTouch]:
+            seed: int = 0) -> list[SurfaceTouch]:
     """Press the dome at random places of the plane z = 0 into the half-space under it.
 
     Args:
@@ -47,7 +47,7 @@ def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, flo
         base = shape @ turn.T + target
         vertices = base + travel[:, None, None] * turn[:, 2]
         force = _forces(field, base, oriented_areas(base, triangles), turn[:, 2], travel, substeps)
-        out.append(DenseTouch(vertices, triangles, force + noise * rng.standard_normal(force.shape)))
+        out.append(SurfaceTouch(vertices, triangles, force + noise * rng.standard_normal(force.shape)))
     return out
 
 
@@ -94,7 +94,7 @@ def two_halves(points: np.ndarray) -> np.ndarray:
     return np.where(points[:, 2] > 0, 0.0, np.where(points[:, 0] > 0, 4e9, 4e8))
 
 
-def skin_readings(touches: list[DenseTouch], probe: ProbeShape, place: Callable[[np.ndarray], np.ndarray],
+def skin_readings(touches: list[SurfaceTouch], probe: ProbeShape, place: Callable[[np.ndarray], np.ndarray],
                   *, top: float = 0.03) -> list[Reading]:
     """The touches as a sensor with a skin reads them on a ground whose top is at z = ``top`` [m]: the force upwards,
     and that on each vertex. ``place`` gives the sensor's origin (T, 3) [m] from its vertices (T, n, 3) [m]."""

@@ -106,13 +106,12 @@ def test_surface_rows_are_equivalent_to_eq_3():
         method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices, half))])
 
 
-@pytest.mark.parametrize("angle, over", [(0.7, False), (-2.1, True)])
-def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
+@pytest.mark.parametrize("angle", [0.7, -2.1])
+def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle):
     parts = tuple(Inclusion("capsule", (-0.025, -0.02, 0.02, x, y, 0.02, 0.008), 1e7) for x,
                   y in ((0.035, -0.02), (-0.025, 0.02)))
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
-                     [0, 0, 1.0]]) @ (np.diag([1.0, -1.0, -1.0]) if over else np.eye(3))
-    there = Inclusions(parts, turn, np.array([0.02, -0.01, 0.04 if over else 0.0]))
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    there = Inclusions(parts, turn, np.array([0.02, -0.01, 0.0]))
     vertices, triangles, truth = there.known_object()
     x = np.arange(-0.07, 0.07, 0.003)
     points = np.stack(np.meshgrid(x, x, [0.02, 0.026], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -123,12 +122,10 @@ def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
     view = dataclasses.replace(view, mask=np.ones_like(view.mask),
                                depth=np.full(view.depth.shape, view.camera_pose[2, 3] - 0.032, np.float32),
                                intrinsics=np.array([[168.0, 0, 31.5], [0, 168.0, 31.5], [0, 0, 1.0]]))
-    for given in (stiffness, under.astype(float)) if over else (stiffness,):
-        found = locate(vertices, triangles, points, given, view, PoseSearch(refine=200, turned=True))
+    for given in (stiffness, under.astype(float)):
+        found = locate(vertices, triangles, points, given, view, PoseSearch(refine=200))
         scores = record_scores(Answer.POSE, [{"estimate": found, "truth": truth}])
         assert scores["translation_error"] < 4.0 and scores["rotation_error"] < 8.0
-    if not over:
-        return
     # The papers' procedure has all six degrees of freedom: it fits the outside to a slab of stiff points from above and
     # does not know which face is up.
     literal = locate(vertices, triangles, points, stiffness, view, PoseSearch(pose="registration"))

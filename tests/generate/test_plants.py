@@ -61,34 +61,18 @@ def test_the_file_holds_what_was_made(made):
     assert any(t.touched for t in there.touches)
 
 
-def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp_path):
-    """With a limit of 3 N: the arm turns back, every touch has all its readings, none past the limit, and the tool
-    stays on its line: at planned places to the tolerance of the inverse kinematics, between them as far off as the line
-    through the joint angles is, which is 0.2 mm in the first touch because this scene's rows are 20 mm apart."""
-    text = scene_file.text.replace('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "return"')
-    text = text.replace("force_limit = 40.0", "force_limit = 3.0")
+def test_a_touch_ends_before_its_force_limit_on_the_straight_line(scene_file, tmp_path):
+    """With a limit of 3 N: at least one touch is short, no reading is past it, and the tool stays on its line."""
+    text = scene_file.text.replace("force_limit = 40.0", "force_limit = 3.0")
     recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3)
     job = jobs_of(recipe, scene_file.path, tmp_path)[0]
-    touches, prepared = make_view(job, device="cpu").touches, prepare_job(job, device="cpu")
-    aims, turned = prepared.aims, 0
+    touches, aims, short = make_view(job, device="cpu").touches, prepare_job(job, device="cpu").aims, 0
     for touch, a in zip(touches, aims, strict=True):
-        assert (touch.ended == 0 and len(touch.time) == len(a.plan)
-                and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0)
+        assert np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
         off = touch.mount_pose[:, :3, 3] - a.start
-        aside = np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1)
-        assert aside.max() <= off_line(prepared.arm, a) + LINE_POSITION
-        planned = np.linalg.norm(a.stop - a.start) / a.plan.max()
-        row = (off @ a.axis) / planned
-        turned += np.abs(row - np.rint(row)).max() > 0.01
-        assert aside[np.abs(row - np.rint(row)) < 1e-6].max() <= LINE_POSITION
-    assert turned > 0, "at least one touch has readings between the planned ones"
-    assert np.array_equal(aims[0].angles(aims[0].plan), aims[0].line[aims[0].plan.astype(int)])
-
-
-def off_line(arm, aim):
-    """Furthest that the tool leaves the line of an aim, between its rows [m]."""
-    off = arm.postures(aim.angles(np.linspace(0.0, len(aim.line) - 1.0, 20 * len(aim.line)))).tool[:, :3, 3] - aim.start
-    return float(np.linalg.norm(off - (off @ aim.axis)[:, None] * aim.axis, axis=1).max())
+        assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() <= LINE_POSITION
+        short += len(touch.time) < len(a.plan)
+    assert short > 0
 
 
 def test_the_same_job_gives_the_same_bits_and_another_view_another_turn(made, prepared):

@@ -113,6 +113,30 @@ def test_a_batch_gives_the_bits_of_touches_alone(device):
         assert (alone.force[:, 0] == together.force[:, b]).all() and (alone.energy[:, 0] == together.energy[:, b]).all()
 
 
+def test_a_touch_ends_before_the_frame_past_the_force_limit(device):
+    """A stem as stiff as a pole, which takes 70 N a frame, in and out again; and plans that are none."""
+    models, poses = [build(stem(10, radius=0.01, young_modulus=5e9))], crossing(np.linspace(0.0, 0.06, 31), height=0.15,
+                                                                               start=-0.07)
+    plan = np.concatenate([np.arange(31), np.arange(30)[::-1]])[None]
+    whole, short = (RodSolver(models, [Capsule(0.03, 0.2)], device=device, options=RodOptions(force_limit=limit)).run(
+        np.zeros(1, int), poses, plan=plan, friction=0.4) for limit in (np.inf, 500.0))
+    force = np.linalg.norm(whole.force[:, 0, 0], axis=-1)
+    n = int(short.frames[0])
+    assert whole.frames[0] == 61 and whole.converged.all() and force.max() > 500.0
+    assert n == int(np.argmax(force > 500.0)) and short.converged[:n].all() and not short.converged[n:].any()
+    assert np.array_equal(short.force[:n], whole.force[:n]) and np.isnan(short.force[n:]).all()
+    for wrong in (plan + 1, plan + 0.5):
+        with pytest.raises(RodError, match="whole numbers of the 31 poses"):
+            RodSolver(models, [Capsule(0.03, 0.2)], device=device).run(np.zeros(1, int), poses, plan=wrong)
+
+
+def test_a_frame_without_room_for_its_contacts_is_marked(device):
+    frames = touch(stem(10, radius=0.01, young_modulus=1e6), crossing(np.linspace(0.0, 0.06, 31), height=0.15,
+                                                                      start=-0.07), device=device, room=1)
+    bad = ~frames.converged[:, 0]
+    assert bad.any() and (frames.reason[bad, 0] == Reason.PATCH).any() and finite(frames)
+
+
 def test_moduli_from_1e4_to_1e11_in_one_plant(device):
     """Segments a hair and an arm thick, seven decades of modulus: frames converge or say why, and nothing is NaN."""
     rng = np.random.default_rng(3)

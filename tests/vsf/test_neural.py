@@ -5,7 +5,7 @@ import pytest
 import torch
 from palpation import layer_with_inclusion, palpate, two_halves
 
-from vsfsim.vsf.fields.line_integrals import DenseTouch, TotalForces, TotalTouch, VertexForces, dome, oriented_areas
+from vsfsim.vsf.fields.line_integrals import Forces, SurfaceTouch, dome, oriented_areas
 from vsfsim.vsf.fields.neural import Fitting, density, fit, predict_totals
 
 torch.set_num_threads(1)
@@ -16,13 +16,13 @@ def straight(depth=0.01, frames=6):
     vertices, triangles = dome(rings=3)
     way = np.linspace(0.0, -depth, frames)
     vertices = vertices + way[:, None, None] * [0, 0, 1.0]
-    return DenseTouch(vertices, triangles, np.zeros_like(vertices))
+    return SurfaceTouch(vertices, triangles, np.zeros_like(vertices))
 
 
 def test_a_uniform_field_answers_as_eq_4_says():
     # Straight down by d into K: f_z = K |s_z| d^2 / 2 on every vertex; the pieces' midpoints give it exactly.
     touch = straight()
-    forces = VertexForces.of([touch])
+    forces = Forces.of([touch])
     points, factor, _ = forces.rows(torch.arange(len(forces.index)), 100)
     force = factor.sum(dim=1).double().numpy()
     frame, vertex = forces.index[:, 1].numpy(), forces.index[:, 2].numpy()
@@ -72,9 +72,10 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
     field = layer_with_inclusion()
     (touch,) = palpate(field, touches=1, frames=6, extent=(0.05, 0.05), substeps=20)
     axis = np.array([0.0, 0.6, -0.8])
-    total = TotalTouch(touch.vertices, touch.triangles, axis, np.append(-(touch.force.sum(axis=1) @ axis)[:-1], np.nan))
-    each, together = VertexForces.of([touch]), TotalForces.of([total])
-    assert together.index.tolist() == [[0, t] for t in range(1, 5)], "frame 0 has no path, the last no reading"
+    along = -(touch.force.sum(axis=1) @ axis)
+    total = SurfaceTouch(touch.vertices, touch.triangles, np.append(along[:-1], np.nan), axis)
+    each, together = Forces.of([touch]), Forces.of([total])
+    assert together.index.tolist() == [[0, t, 0] for t in range(1, 5)], "frame 0 has no path, the last no reading"
     _, factor, force = together.rows(torch.arange(4), 30)
     every = factor.sum(dim=1)[:, 0]
     _, single, _ = each.rows(torch.arange(len(each.index)), 30)
@@ -86,7 +87,7 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
 
 def test_a_soft_and_a_stiff_half_are_separated_by_totals_alone():
     touches = palpate(two_halves, touches=16, frames=6, extent=(0.08, 0.08), rings=4)
-    totals = [TotalTouch(t.vertices, t.triangles, np.array([0, 0, -1.0]), t.force.sum(axis=1)[:, 2]) for t in touches]
+    totals = [SurfaceTouch(t.vertices, t.triangles, t.force.sum(axis=1)[:, 2], np.array([0, 0, -1.0])) for t in touches]
     model = fit("grid", totals, BOUNDS, Fitting(iterations=120, batch=600, samples=16, rate=3e-2))
     left, right = (density(model, np.array([[x, y, -0.004] for y in (-0.02, 0.0, 0.02)])).mean() for x in (-0.03, 0.03))
     # The truth is 10. Over 20 seeds of the touches 7 to 24, and forces within 0.18 of the largest.

@@ -18,8 +18,7 @@ with the outline at all angles and positions,
 on a grid first, then by a random search of shrinking steps, of which only improvements are taken. An outline that
 covers no stiff column is no answer: it explains none of the contacts, and where nothing was touched it costs nothing.
 The threshold makes the same fraction of the columns stiff as the outline has of the area that can be touched, so that
-the cover's stiffness need not be known. An object turned over has nearly the same outline, mirrored; that is tried only
-on request.
+the cover's stiffness need not be known. An object turned over has nearly the same outline, mirrored; that is not tried.
 """
 
 from __future__ import annotations
@@ -208,7 +207,7 @@ def outline_area(known: KnownObject) -> float:
 
 
 def outline_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float,
-                 turned: bool = False, refine: int = 400, seed: int = 0) -> Pose:
+                 refine: int = 400, seed: int = 0) -> Pose:
     """The pose that best explains the stiffness of columns.
 
     Args:
@@ -217,7 +216,6 @@ def outline_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray,
         stiffness: of each column, >= 0 (n,).
         area: the area that can be touched [m^2].
         top: z of the object's upper side [m].
-        turned: whether the object may be turned over, about its x axis.
         refine: steps of the random search.
         seed: of the random search.
 
@@ -238,37 +236,34 @@ def outline_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray,
     middle = np.average(columns[stiff], axis=0)
     shifts = _STEP * np.stack(np.meshgrid(*[np.arange(-_STEPS, _STEPS + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def covered(angle: float, face: int, places: np.ndarray, every: int = 1) -> np.ndarray:
+    def covered(angle: float, places: np.ndarray, every: int = 1) -> np.ndarray:
         """Gain (p,) of the outline at positions ``places`` (p, 2), from every ``every``-th column; -inf where it covers
         no stiff one."""
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * [1.0, face] / known.cell
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) / known.cell
         index = (columns[::every] @ turn - known.low[:2] / known.cell)[None] - (places @ turn)[:, None]
         # Columns off the outline's grid fall into the zeros padded around it.
         index = np.clip(np.floor(index).astype(np.int32) + 1, 0, np.array(flat.shape, np.int32) - 1)
         under = flat[index[..., 0], index[..., 1]]
         return np.where((under * stiff[::every]).any(axis=1), (under * gain[::every]).sum(axis=1), -np.inf)
 
-    best, most, every = (0.0, 1, middle), -np.inf, -(-len(columns) // _COLUMNS)
-    for face in (1, -1) if turned else (1,):
-        for angle in 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES:
-            gains = covered(angle, face, middle + shifts, every)
-            k = int(np.argmax(gains))
-            if gains[k] > most:
-                best, most = (angle, face, middle + shifts[k]), float(gains[k])
-    most = float(covered(best[0], best[1], best[2][None])[0])
+    best, most, every = (0.0, middle), -np.inf, -(-len(columns) // _COLUMNS)
+    for angle in 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES:
+        gains = covered(angle, middle + shifts, every)
+        k = int(np.argmax(gains))
+        if gains[k] > most:
+            best, most = (angle, middle + shifts[k]), float(gains[k])
+    most = float(covered(best[0], best[1][None])[0])
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     for step in range(refine):
         size = 20.0 ** (-step / max(refine, 1))
-        trial = (best[0] + 0.15 * size * rng.standard_normal(), best[1],
-                 best[2] + _STEP * size * rng.standard_normal(2))
-        found = float(covered(trial[0], trial[1], trial[2][None])[0])
+        trial = (best[0] + 0.15 * size * rng.standard_normal(), best[1] + _STEP * size * rng.standard_normal(2))
+        found = float(covered(trial[0], trial[1][None])[0])
         if found > most:  # of equal poses the search would drift along
             best, most = trial, found
-    angle, face, place = best
+    angle, place = best
     high = known.low[2] + known.cell * (1 + int(np.flatnonzero(known.inside.any(axis=(0, 1)))[-1]))
-    low = known.low[2] + known.cell * int(np.flatnonzero(known.inside.any(axis=(0, 1)))[0])
     c, s = np.cos(angle), np.sin(angle)
     out = np.eye(4)
-    out[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.diag([1.0, face, face])
-    out[:3, 3] = [*place, top - (high if face > 0 else -low)]
+    out[:3, :3] = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+    out[:3, 3] = [*place, top - high]
     return Pose(out, float(stiff.sum() - most) * cut)

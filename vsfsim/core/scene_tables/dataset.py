@@ -106,9 +106,6 @@ class ArmSpec:
     """Its torques are J^T f."""
     clearance: Annotated[float, between(0.0, 0.2, "m")] = 0.01
     """Least gap to the plant at the start of a touch, and to its pot all the way [m]."""
-    at_limit: Literal["end", "return"] = "end"
-    """What a touch does before its force limit: "end" with the readings made so far, or "return", a guarded move
-    that slows down, goes back and keeps its number of readings."""
     sweep: Annotated[float, between(0.0, 1.2, "rad")] = 1.0
     """Largest angle between the line of motion and the tool's own axis in half of the touches [rad]; in the others, and
     with 0 in all, the tool moves along its axis."""

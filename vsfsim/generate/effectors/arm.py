@@ -25,7 +25,7 @@ from vsfsim.generate.press_result import BodyPanel, Column, PressResult, frames_
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
-from vsfsim.physics.rods.solver import Ended, RodFrames
+from vsfsim.physics.rods.solver import RodFrames
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.tessellate import tessellate
@@ -49,9 +49,8 @@ class ArmEffector:
         return "rod"
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
-        """Joint angles and torques, the wrenches on the links, and of a guarded move how it ended."""
-        ended = ("ended",) if scene.required_arm.at_limit == "return" else ()
-        return ("q", "torque", "link_force", "link_moment", "draws", *ended)
+        """Joint angles and torques, and the wrenches on the links."""
+        return ("q", "torque", "link_force", "link_moment", "draws")
 
     def kernels(self, scene: Scene) -> list[Any]:
         """Those of the beams' solver, and of the oracle VSF's stick and slip."""
@@ -147,17 +146,9 @@ def _notes(subject: Subject, aim: ArmAim, touch: Touch, frames: RodFrames) -> li
     out = [*subject.plant.notes,
            f"target {aim.draws} of those drawn was within reach: ({', '.join(f'{v:.3f}' for v in aim.target)}) m, "
            f"the tool goes along ({', '.join(f'{v:.3f}' for v in aim.axis)})"]
-    if touch.ended == Ended.FORCE:
-        out.append(f"the arm comes to its protective stop at frame {n} of {planned}: on the way back the contact force "
-                   f"would be more than a quarter past force_limit = {limit.force_limit:g} N")
-    elif n < planned:
+    if n < planned:
         out.append(f"the touch ends at frame {n} of {planned}: in the next the contact force would "
                    f"pass force_limit = {limit.force_limit:g} N")
-    elif not np.array_equal(frames.where[:n, 0], aim.plan):
-        share = (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max()
-        out.append(f"the arm turns back {1e3 * share * np.linalg.norm(aim.stop - aim.start):.1f} "
-                   "mm before the end of its way: further in the contact force would pass "
-                   f"force_limit = {limit.force_limit:g} N, or no equilibrium is found")
     elif not touch.touched:
         out.append("the arm touched nothing on its way; take another --seed")
     return out

@@ -52,34 +52,11 @@ class ArmAim:
     line: np.ndarray
     """Joint angles along the way in (P, 7) [rad]."""
     plan: np.ndarray
-    """Row of ``line`` at which each frame is planned (T,) [-]."""
-    inward: int
-    """Number of frames before the way out."""
+    """Row of ``line`` of each frame (T,) int."""
     draws: int
     """Number of targets drawn until one could be reached."""
     refused: Counter
     """Why the targets before were refused: how many for each reason."""
-
-    def angles(self, where: np.ndarray) -> np.ndarray:
-        """Joint angles (T, 7) [rad] at rows ``where`` (T,) of the line. Between rows they follow the cubic through the
-        four rows around, as `physics.rods.kernels.guard` interpolates the poses of the capsules.
-
-        At rows the tool is on its line to `reach.LINE_POSITION`. Between rows it leaves the line with the fourth power
-        of their distance: on 32 random lines by 0.008 mm at most with the rows of shipped scenes, up to 6 mm apart, and
-        by 0.5 mm with rows 27 mm apart. Readings are those of the poses where the tool is."""
-        last = len(self.line) - 1
-        row = np.clip(np.floor(where).astype(int), 0, last)
-        out = self.line[row].copy()
-        between = np.flatnonzero(where > row)
-        if last < 3:
-            part = (where - row)[between, None]
-            out[between] += part * (self.line[np.minimum(row[between] + 1, last)] - out[between])
-            return out
-        first = np.clip(row[between] - 1, 0, last - 3)
-        u = where[between] - first
-        weights = [np.prod([(u - m) / (j - m) for m in range(4) if m != j], axis=0) for j in range(4)]
-        out[between] = sum(w[:, None] * self.line[first + j] for j, w in enumerate(weights))
-        return out
 
 
 def load(spec: ArmSpec) -> Arm:
@@ -145,8 +122,8 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
             refused[POT] += 1
             continue
         back = np.rint(np.linspace(inward, 0, out + 1)).astype(int)[1:] if out else np.zeros(0, int)
-        plan = np.concatenate([np.zeros(free), np.arange(1.0, inward + 1), np.full(hold, float(inward)), back])
-        return ArmAim(target, way, start, stop, line, plan, free + inward + hold, draw, refused)
+        plan = np.concatenate([np.zeros(free, int), np.arange(1, inward + 1), np.full(hold, inward), back])
+        return ArmAim(target, way, start, stop, line, plan, draw, refused)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
     why = f"none of {DRAWS} targets can be reached: {reasons}"
     raise NothingReached(f"{where} [touches]: {why}. Move [arm] base or the object, or use a "

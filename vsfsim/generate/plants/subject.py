@@ -197,12 +197,12 @@ def torque_norms(arm: Arm, model: RodModel, aims: Sequence[ArmAim], scene: Scene
     equilibrium are left out."""
     solver = RodSolver([model], arm.shapes, device="cpu",
                        options=RodOptions(force_limit=scene.required_touches.force_limit))
-    poses = np.stack([arm.body_poses(a.angles(a.plan)) for a in aims], axis=1)
+    poses = np.stack([arm.body_poses(a.line[a.plan]) for a in aims], axis=1)
     frames = solver.run(np.zeros(len(aims), int), poses, friction=scene.required_object.friction)
     out = []
     for b, aim in enumerate(aims):
         n = int(frames.frames[b])
-        torque = body_torque(arm, arm.postures(aim.angles(aim.plan[:n])), frames.force[:n, b],
+        torque = body_torque(arm, arm.postures(aim.line[aim.plan[:n]]), frames.force[:n, b],
                              moment=frames.moment[:n, b])
         out.append(float(np.linalg.norm(torque[frames.converged[:n, b]], axis=1).max(initial=0.0)))
     return out

@@ -26,27 +26,12 @@ from vsfsim.robot.arm import Arm, Postures, body_torque, chain_of
 from vsfsim.robot.path import times
 
 TOGETHER = 4096  # touches on a device at once, which take 7 GB
-# Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
-# strides any more, and in all. With 200 for the second the work is a third more and the longest touch half as long
-# again, and 3.7 % of the readings are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as
-# much.
-TRAVEL, WORK, PATIENCE = 120, 120, 30_000
 
 
 def make_view(job: Job, *, device: str) -> ObjectView:
     """The object view of a job."""
     subject = prepare_job(job, device=device)
     return finish(subject, solve([subject], device=device), device=device)
-
-
-def rod_options(scene: Scene) -> RodOptions:
-    """Options of the solver for a scene's touches."""
-    spec = scene.required_touches
-    _, _, hold, out = spec.frames
-    options = RodOptions(force_limit=spec.force_limit)
-    if scene.required_arm.at_limit != "return":
-        return options
-    return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE)
 
 
 def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None,
@@ -61,13 +46,12 @@ def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int],
     """
     scene = subjects[0].scene
     solver = RodSolver([s.model for s in subjects], subjects[0].loaded_arm().shapes, device=device,
-                       options=rod_options(scene))
+                       options=RodOptions(force_limit=scene.required_touches.force_limit))
     aims = [a for s in subjects for a in s.aims]
     friction = [s.scene.required_object.friction for s in subjects for _ in s.aims]
     return solver.run(np.repeat(np.arange(len(subjects)), [len(s.aims) for s in subjects]),
                       np.concatenate([s.poses for s in subjects], axis=1), plan=np.stack([a.plan for a in aims]),
-                      friction=np.array(friction), inward=np.array([a.inward for a in aims]),
-                      keep_nodes=keep_nodes, progress=progress)
+                      friction=np.array(friction), keep_nodes=keep_nodes, progress=progress)
 
 
 def make_together(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:
@@ -121,14 +105,13 @@ def finish_touches(subject: Subject, frames: RodFrames) -> list[Touch]:
 
 
 def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touch:
-    spec = scene.required_arm
     n = int(frames.frames[b])
-    if n < len(a.plan) and spec.at_limit == "end":
+    if n < len(a.plan):
         # stopped by the force limit: what did not converge on the way there is no reading either
         good = np.flatnonzero(frames.converged[:n, b])
         n = int(good[-1]) + 1 if len(good) else 1
     # a touch whose first frame is past the limit has one frame, which was not solved
-    q = a.angles(np.where(np.isfinite(frames.where[:n, b]), frames.where[:n, b], a.plan[:n]))
+    q = a.line[a.plan[:n]]
     postures = arm.postures(q)
     force, moment = frames.force[:n, b], frames.moment[:n, b]
     torque = body_torque(arm, postures, force, moment=moment)
@@ -137,19 +120,14 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
                     touched=bool((frames.contacts[:n, b] > 0).any()), q=q, torque=torque, link_force=link_force,
                     link_moment=link_moment, draws=a.draws,
                     columns=tuple(name for name in AUDIT_COLUMNS if name != "min_det_f"),  # beams have no det F
-                    ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
-                    **(_plan(arm, a, frames.where[:n, b]) if scene.required_touches.plan else {}))
+                    **(_plan(arm, a, n) if scene.required_touches.plan else {}))
 
 
-def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, Any]:
-    """The planned path of a touch, and which of its frames the frames at rows ``where`` (T,) of the line are.
-
-    A frame is one of the plan if the arm stood where the plan has it at that time.
-    """
-    q, frame = a.angles(a.plan), np.arange(len(where))
-    kept = np.isclose(where, a.plan[:len(where)], rtol=0.0, atol=1e-9)  # rows of the line; also False where NaN
+def _plan(arm: Arm, a: ArmAim, made: int) -> dict[str, Any]:
+    """The planned path of a touch, of which the first ``made`` frames were made."""
+    q = a.line[a.plan]
     return {"planned_time": times(len(a.plan)), "planned_pose": arm.postures(q).tool,
-            "planned_q": q, "planned_frame": np.where(np.logical_and.accumulate(kept), frame, -1)}
+            "planned_q": q, "planned_frame": np.arange(made)}
 
 
 def _by_link(arm: Arm, at: Postures, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

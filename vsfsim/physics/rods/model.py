@@ -20,7 +20,6 @@ MOST_FIBRES = 1300  # of a segment
 STIFFER = 1000.0
 PENALTY = (1e2, 1e8)  # limits of the penalty [N/m]
 _ROUNDING = 2.2e-16
-ENDLESS = 2**31 - 1  # Newton iterations
 
 
 class RodError(VsfsimError):
@@ -37,22 +36,13 @@ class RodOptions:
     """Contact forces below this count as this in the tolerance [N]. With the defaults the error of a joint torque is
     below 0.1 mN m, a thousandth of the noise of its sensor."""
     force_limit: float = np.inf
-    """Largest contact force of the frames on the way in [N]."""
-    guarded: bool = False
-    """False: a touch ends at the force limit, also on the way out. True: the arm slows down, turns back and keeps its
-    number of frames (see `kernels.guard`), unless it makes a protective stop on the way back."""
-    hold: int = 0
-    """Frames that a guarded arm stands still after it turned."""
-    out: int = 0
-    """Least number of frames of a guarded arm's way back."""
+    """Largest contact force [N]: a touch ends before the frame that exceeds it."""
     newton: int = 60
     """Newton iterations of one attempt at a stride, without those whose length the free space limits."""
     travel: int = 400
     """Newton iterations of one attempt at a stride, all counted."""
     work: int = 800
     """Newton iterations of a frame after which strides are no longer divided."""
-    patience: int = ENDLESS
-    """Newton iterations after which a touch ends."""
     room: int = 512
     """Places for the contacts of a touch, three points of a fibre beside a capsule each."""
     share: int = 500

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -35,25 +34,12 @@ SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrame
 MOST_CAPSULES = 31  # the contact search has a bit for each
 
 
-class Ended(IntEnum):
-    """Why a touch has no more frames."""
-
-    WHOLE = 0
-    """It has all of them."""
-    FORCE = 1
-    """The force limit, or the protective stop of a guarded touch."""
-    PATIENCE = 2
-    """`RodOptions.patience`."""
-
-
 @dataclass(frozen=True)
 class RodFrames:
     """T frames of B touches by K capsules. Frames after the last one of a touch are NaN (False, 0)."""
 
     frames: np.ndarray
     """Number of solved frames of each touch (B,)."""
-    ended: np.ndarray
-    """`Ended` (B,)."""
     force: np.ndarray
     """Force on each capsule (T, B, K, 3) [N]."""
     moment: np.ndarray
@@ -82,8 +68,6 @@ class RodFrames:
     """Share of the points in contact that slip (T, B) [-]."""
     force_balance: np.ndarray
     """|force on the capsules - reaction - weight| over the larger of force and reaction, or over 0.1 N (T, B) [-]."""
-    where: np.ndarray
-    """Position of the arm on its way (T, B) [poses]."""
     nodes: np.ndarray | None
     """Positions of the nodes (T, B, N, 3) [m], or None."""
     turns: np.ndarray | None
@@ -132,7 +116,7 @@ class RodSolver:
         self.weighs = int(any(m.weight.any() for m in self.models))
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0,
-            plan: np.ndarray | None = None, inward: np.ndarray | None = None, keep_nodes: bool = False,
+            plan: np.ndarray | None = None, keep_nodes: bool = False,
             progress: Callable[[int], None] | None = None) -> RodFrames:
         """Carry out touches.
 
@@ -140,8 +124,7 @@ class RodSolver:
             plant: number of the touched plant (B,).
             poses: poses of the capsules along the way, z along their axes (P, B, K, 4, 4) [m].
             friction: coefficient of friction (B,), or one for all [-].
-            plan: position of each frame on the way, in numbers of poses (B, T); None for one frame a pose.
-            inward: number of frames before the planned way out (B,), None for all.
+            plan: number of the pose on the way of each frame (B, T); None for one frame a pose.
             keep_nodes: return the states of the nodes.
             progress: called with the number of frames newly done, launch by launch.
 
@@ -150,7 +133,7 @@ class RodSolver:
         """
         plant, poses = np.asarray(plant, np.int32), np.asarray(poses, float)
         p, b = len(poses), len(plant)
-        plan = np.tile(np.arange(p, dtype=float), (b, 1)) if plan is None else np.asarray(plan, float)
+        plan = np.tile(np.arange(p), (b, 1)) if plan is None else np.asarray(plan)
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
         self._check(b, poses, plan, friction)
         t, options = plan.shape[1], self.options
@@ -166,9 +149,8 @@ class RodSolver:
                 Touches, limits=limits, plant=plant, friction=friction, plan=plan,
                 half=np.array([0.5 * s.length for s in self.shapes]), radius=np.array([s.radius for s in self.shapes]),
                 position=np.swapaxes(poses[..., :3, 3], 0, 1),
-                rotation=np.swapaxes(quaternions(poses[..., :3, :3]), 0, 1),
-                inward=np.full(b, t) if inward is None else np.asarray(inward))
-            work = started([self.models[k] for k in plant], plan, **sizes)
+                rotation=np.swapaxes(quaternions(poses[..., :3, :3]), 0, 1))
+            work = started([self.models[k] for k in plant], **sizes)
             out = allocate(Results, **(sizes if keep_nodes else {**sizes, "N": 0}))
             live, before = np.arange(b), 0
             while len(live):
@@ -181,7 +163,7 @@ class RodSolver:
                 if progress is not None:
                     progress(int(at["next"].sum()) - before)
                 before = int(at["next"].sum())
-        return self._frames(plant, at["next"], at["ended"], out, keep_nodes)
+        return self._frames(plant, at["next"] - at["ended"], out, keep_nodes)
 
     def _check(self, b: int, poses: np.ndarray, plan: np.ndarray, friction: np.ndarray) -> None:
         p, k = len(poses), len(self.shapes)
@@ -190,25 +172,19 @@ class RodSolver:
                            f"{k}, 4, 4).")
         if not np.isfinite(poses).all():
             raise RodError("a pose is not finite; leave out frames that the arm cannot reach.")
-        if plan.ndim != 2 or len(plan) != b or not ((plan >= 0.0) & (plan <= p - 1)).all():
+        if plan.ndim != 2 or len(plan) != b or not np.isin(plan, np.arange(p)).all():
             raise RodError(f"the plan has the shape {plan.shape} and numbers {plan.min():g} to {plan.max():g}; give "
-                           f"({b}, frames) numbers of the {p} poses, from 0.")
+                           f"({b}, frames) whole numbers of the {p} poses, from 0.")
         if not ((friction >= 0.0) & (friction <= 10.0)).all():
             raise RodError(f"friction is {friction.min():g} to {friction.max():g}; it must be from 0 to 10.")
 
-    def _frames(self, plant: np.ndarray, count: np.ndarray, ended: np.ndarray, out: Any,
-                keep_nodes: bool) -> RodFrames:
-        """What the touches of ``plant`` have given, of which ``count`` frames are solved; ``ended`` as `Progress`."""
+    def _frames(self, plant: np.ndarray, done: np.ndarray, out: Any, keep_nodes: bool) -> RodFrames:
+        """What the touches of ``plant`` have given, of which ``done`` frames are kept."""
         def of(array: wp.array) -> np.ndarray:
             return np.ascontiguousarray(np.swapaxes(array.numpy(), 0, 1))
 
         rows, force, moment = of(out.frame), of(out.force), of(out.moment)
-        t = len(rows)
-        done = np.where(ended > 0, np.minimum(ended - 1, count), count)
-        # a frame above the force limit is not kept and precedes `next`; the frame that exhausted the patience is kept
-        why = np.where((ended == 0) | (done == t), Ended.WHOLE,
-                       np.where(ended <= count, Ended.FORCE, Ended.PATIENCE))
-        solved = np.arange(t)[:, None] < done[None, :]
+        solved = np.arange(len(rows))[:, None] < done[None, :]
         of_frame = {name: np.where(solved, rows[name], np.nan if rows[name].dtype == float else 0)
                     for name in rows.dtype.names if name != "reaction"}
         reaction = rows["reaction"].copy()
@@ -219,7 +195,7 @@ class RodSolver:
         weight = np.stack([self.models[p].weight[1:].sum(axis=0) for p in plant])
         whole = force.sum(axis=2)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
-        return RodFrames(frames=done, ended=why, force=force, moment=moment, reaction=root, reaction_moment=root_moment,
+        return RodFrames(frames=done, force=force, moment=moment, reaction=root, reaction_moment=root_moment,
                          converged=solved & (of_frame["reason"] == 0), **of_frame,
                          force_balance=np.linalg.norm(whole - root - weight, axis=-1) / size,
                          nodes=of(out.x) if keep_nodes else None, turns=of(out.q) if keep_nodes else None)

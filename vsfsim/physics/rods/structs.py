@@ -71,14 +71,6 @@ def filled(kind: Any, **values: Any) -> Any:
     return out
 
 
-class Phase(IntEnum):
-    """What a guarded arm does, see `kernels.guard`."""
-
-    AS_PLANNED = 0
-    CREEPING = 1
-    BACK = 2
-
-
 class Stick(IntEnum):
     """Whether a point of a patch may have friction: not if it did not touch at the end of the last stride; since an
     earlier stride; or since this one, which may still lose it."""
@@ -130,8 +122,7 @@ Touches = struct(
     radius="float64 K  radius of each capsule [m]",
     position="vec3d BWK  positions of the capsules on the way [m]",
     rotation="quatd BWK  their rotations",
-    plan="float64 BT  where on the way each frame is planned [poses]",
-    inward="int32 B  number of frames before the planned way out")
+    plan="int32 BT  number of the pose on the way of each frame")
 
 # What comes out of a frame, as in `RodFrames`.
 Frame = struct(
@@ -142,7 +133,6 @@ Frame = struct(
     heat="float64 -  work that yielding has turned into heat since the touch began [J]",
     penetration="float64 -  depth of the deepest point inside a capsule [m]",
     slipping="float64 -  share of the Gauss points in contact that slip [-]",
-    where="float64 -  where the arm was on its way [poses]",
     iterations="int32 -  Newton iterations",
     reason="int32 -  `frames.Reason`",
     contacts="int32 -  number of touching patches, pairs of a fibre and a capsule")
@@ -244,35 +234,10 @@ Progress = struct(
     "Progress",
     list="int32 -  which of the two contact lists holds the last equilibrium",
     next="int32 -  the next frame",
-    ended="int32 -  1 + the first frame that is not kept, 0 while the touch goes on",
+    ended="int32 -  1 if the last frame exceeded the force limit and is not kept, else 0",
     # 1 from a penetration that may end on the wrong side of a capsule until nothing touches, 2 from a capsule going
     # through the plant to the end of the touch
-    wrong_side="int32 -  whether a link may be inside the plant",
-    used="int32 -  Newton iterations of the next frame so far, if a guarded arm does it again",
-    total="int32 -  Newton iterations of the frames before it")
-
-# State of the guard, see `kernels.guard`.
-Guard = struct(
-    "Guard",
-    position="float64 -  where the arm is on its way [poses]",
-    good_position="float64 -  where it was last in equilibrium below the force limit [poses]",
-    turning_position="float64 -  where it turned [poses]",
-    clear_position="float64 -  the last position before it first touched [poses]",
-    pace="float64 -  advance per frame while it creeps [poses]",
-    phase="int32 -  `Phase`",
-    turning_frame="int32 -  frame in which it turned",
-    touched="int32 -  1 since the first contact",
-    failures="int32 -  consecutive frames without an equilibrium")
-
-# The equilibrium that the guard returns to.
-Kept = struct(
-    "Kept",
-    nodes="State N  the nodes",
-    strained="int32 BN  `Nodes.strained`",
-    plastic="vec3d BN  `Nodes.plastic` [rad]",
-    heat="float64 BN  `Nodes.heat` [J]",
-    count="int32 B  number of its contacts",
-    memory="Memory BC  of its contacts")
+    wrong_side="int32 -  whether a link may be inside the plant")
 
 # State and scratch of the touches. Two lists of contacts take turns as that of the last stride and of the present one.
 Work = struct(
@@ -283,11 +248,10 @@ Work = struct(
     saved="State N  to return to when a step is rejected",
     capsules="State K  the capsules at the end of the stride",
     capsules_start="State K  at its start",
-    nodes=Nodes, segments=Segments, system=System, kept=Kept,
+    nodes=Nodes, segments=Segments, system=System,
     contacts="Contact 2BC  the two lists of contacts",
     count="int32 2B  their lengths",
-    progress="Progress B  how far each touch is",
-    guard="Guard B  of each touch")
+    progress="Progress B  how far each touch is")
 
 # Which touch a thread works on, and its share of the work.
 Thread = struct(
@@ -323,20 +287,15 @@ def make_trees(m: Sequence[RodModel], device: str) -> Any:
                       **{name: np.concatenate(values) for name, values in each.items()})
 
 
-def started(models: Sequence[RodModel], plan: np.ndarray, **sizes: int) -> Any:
-    """The `Work` of touches of the plants ``models``, planned at ``plan`` (B, T), before their first frame: plants at
-    rest, no contact, the arm at its first pose. ``sizes`` as of `allocate`."""
+def started(models: Sequence[RodModel], **sizes: int) -> Any:
+    """The `Work` of touches of the plants ``models`` before their first frame: plants at rest and no contact. ``sizes``
+    as of `allocate`."""
     work = allocate(Work, **sizes)
     rest = np.zeros((len(models), sizes["N"], 3))
     for row, model in zip(rest, models):
         row[:len(model.plant.nodes)] = model.plant.nodes
     work.now.x.assign(rest)
     work.now.q.assign(np.tile([0.0, 0.0, 0.0, 1.0], (*rest.shape[:2], 1)))
-    guard = np.zeros(len(models), Guard.numpy_dtype())
-    guard["pace"] = 1.0
-    for where in ("position", "good_position", "turning_position", "clear_position"):
-        guard[where] = plan[:, 0]
-    work.guard.assign(guard)
     return work
 
 

@@ -3,9 +3,9 @@
 
     f(t) = sum_i K(p_i) c_i,   p_i = v(tau_i),   c_i = -(v(t) - v(tau_i)) s(tau_i) . dv(tau_i)
 
-with v the path of a vertex and s its oriented area. `VertexForces` are the papers' observations, one for each touch,
-frame and vertex. `TotalForces` are the pressure-only baseline, one for each touch and frame: the sum over all vertices
-along an axis, which a rigid probe's surface and force sensor give as well.
+with v the path of a vertex and s its oriented area. The papers' observations are one for each touch, frame and vertex;
+those of the pressure-only baseline one for each touch and frame: the sum over all vertices along an axis, which a rigid
+probe's surface and force sensor give as well.
 """
 
 from __future__ import annotations
@@ -21,15 +21,18 @@ from vsfsim.physics.mesh.structured import disc
 
 
 @dataclass(frozen=True)
-class DenseTouch:
-    """One touch of a sensor with a surface."""
+class SurfaceTouch:
+    """One touch of a surface."""
 
     vertices: np.ndarray
-    """World positions of the surface's vertices (T, N, 3) [m]."""
+    """World positions of its vertices (T, N, 3) [m]."""
     triangles: np.ndarray
     """Corners, wound outwards (m, 3)."""
     force: np.ndarray
-    """Force of the object on each vertex, world (T, N, 3) [N]."""
+    """Force of the object on each vertex, world (T, N, 3) [N], or on all of them against ``axis`` (T,) [N]; NaN in
+    frames without a reading."""
+    axis: np.ndarray | None = None
+    """Unit vector (3,) [-] against which only the total force is known, or None."""
 
 
 def dome(*, radius: float = 0.03, height: float = 0.015, rings: int = 8) -> tuple[np.ndarray, np.ndarray]:
@@ -60,20 +63,6 @@ def oriented_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class TotalTouch:
-    """One touch of a surface whose force is known in total only."""
-
-    vertices: np.ndarray
-    """World positions (T, N, 3) [m]."""
-    triangles: np.ndarray
-    """Corners, wound outwards (m, 3)."""
-    axis: np.ndarray
-    """Unit vector (3,) [-]."""
-    force: np.ndarray
-    """Force of the object on the surface against the axis (T,) [N]; NaN where there is no reading."""
-
-
-@dataclass(frozen=True)
 class _Paths:
     """Touches side by side, the shorter ones padded with their last frame."""
 
@@ -83,7 +72,7 @@ class _Paths:
     """Their oriented areas (K, T, N, 3) [m^2]."""
 
     @classmethod
-    def of(cls, touches: Sequence[DenseTouch] | Sequence[TotalTouch], device: str) -> _Paths:
+    def of(cls, touches: Sequence[SurfaceTouch], device: str) -> _Paths:
         if len({t.vertices.shape[1] for t in touches}) != 1:
             raise VsfError("vsf.line_integrals: the touches have surfaces of different numbers of vertices; they must "
                            "be of one sensor.")
@@ -109,94 +98,60 @@ class _Paths:
 
 
 @dataclass(frozen=True)
-class VertexForces:
-    """Forces on the vertices of some touches."""
+class Forces:
+    """Forces in some touches, all on the vertices or all in total."""
 
     paths: _Paths
     """Of all touches."""
     index: torch.Tensor
-    """Touch, frame and vertex of every observation (M, 3)."""
+    """Touch, frame and vertex of every observation (M, 3); of a total, vertex 0."""
     force: torch.Tensor
-    """(M, 3) [N]."""
+    """(M, 3) [N], or totals (M, 1) [N]."""
+    axis: torch.Tensor | None
+    """Axis of the total of each touch (K, 3), or None."""
 
     @classmethod
-    def of(cls, touches: Sequence[DenseTouch], *, device: str = "cpu") -> VertexForces:
-        """From touches, without frame 0, where a path has no length, and without frames whose forces are all NaN.
+    def of(cls, touches: Sequence[SurfaceTouch], *, device: str = "cpu") -> Forces:
+        """From touches, without frame 0, where a path has no length, and without frames that have no reading.
 
         Raises:
             VsfError: no touch, fewer than two frames, or values that are not finite.
         """
         if not touches:
-            raise VsfError("vsf.neural: there is no touch with contact forces on a surface; a rigid force sensor "
-                           "cannot be used here.")
+            raise VsfError("vsf.neural: there is no touch with contact forces on a surface.")
+        total = touches[0].axis is not None
         index, force = [], []
         for k, touch in enumerate(touches):
-            known = ~np.isnan(touch.force).all(axis=(1, 2)) if touch.force.ndim == 3 else np.zeros(0, bool)
-            if (touch.vertices.shape != touch.force.shape or len(touch.force) < 2 or not known[1:].any()
-                or not (np.isfinite(touch.vertices).all() and np.isfinite(touch.force[known]).all())):
-                raise VsfError(f"vsf.neural: touch {k} has vertices {touch.vertices.shape} and forces "
-                               f"{touch.force.shape}; both must be finite and (T, N, 3) with T of at least 2.")
-            count = touch.force.shape[1]
+            given, shape = np.asarray(touch.force), touch.vertices.shape
+            known = ~np.isnan(given.reshape(len(given), -1)).all(axis=1)
+            if (given.shape != (shape[:1] if total else shape) or len(given) < 2 or not known[1:].any()
+                    or not (np.isfinite(touch.vertices).all() and np.isfinite(given[known]).all())):
+                raise VsfError(f"vsf.neural: touch {k} has vertices {shape} and forces {given.shape}; both must be "
+                               f"finite and (T, N, 3) with T of at least 2, or the forces totals (T,).")
+            count = 1 if total else shape[1]
             t, v = (x.ravel() for x in np.meshgrid(1 + np.flatnonzero(known[1:]), np.arange(count), indexing="ij"))
             index.append(np.stack([np.full(t.size, k), t, v], axis=1))
-            force.append(touch.force[t, v])
+            force.append(given[t, None] if total else given[t, v])
+        axis = np.array([touch.axis for touch in touches]) if total else None
         return cls(_Paths.of(touches, device), torch.as_tensor(np.concatenate(index), device=device),
-                   torch.as_tensor(np.concatenate(force), dtype=torch.float32, device=device))
+                   torch.as_tensor(np.concatenate(force), dtype=torch.float32, device=device),
+                   None if axis is None else torch.as_tensor(axis, dtype=torch.float32, device=device))
 
     def rows(self, which: torch.Tensor, samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Points (b, S, 3) [m], factors (b, S, 3) [m^4] and forces (b, 3) [N] of observations ``which`` (b,); f is the
-        sum over S of K(point) factor."""
+        sum over S of K(point) factor. Of totals S is that of all vertices; factors and forces have one component."""
         touch, frame, vertex = self.index[which].T
-        points, factor = self.paths.pieces(touch, frame, vertex, samples)
-        return points, factor, self.force[which]
+        if self.axis is None:
+            return *self.paths.pieces(touch, frame, vertex, samples), self.force[which]
+        every = torch.arange(self.cost(), device=touch.device).repeat(len(touch))
+        touch, frame = touch.repeat_interleave(self.cost()), frame.repeat_interleave(self.cost())
+        points, factor = self.paths.pieces(touch, frame, every, samples)
+        along = -(factor * self.axis[touch][:, None]).sum(dim=2)
+        return points.reshape(len(which), -1, 3), along.reshape(len(which), -1, 1), self.force[which]
 
     def cost(self) -> int:
         """Samples of one observation, in units of ``samples``."""
-        return 1
-
-
-@dataclass(frozen=True)
-class TotalForces:
-    """Total forces of some touches."""
-
-    paths: _Paths
-    """Of all touches."""
-    index: torch.Tensor
-    """Touch and frame of every observation (M, 2)."""
-    force: torch.Tensor
-    """(M, 1) [N]."""
-    axis: torch.Tensor
-    """Axis of each touch (K, 3)."""
-
-    @classmethod
-    def of(cls, touches: Sequence[TotalTouch], *, device: str = "cpu") -> TotalForces:
-        """From touches, without frame 0 and frames without a reading.
-
-        Raises:
-            VsfError: no touch, or no reading after frame 0.
-        """
-        pairs = [(k, t) for k, touch in enumerate(touches) for t in 1 + np.flatnonzero(np.isfinite(touch.force[1:]))]
-        if not pairs:
-            raise VsfError(f"vsf.neural: {len(touches)} touches without a reading after their first frame; give "
-                           f"touches of at least two frames.")
-        columns = ((pairs, torch.int64), ([[touches[k].force[t]] for k, t in pairs], torch.float32),
-                   ([t.axis for t in touches], torch.float32))
-        tensors = (torch.as_tensor(np.array(x), dtype=kind, device=device) for x, kind in columns)
-        return cls(_Paths.of(touches, device), *tensors)
-
-    def rows(self, which: torch.Tensor, samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Points (b, N S, 3) [m], factors (b, N S, 1) [m^4] and forces (b, 1) [N] of observations ``which`` (b,)."""
-        touch, frame = self.index[which].T
-        count = self.paths.place.shape[2]
-        vertex = torch.arange(count, device=touch.device).repeat(len(touch))
-        points, factor = self.paths.pieces(touch.repeat_interleave(count), frame.repeat_interleave(count), vertex,
-                                          samples)
-        along = -(factor * self.axis[touch].repeat_interleave(count, dim=0)[:, None]).sum(dim=2, keepdim=True)
-        return points.reshape(len(touch), -1, 3), along.reshape(len(touch), -1, 1), self.force[which]
-
-    def cost(self) -> int:
-        """Samples of one observation, in units of ``samples``."""
-        return int(self.paths.place.shape[2])
+        return 1 if self.axis is None else int(self.paths.place.shape[2])
 
 
 def _along(values: torch.Tensor, touch: torch.Tensor, time: torch.Tensor, vertex: torch.Tensor) -> torch.Tensor:

@@ -14,6 +14,7 @@ trilinear grids of rising resolution, which needs a few dozen operations a point
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
-from vsfsim.vsf.fields.line_integrals import DenseTouch, TotalForces, TotalTouch, VertexForces
+from vsfsim.vsf.fields.line_integrals import Forces, SurfaceTouch
 
 
 class NerfField(nn.Module):
@@ -110,7 +111,7 @@ class Fitting:
     """Of initial weights and batches."""
 
 
-def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds: np.ndarray,
+def fit(kind: str, touches: Sequence[SurfaceTouch], bounds: np.ndarray,
         settings: Fitting | None = None, *, device: str = "cpu",
         progress: Callable[[int, int, str], None] | None = None, **field: object) -> nn.Module:
     """Fit a stiffness field to contact forces.
@@ -133,9 +134,7 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
     if kind not in FIELDS:
         raise VsfError(f"vsf.neural: there is no field '{kind}'; allowed: {', '.join(FIELDS)}.")
     s = settings or Fitting()
-    total = len(touches) > 0 and isinstance(touches[0], TotalTouch)
-    kind_of_force = TotalForces if total else VertexForces
-    forces: TotalForces | VertexForces = kind_of_force.of(touches, device=device)  # type: ignore[arg-type]
+    forces = Forces.of(touches, device=device)
     size = max(1, s.batch // forces.cost())
     generator = torch.Generator().manual_seed(s.seed)
     unit = _unit(forces, generator, size)
@@ -168,11 +167,10 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
 
 
 @torch.no_grad()
-def predict_totals(model: nn.Module, touch: TotalTouch, *, samples: int) -> np.ndarray:
-    """Total force of a touch in every frame (T,) [N]; ``touch.force`` is not used."""
+def predict_totals(model: nn.Module, touch: SurfaceTouch, *, samples: int) -> np.ndarray:
+    """Total force of a touch against its axis in every frame (T,) [N]; ``touch.force`` is not used."""
     device = model.bounds.device
-    query = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))],
-                           device=str(device))
+    query = Forces.of([dataclasses.replace(touch, force=np.zeros(len(touch.vertices)))], device=str(device))
     points, factor, _ = query.rows(torch.arange(len(query.index), device=device), samples)
     inside = ((points >= model.bounds[0]) & (points <= model.bounds[1])).all(dim=2)
     value = torch.cat([model(part) for part in points.reshape(-1, 3).split(200_000)]).reshape(inside.shape)
@@ -188,7 +186,7 @@ def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros(0), *((model(part).double() * model.unit).cpu().numpy() for part in parts)])
 
 
-def _unit(forces: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:
+def _unit(forces: Forces, generator: torch.Generator, size: int) -> float:
     """The uniform stiffness density that fits the forces best in the least squares sense [N/m^4]."""
     which = torch.randint(len(forces.index), (20 * size,), generator=generator).to(forces.index.device)
     _, factor, force = forces.rows(which, 20)

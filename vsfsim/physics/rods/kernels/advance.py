@@ -2,8 +2,7 @@
 
 A stride that finds no equilibrium is divided. A launch ends when every touch has used its share of Newton iterations,
 so that no touch waits long for a harder one, and the next launch continues there; bits do not depend on where launches
-end. On a GPU one warp works on a touch, see `lanes`. The module `guard` decides where the arm is in a frame and when it
-turns back.
+end. On a GPU one warp works on a touch, see `lanes`. A touch ends before the frame that exceeds the force limit.
 """
 
 import warp as wp
@@ -12,7 +11,6 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.contact_search import carry_unloaded, copy_state
 from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.fibre import POINTS, end_force, fibre_patch, pressed, rubbed, segment_strain
-from vsfsim.physics.rods.kernels.guard import HOPELESS, frame_target, guard_frame, place_capsules
 from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync
 from vsfsim.physics.rods.kernels.newton import equilibrate
 from vsfsim.physics.rods.kernels.segment import (
@@ -44,6 +42,29 @@ PASSED = wp.constant(2)  # `Progress.wrong_side`: a capsule went through the pla
 REGISTERS = 128
 vec6 = wp.spatial_vectord
 WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # a frame, up to rounding
+
+
+@wp.func
+def place_capsules(touch: Touches, w: Work, me: Thread, before: int, goal: int, from_part: real, part: real):
+    """Places the capsules at the start and the end of a stride, which are the parts ``from_part`` and ``part`` of the
+    way from pose ``before`` to pose ``goal``. Returns the longest way of a capsule from ``before`` to ``goal`` [m]."""
+    b = me.b
+    way = ZERO
+    for k in range(me.lane, touch.half.shape[0], me.lanes):
+        x0 = touch.position[b, before, k]
+        q0 = touch.rotation[b, before, k]
+        x1 = touch.position[b, goal, k]
+        q1 = touch.rotation[b, goal, k]
+        if wp.dot(q0, q1) < ZERO:
+            q1 = -q1
+        w.capsules_start.x[b, k] = x0 + from_part * (x1 - x0)
+        w.capsules_start.q[b, k] = wp.normalize(q0 + from_part * (q1 - q0))
+        w.capsules.x[b, k] = x0 + part * (x1 - x0)
+        w.capsules.q[b, k] = wp.normalize(q0 + part * (q1 - q0))
+        turn = real(2.0) * wp.length(q1 - q0)
+        way = wp.max(way, wp.length(x1 - x0) + turn * (touch.half[k] + touch.radius[k]))
+    sync()
+    return lane_max(way)
 
 
 @wp.func
@@ -246,21 +267,16 @@ def advance(
     p = w.progress[b]
     while taken < touch.limits.share and p.ended == 0 and p.next < touch.plan.shape[1]:
         t = p.next
-        goal = frame_target(touch, w, me, t)
-        here = w.guard[b].position
+        here = touch.plan[b, wp.max(t - 1, 0)]
+        goal = touch.plan[b, t]
         base = ONE / wp.ceil(wp.max(place_capsules(touch, w, me, here, goal, ZERO, ONE) / STRIDE, ONE))
-        work = touch.limits.work
-        if touch.limits.guarded == 1 and w.guard[b].failures >= HOPELESS:
-            work = 0
         part = ZERO  # of the frame that is done
         stride = base  # the next one, as a part of the frame
-        used = p.used  # Newton iterations of the frame
+        used = int(0)  # Newton iterations of the frame
         broken = int(0)  # 1 if a stride ended without an equilibrium
         reason = int(Reason.NONE)
         residual = ZERO
         count = int(0)
-        lost = int(0)
-        skipped = int(0)
         while part < WHOLE:
             to = wp.min(part + stride, ONE)
             if to > WHOLE:
@@ -275,12 +291,17 @@ def advance(
             taken = taken + its + 1
             if reason == Reason.NOT_FINITE or (
                 reason != Reason.NONE and stride > real(1.5) * base * SHORTEST
-                and (used < work or reason == Reason.WRONG_SIDE)
+                and (used < touch.limits.work or reason == Reason.WRONG_SIDE)
             ):
                 copy_state(w, me, 0, w.start, w.now)
                 stride = real(0.25) * stride
-                if reason == Reason.NOT_FINITE and (stride < base * SHORTEST or used >= work):
-                    skipped = 1  # the state before this stride is kept
+                if reason == Reason.NOT_FINITE and (stride < base * SHORTEST or used >= touch.limits.work):
+                    # the state before this stride is kept, and the rest of the frame is skipped
+                    place_capsules(touch, w, me, here, goal, part, ONE)
+                    if capsules_cross(tree, touch, w, me) > 0:
+                        p.wrong_side = PASSED
+                    place_capsules(touch, w, me, here, goal, part, to)
+                    part = ONE
             else:
                 part = to
                 stride = wp.min(real(2.0) * stride, base)
@@ -293,45 +314,26 @@ def advance(
                         commit_stride(tree, touch, w, me, p.list, count, weighs, found)
                     if reason != Reason.NONE:
                         broken = 1
-                        if touch.limits.guarded == 1 and work > 0 and used >= 2 * work:
-                            skipped = 1  # the guard restarts from the last equilibrium; the rest is skipped
-                            lost = 1
-            if skipped == 1 and part < WHOLE:
-                place_capsules(touch, w, me, here, goal, part, ONE)
-                if capsules_cross(tree, touch, w, me) > 0:
-                    p.wrong_side = PASSED
-                place_capsules(touch, w, me, here, goal, part, to)
-                part = ONE
         frame, pressed_by, sunk = write_frame(tree, touch, w, out, me, t, p.list, count)
         # After a failed frame a leaf may be inside a link, where it can find an equilibrium pierced by it, or come out
         # on the other side. Such frames are marked until nothing touches any more. What a capsule went through stays on
         # its wrong side, touching or not, to the end of the touch.
-        if sunk > ONE or lost == 1:
+        if sunk > ONE:
             p.wrong_side = wp.max(p.wrong_side, 1)
         elif frame.contacts == 0 and reason == Reason.NONE and p.wrong_side < PASSED:
             p.wrong_side = 0
         if p.wrong_side > 0 and reason == Reason.NONE:
             reason = Reason.WRONG_SIDE
-        kept, restored, stopped = guard_frame(touch, w, me, t, goal, p.list, pressed_by, frame.contacts, reason,
-                                              wp.min(p.wrong_side, 1))
-        if restored == 1:
-            p.wrong_side = 0
-        if stopped == 1 or (pressed_by > touch.limits.force_limit and touch.limits.guarded == 0):
-            p.ended = t + 1  # this frame is not kept
-        p.used = used
-        if kept == 1:
-            frame.residual = residual
-            frame.iterations = used
-            # the guard goes by the end of the frame alone: what it does next needs no path
-            frame.reason = wp.where(reason == Reason.NONE and broken == 1, int(Reason.PATH), reason)
-            frame.where = goal
-            if me.lane == 0:
-                out.frame[b, t] = frame
-            p.total = p.total + used
-            p.used = 0
-            if p.total > touch.limits.patience and p.ended == 0:
-                p.ended = t + 2  # this frame is kept
-        p.next = t + kept
+        elif reason == Reason.NONE and broken == 1:
+            reason = Reason.PATH
+        frame.reason = reason
+        frame.residual = residual
+        frame.iterations = used
+        if me.lane == 0:
+            out.frame[b, t] = frame
+        if pressed_by > touch.limits.force_limit:
+            p.ended = 1
+        p.next = t + 1
     sync()
     if me.lane == 0:
         w.progress[b] = p
