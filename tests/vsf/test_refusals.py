@@ -15,7 +15,7 @@ from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.features.registry import particle_features
-from vsfsim.vsf.fields.line_integrals import DenseTouch, dome
+from vsfsim.vsf.fields.line_integrals import SurfaceTouch, dome
 from vsfsim.vsf.fields.neural import Fitting, fit
 from vsfsim.vsf.meta.calibration import Held, Level, Missed, Width
 from vsfsim.vsf.meta.composition import Composition
@@ -29,7 +29,7 @@ PLACE, NOWHERE, POSE, WEIGHTS = np.zeros((1, 3)), np.full((1, 3), np.nan), np.ey
 BOX = np.array([[0, 0, 0], [0.1, 0.1, 0.1]])
 TETRAHEDRON = np.concatenate([PLACE, np.eye(3)]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 SKIN = np.eye(3)[None], np.array([[0, 1, 2]])
-SILENT = DenseTouch(np.stack([dome(rings=3)[0]] * 2), dome(rings=3)[1], np.zeros((2, *dome(rings=3)[0].shape)))
+SILENT = SurfaceTouch(np.stack([dome(rings=3)[0]] * 2), dome(rings=3)[1], np.zeros((2, *dome(rings=3)[0].shape)))
 
 
 def moved(place=PLACE, poses=POSE, friction=0.5, **more):
@@ -64,7 +64,6 @@ def seen(name, place=None, **view):
     (lambda: particles_from_view(camera_view(), bounds=-BOX), "upper corner"),
     (lambda: particles_from_view(camera_view(), bounds=BOX, spacing=0.0), "spacing"),
     (lambda: particles_from_view(camera_view(), bounds=BOX, spacing=1e-5), "Is the spacing in metres"),
-    (lambda: particles_from_view(camera_view(), bounds=BOX, max_particles=0), "max_particles"),
     (lambda: estimated(z=np.ones(4)), r"\(4,\)"), (lambda: estimated(z=np.array([1, np.nan, 1])), "z has 1 values"),
     (lambda: estimated(np.full((3, 5), np.inf)), "W has 15"), (lambda: estimated(noise_std=0.0), "goes down to 0"),
     (lambda: estimated(noise_std=np.ones(5)), r"noise_std has shape \(5,\)"),

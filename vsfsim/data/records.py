@@ -90,7 +90,6 @@ class Touch:
     link_force: np.ndarray | None = None  # (T, L, 3) [N]
     link_moment: np.ndarray | None = None  # (T, L, 3) [N m]
     draws: int | None = None  # [-]
-    ended: int | None = None  # [-]
     planned_time: np.ndarray | None = None  # (G,) [s]
     planned_pose: np.ndarray | None = None  # (G, 4, 4) [m]
     planned_q: np.ndarray | None = None  # (G, 7) [rad]
