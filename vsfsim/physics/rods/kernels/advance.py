@@ -74,12 +74,12 @@ def capsules_cross(tree: Trees, touch: Touches, w: Work, me: Thread):
 
 
 @wp.func
-def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, weighs: int, found: int):
+def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, load: real, found: int):
     """Ends a stride: stores what friction has stretched, how far wires have yielded in an equilibrium, and which
     segments are strained.
 
     Args:
-        side: list of the contacts. count: of active nodes. weighs: whether the plants have weight. found: whether an
+        side: list of the contacts. count: of active nodes. load: sum of the plant's weights [N]. found: whether an
         equilibrium was found.
     """
     b = me.b
@@ -107,7 +107,7 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
                 w.nodes.heat[b, i] = w.nodes.heat[b, i] + wire[1] * lost * wp.length(e)
     sync()
     kept = int(1)  # 0: the unloaded parts returned to their shape at rest
-    if found == 1 and weighs == 0:
+    if found == 1 and load == ZERO:
         # a part of the tree without contacts is unloaded: it moves rigidly with its joint, to the last bit; a segment
         # that has yielded has another shape at rest, and its bending remains an unknown
         for back in range(me.high):
@@ -166,8 +166,6 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     frame = Frame()
     total = ZERO
     sunk = ZERO
-    slipping = int(0)
-    pressing = int(0)
     root = vec6()
     for c in range(me.lane, w.count[side, b], me.lanes):
         at = w.contacts[side, b, c]
@@ -183,11 +181,8 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
         at.force = vec3()
         at.moment = vec3()
         if at.gap.value < ZERO:
-            pressing = pressing + 1
             if at.friction_limit > ZERO:
                 at = rubbed(tree, w, me, at, w.now)
-                if at.stiffness * wp.length(at.slip) > at.friction_limit:
-                    slipping = slipping + 1
             at.force = at.normal_gradient + at.friction_gradient
             at.moment = (wp.cross(at.point - cx, at.normal_gradient) + wp.cross(at.surface - cx, at.friction_gradient))
             if tree.parent[o + at.node] == 0:
@@ -223,8 +218,6 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     frame.heat = lane_sum(frame.heat)
     frame.penetration = lane_max(frame.penetration)
     frame.contacts = lane_count(frame.contacts)
-    slipping = lane_count(slipping)
-    frame.slipping = real(slipping) / real(wp.max(lane_count(pressing), 1))
     if out.x.shape[1] > 0:
         for i in range(me.lane, me.n, me.lanes):
             out.x[b, t, i] = w.now.x[b, i]
@@ -240,14 +233,12 @@ def advance(
     touch: Touches,
     live: wp.array(dtype=wp.int32),
     lanes: int,
-    weighs: int,
     # state in and out
     w: Work,
     # state out
     out: Results,
 ):
-    """Advances the touches ``live`` with ``lanes`` threads each, until each has used its share of Newton iterations;
-    ``weighs``: whether any plant has weight."""
+    """Advances the touches ``live`` with ``lanes`` threads each, until each has used its share of Newton iterations."""
     thread = wp.tid()
     me = Thread()
     b = live[thread / lanes]
@@ -260,9 +251,8 @@ def advance(
     me.low = tree.levels[plant]
     me.high = tree.levels[plant + 1] - me.low - 1
     load = ZERO
-    if weighs == 1:
-        for i in range(me.n):
-            load = load + wp.length(tree.load[me.o + i])
+    for i in range(me.n):
+        load = load + wp.length(tree.load[me.o + i])
     taken = int(0)
     p = w.progress[b]
     while taken < touch.limits.share and p.ended == 0 and p.next < touch.plan.shape[1]:
@@ -286,7 +276,7 @@ def advance(
             reason = int(Reason.WRONG_SIDE)
             its = int(0)
             if capsules_cross(tree, touch, w, me) == 0:
-                reason, its, residual, count = equilibrate(tree, touch, w, me, p.list, 1 - p.list, weighs, load)
+                reason, its, residual, count = equilibrate(tree, touch, w, me, p.list, 1 - p.list, load)
             used = used + its
             taken = taken + its + 1
             if reason == Reason.NOT_FINITE or (
@@ -311,7 +301,7 @@ def advance(
                     if reason != Reason.PATCH:
                         p.list = 1 - p.list
                         found = wp.where(reason == Reason.NONE, 1, 0)
-                        commit_stride(tree, touch, w, me, p.list, count, weighs, found)
+                        commit_stride(tree, touch, w, me, p.list, count, load, found)
                     if reason != Reason.NONE:
                         broken = 1
         frame, pressed_by, sunk = write_frame(tree, touch, w, out, me, t, p.list, count)

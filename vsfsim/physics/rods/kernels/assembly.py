@@ -36,7 +36,6 @@ from vsfsim.physics.rods.kernels.segment import (
     ZERO,
     gradient,
     hessian,
-    mat33,
     mat66,
     moment,
     moment_tangent,
@@ -114,6 +113,11 @@ def contact_energy(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, 
 
 
 @wp.func
+def slips(at: Contact):
+    return at.friction_limit > ZERO and at.stiffness * wp.length(at.slip) > at.friction_limit
+
+
+@wp.func
 def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric: real):
     """The gradient at each node, and the second derivative of each segment's elastic energy. Returns the number of
     slipping points."""
@@ -137,7 +141,7 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
             if at.gap.value < ZERO:
                 up = up + end_force(at, at.parent)
                 on = on + end_force(at, at.child)
-                if at.friction_limit > ZERO and at.stiffness * wp.length(at.slip) > at.friction_limit:
+                if slips(at):
                     slipping = slipping + 1
         w.system.gradient[b, i] = on
         w.system.gradient_parent[b, i] = up
@@ -156,23 +160,10 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
 
 
 @wp.func
-def contact_hessians(touch: Touches, w: Work, me: Thread, side: int, geometric: real, coulomb: int):
-    """Second derivatives of the contacts that press. With ``coulomb`` the friction limit follows the normal force."""
-    b = me.b
-    for c in range(me.lane, w.count[side, b], me.lanes):
-        at = w.contacts[side, b, c]
-        if at.gap.value < ZERO:
-            n = at.gap.normal
-            at.normal_hessian = normal_hessian(at.gap, at.stiffness, geometric)
-            at.coulomb_hessian = mat33()
-            if at.friction_limit > ZERO:
-                size = wp.length(at.slip)
-                at.friction_hessian = friction_hessian(at.slip, n, at.stiffness, at.friction_limit)
-                if coulomb == 1 and at.stiffness * size > at.friction_limit:
-                    bend = touch.friction[b] * normal_stiffness(-at.gap.value, at.stiffness) / size
-                    at.coulomb_hessian = -bend * wp.outer(at.slip, n)
-            w.contacts[side, b, c] = at
-    sync()
+def coulomb_hessian(at: Contact, mu: real):
+    """Derivative of the friction force of a slipping point by its position, through its limit [N/m]."""
+    bend = mu * normal_stiffness(-at.gap.value, at.stiffness) / wp.length(at.slip)
+    return -bend * wp.outer(at.slip, at.gap.normal)
 
 
 @wp.func
@@ -183,8 +174,10 @@ def end_of(at: Contact, parent: bool):
 
 
 @wp.func
-def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric: real, coulomb: int):
-    """The matrix of the step, from the elastic energy and the contacts that press."""
+def assemble_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side: int, geometric: real,
+                  coulomb: int):
+    """The matrix of the step, from the elastic energy and the contacts that press. With ``coulomb`` the friction limit
+    follows the normal force."""
     b = me.b
     o = me.o
     # one item for each of the four blocks of a segment: there are few segments with contacts and many lanes
@@ -208,11 +201,12 @@ def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geome
                 row = end_of(at, block == PARENT or block == PARENT_CHILD)
                 column = end_of(at, block == PARENT or block == CHILD_PARENT)
                 share = row.share * column.share
-                own = plus_point(own, at.normal_hessian, row.arm, column.arm, share)
+                own = plus_point(own, normal_hessian(at.gap, at.stiffness, geometric), row.arm, column.arm, share)
                 if at.friction_limit > ZERO:
-                    own = plus_point(own, at.friction_hessian, row.surface, column.surface, share)
-                    if coulomb == 1:
-                        own = plus_point(own, at.coulomb_hessian, row.surface, column.arm, share)
+                    rub = friction_hessian(at.slip, at.gap.normal, at.stiffness, at.friction_limit)
+                    own = plus_point(own, rub, row.surface, column.surface, share)
+                    if coulomb == 1 and slips(at):
+                        own = plus_point(own, coulomb_hessian(at, touch.friction[b]), row.surface, column.arm, share)
                 if geometric > ZERO and (block == CHILD or block == PARENT):
                     own = plus_spin(own, turn_hessian(at.normal_gradient, row.arm), row.share)
                     own = plus_spin(own, turn_hessian(at.friction_gradient, row.surface), row.share)

@@ -163,16 +163,16 @@ def list_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, margin: real
 
 
 @wp.func
-def activate_nodes(tree: Trees, w: Work, me: Thread, weighs: int):
+def activate_nodes(tree: Trees, w: Work, me: Thread, load: real):
     """Marks and lists the active nodes: those between the root and a segment that is close to a capsule, strained or
-    heavy. Returns their number and the number of their levels."""
+    heavy (``load``, the sum of the plant's weights [N]). Returns their number and the number of their levels."""
     b = me.b
     o = me.o
     for back in range(1, me.high + 1):
         d = me.high - back
         for r in range(tree.level[me.low + d] + me.lane, tree.level[me.low + d + 1], me.lanes):
             i = tree.rank[r]
-            on = wp.max(w.nodes.strained[b, i], weighs)
+            on = wp.where(load > ZERO, 1, w.nodes.strained[b, i])
             clear = real(1.0)
             if i == 0:
                 on = 1

@@ -6,7 +6,6 @@ from vsfsim.physics.rods.kernels.assembly import (
     assemble,
     assemble_step,
     contact_energy,
-    contact_hessians,
     unbalanced_force,
     update_contacts,
 )
@@ -118,7 +117,7 @@ def step_extent(w: Work, me: Thread, count: int):
 
 
 @wp.func
-def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha: real, weighs: int):
+def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha: real, load: real):
     """The trial state at ``alpha`` times the step. Returns this lane's share of its elastic energy and of what yields,
     less the work of the loads [J].
 
@@ -150,7 +149,7 @@ def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha
             i = w.nodes.order[b, a]
             w.trial.x[b, i] = w.trial.x[b, i] + w.trial.x[b, tree.parent[o + i]]
         sync()
-    if weighs == 1:
+    if load > ZERO:
         for a in range(1 + me.lane, count, me.lanes):
             i = w.nodes.order[b, a]
             out = out - wp.dot(tree.load[o + i], w.trial.x[b, i] - tree.rest[o + i])
@@ -164,15 +163,14 @@ def trial_crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int)
 
 
 @wp.func
-def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new: int, weighs: int, load: real):
+def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new: int, load: real):
     """From the present state to the equilibrium with the capsules at their present poses.
 
     Each large function is called in one place only, and a failed step is repeated by another turn of the loop: CUDA's
     compiler inlines a function at every call.
 
     Args:
-        old, new: contact lists of the last stride and of this one. weighs: whether the plants have weight. load: sum of
-        the weights [N].
+        old, new: contact lists of the last stride and of this one. load: sum of the plant's weights [N].
 
     Returns:
         `frames.Reason`, Newton iterations, residual [-], number of active nodes.
@@ -211,7 +209,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if listed < 0:
                 reason = Reason.PATCH
                 break
-            count, levels = activate_nodes(tree, w, me, weighs)
+            count, levels = activate_nodes(tree, w, me, load)
             moved = ZERO
             if count == 1:
                 reason = Reason.NONE
@@ -261,8 +259,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             elif plain == 0 and (slips > 0 or (small > 0 and residual < TRUSTED)):
                 coulomb = 1
                 bend = NO_BEND_LIMIT
-            contact_hessians(touch, w, me, new, geometric, coulomb)
-            assemble_step(tree, w, me, count, new, geometric, coulomb)
+            assemble_step(tree, touch, w, me, count, new, geometric, coulomb)
             fine = solve(tree, w, me, levels, coulomb)
             if fine == 1:
                 if span_rates(tree, w, me, count) > bend:
@@ -313,7 +310,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                 reach = part
             elif trial == 0:
                 reach = ZERO
-            there = trial_state(tree, w, me, count, levels, reach, weighs)
+            there = trial_state(tree, w, me, count, levels, reach, load)
             if leap == 1:
                 through = trial_crossing(tree, touch, w, me, count)
                 break
