@@ -78,7 +78,7 @@ def write_object(place, rng, *, bubble, touches=4, frames=9, tare=5):
             np.save(seq / "angles.npy", q)
             force = np.zeros((frames, len(arm.capsules), 3))
             force[tare:, -1] = np.linspace(0.0, 4.0, frames - tare)[:, None] * [0.2, 0.1, 1.0]
-            felt = body_torque(arm, q, force, moment=np.zeros_like(force))
+            felt = body_torque(arm, arm.postures(q), force, moment=np.zeros_like(force))
             np.save(seq / "torques.npy", felt - arm.gravity_torque(q) + rng.standard_normal(7))
         else:
             np.save(seq / "kinova_state.npy", q)

@@ -27,7 +27,7 @@ def test_torques_are_those_of_mujocos_inverse_dynamics(arm, case):
     """The acceleration that forces on the bodies bring is put into mj_inverse: it asks for J^T f at the joints,
     friction aside."""
     q, force, moment = case
-    got, poses = body_torque(arm, q, force, moment=moment), arm.body_poses(q)
+    got, poses = body_torque(arm, arm.postures(q), force, moment=moment), arm.body_poses(q)
     data = mujoco.MjData(arm.model)
     for t in range(len(q)):
         data.qpos[:], data.qvel[:], data.xfrc_applied[:] = q[t], 0.0, 0.0

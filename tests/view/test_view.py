@@ -212,10 +212,3 @@ def test_a_result_without_its_dataset_shows_maps_and_one_without_either_says_wha
     monkeypatch.setattr(scored, "_maps", lambda result: {})
     with pytest.raises(TaskError, match="there is nothing to show"):
         scored.of_result(path, 12)
-
-
-def test_a_recording_holds_what_the_page_holds(folder, tmp_path):
-    pytest.importorskip("rerun")
-    view(str(folder), tmp_path / "toy.rrd")
-    assert (tmp_path / "toy.rrd").read_bytes()[:4] == b"RRF2" and (tmp_path / "toy.rrd").stat().st_size > 10_000
-    assert not list(tmp_path.glob(".*"))

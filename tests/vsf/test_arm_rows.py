@@ -36,5 +36,5 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     held = np.zeros(400, bool)
     held[list(set().union(*seen))] = True
     assert (reached(particles, chain, np.zeros((0, 4, 4)), q=q) | ~held).all()
-    assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)),
+    assert np.abs(body_torque(arm, arm.postures(q), np.zeros((7, len(arm.shapes), 3)),
                               moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0

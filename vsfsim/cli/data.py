@@ -9,7 +9,7 @@ import typer
 
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.lab import lab
-from vsfsim.cli.options import PAGES, AtLeastOne, Device, JsonFile, Seed, Shown, check_choice, command
+from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Seed, Shown, check_choice, command
 from vsfsim.core.errors import TaskError
 
 if TYPE_CHECKING:
@@ -32,8 +32,7 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
 
     Args:
         what (DATASET|SCENE|RESULT): Folder of a dataset, a scene, or a result file (.json).
-        out: File to write: a picture (.png), a page (.html), or a recording for the Rerun viewer (.rrd), which needs
-            the extra 'rerun'; default: NAME.png here, and for a result no file.
+        out: File to write: a picture (.png) or a page (.html); default: NAME.png here, and for a result no file.
         objects: Object views of a dataset or result on a page, at most.
         shot: Number of touches at which a result's errors are sorted; default: the one that ranks.
         seed: Of a scene's object.
@@ -45,7 +44,7 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
         report(*inspect_result(Path(what), shot=shot), json)
         return
     with Progress("show") as progress:
-        if out is not None and out.suffix in PAGES:
+        if out is not None and out.suffix == ".html":
             from vsfsim.view.command import view
 
             lines, numbers = view(what, out, objects=objects, seed=seed, progress=progress)

@@ -23,8 +23,6 @@ from vsfsim.core.scene_tables.request import Request
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pdf", ".svg", "")
 """Endings of a picture to write; without one it is a PNG."""
-PAGES = (".html", ".rrd")
-"""Endings of a page for a browser, and of a recording for Rerun."""
 LONGEST_NAME = 200
 """Bytes of a name of a result: what is kept beside it has a longer one, and file systems allow 255."""
 
@@ -112,7 +110,7 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callbac
 Picture = Annotated[Path | None, typer.Option(metavar="PNG", callback=_writable(*PICTURES))]
 ArchiveFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".npz"))]
 GifFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".gif"))]
-Shown = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(*PICTURES, *PAGES))]
+Shown = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(*PICTURES, ".html"))]
 Folders = Annotated[list[Path] | None, typer.Option(metavar="DIR")]
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim list methods`), or module:attribute.")]

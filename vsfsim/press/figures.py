@@ -9,6 +9,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from PIL import Image
@@ -16,14 +17,15 @@ from PIL import Image
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.interactive import new_figure
 from vsfsim.data.disk import write_atomic, write_figure
-from vsfsim.generate.press_result import BodyPanel, Colours, MapPanel, Panel, PressResult
+from vsfsim.generate.press_result import BodyPanel, Colours, MapPanel, PressResult
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import flat_coloured, with_rigid
 
 DPI = 100
 _GIF_DPI = 60
-_HEAD, _FOOT = 0.4, 0.3  # of a picture, for title and caption [inch]
+_WORDS = 0.7  # height of title and caption [inch]
 _BAR = 0.9  # width of a colour bar with its label [inch]
+_MAP = 1.45  # width of a map with its axes over its height
 _DOT = 30.0  # area of the largest dot [square points]
 _GREY = 0.82  # of a surface without contact
 _SHADING = 0.55  # of a body that is coloured by values, so that a colour can be found again on the bar
@@ -97,45 +99,30 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *,
     t = result.deepest if frame is None else frame
     shown = result.panels(t)
     tall = max(panel.size[1] for panel in shown if isinstance(panel, BodyPanel)) / DPI
-    widths = [_width(panel, tall) for panel in shown]
-    height = tall + _HEAD + _FOOT
-    figure = new_figure(figsize=(sum(widths), height), dpi=DPI, facecolor="white")
-    left = 0.0
-    for panel, width in zip(shown, widths, strict=True):
-        bar = _BAR if isinstance(panel, BodyPanel) and _has_bar(panel) else 0.0
-        place = (left / sum(widths), _FOOT / height, (width - bar) / sum(widths), tall / height)
+    bars = [panel.colours if isinstance(panel, BodyPanel) and panel.colours is not None and panel.colours.label
+            else None for panel in shown]
+    widths = [tall * (_MAP if isinstance(panel, MapPanel) else panel.size[0] / panel.size[1]
+                      if isinstance(panel, BodyPanel) else panel.shape[1] / panel.shape[0]) + _BAR * (bar is not None)
+              for panel, bar in zip(shown, bars, strict=True)]
+    figure = new_figure(figsize=(sum(widths), tall + _WORDS), dpi=DPI, facecolor="white", layout="constrained")
+    places = figure.subplots(1, len(shown), squeeze=False, width_ratios=widths)[0]
+    for panel, bar, axes in zip(shown, bars, places, strict=True):
         if isinstance(panel, MapPanel):
-            _map(figure, panel, place)
-        else:
-            axes = figure.add_axes(place)
-            axes.imshow(rendered(panel, device) if isinstance(panel, BodyPanel) else panel)
-            axes.set_axis_off()
-        if isinstance(panel, BodyPanel) and panel.colours is not None and bar:
-            axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
-            figure.colorbar(_scale(panel.colours), cax=axes).set_label(panel.colours.label, fontsize=9)
-        left += width
+            _map(axes, panel)
+            continue
+        axes.imshow(rendered(panel, device) if isinstance(panel, BodyPanel) else panel)
+        axes.set_axis_off()
+        if bar is not None:
+            figure.colorbar(_scale(bar), ax=axes, shrink=0.5).set_label(bar.label, fontsize=9)
     mark = f"   {result.marks()[t]}".rstrip()
     head = result.headline if frame is None else (f"depth {1e3 * result.depth[t]:.2f} mm, normal "
                                                   f"force {result.normal_force[t]:.3g} N")
-    figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {head}{mark}", va="center", fontsize=12)
+    figure.suptitle(f"{title}: {head}{mark}", x=0.01, ha="left", fontsize=12)
     caption = f"{result.model}; {result.caption}" if result.caption else result.model
-    figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")
+    figure.supxlabel(caption, x=0.01, ha="left", fontsize=9, color="0.35")
     if path is not None:
         write_figure(figure, path)
     return figure
-
-
-def _width(panel: Panel, tall: float) -> float:
-    """Of a panel ``tall`` inches high [inch]."""
-    if isinstance(panel, MapPanel):
-        return 1.45 * tall
-    if isinstance(panel, BodyPanel):
-        return panel.size[0] / panel.size[1] * tall + (_BAR if _has_bar(panel) else 0.0)
-    return panel.shape[1] / panel.shape[0] * tall
-
-
-def _has_bar(panel: BodyPanel) -> bool:
-    return panel.colours is not None and bool(panel.colours.label)
 
 
 def _scale(colours: Colours) -> Any:
@@ -158,9 +145,7 @@ def rendered(panel: BodyPanel, device: str) -> np.ndarray:
                   shading=shading, background=(255, 255, 255)).rgb
 
 
-def _map(figure: Figure, panel: MapPanel, place: tuple[float, float, float, float]) -> None:
-    left, bottom, width, height = place
-    axes = figure.add_axes((left + 0.1 * width, bottom + 0.11 * height, 0.75 * width, 0.85 * height))
+def _map(axes: Axes, panel: MapPanel) -> None:
     scale = _scale(panel.colours)
     x, y = panel.points.T
     drawn = axes.tripcolor(Triangulation(x, y, panel.triangles), panel.values, shading="gouraud",
@@ -172,5 +157,5 @@ def _map(figure: Figure, panel: MapPanel, place: tuple[float, float, float, floa
     axes.set_xlabel(panel.labels[0])
     axes.set_ylabel(panel.labels[1])
     low, high = scale.norm.vmin, scale.norm.vmax
-    figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.02, ticks=[low, 0.5 * low, 0.0, 0.5 * high, high],
+    axes.figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.02, ticks=[low, 0.5 * low, 0.0, 0.5 * high, high],
                     format=lambda value, _: f"{value:.2g}").set_label(panel.colours.label)

@@ -20,7 +20,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vsfsim.core.chain import Chain, ChainCapsule, capsule_pose
-from vsfsim.core.errors import VsfsimError, did_you_mean
 from vsfsim.core.shape import Capsule
 from vsfsim.core.system.exact import product
 from vsfsim.robot import gen3
@@ -28,12 +27,7 @@ from vsfsim.robot import gen3
 if TYPE_CHECKING:
     import mujoco
 
-TOOLS = ("flange", "punyo")
 _EYE = np.eye(4)
-
-
-class ArmError(VsfsimError):
-    """A request that the arm cannot fulfil."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +49,8 @@ class Arm:
 
     Args:
         punyo: whether it carries a Punyo.
-        tool: what `Postures.tool` follows, one of `TOOLS`; by default the Punyo, without one the flange.
+        tool: what `Postures.tool` follows, "punyo" or "flange"; by default the Punyo, without one the flange.
         base: pose of the base in the world (4, 4) [m], by default the origin.
-
-    Raises:
-        ArmError: the tool is unknown, or "punyo" without one; or the base is not a pose.
     """
 
     punyo: bool
@@ -99,15 +90,10 @@ class Arm:
         import mujoco
 
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
-        if self.tool not in TOOLS:
-            raise ArmError(f"unknown tool '{self.tool}'. {did_you_mean(self.tool, TOOLS)}")
-        if self.tool == "punyo" and not punyo:
-            raise ArmError("the tool is 'punyo', but the arm carries none; make it with punyo=True, or use the "
-                           "tool 'flange'.")
         spec = arm_model()
         if punyo:
             add_punyo(spec)
-        self.base = np.eye(4) if base is None else checked_poses(np.asarray(base)[None], "base of the arm")[0]
+        self.base = np.eye(4) if base is None else np.asarray(base, float)
         root = spec.body(gen3.LINKS[0].name)
         root.pos, root.quat = self.base[:3, 3], quaternion(self.base[:3, :3])
         self._mujoco, self.model = mujoco, spec.compile()
@@ -132,12 +118,7 @@ class Arm:
         self.reach = float(np.linalg.norm(np.diff(chain, axis=0), axis=1).sum())
 
     def postures(self, q: np.ndarray) -> Postures:
-        """Forward kinematics of joint angles ``q`` (T, 7) [rad].
-
-        Raises:
-            ArmError: another shape, or angles that are not finite.
-        """
-        q = self.check(q)
+        """Forward kinematics of joint angles ``q`` (T, 7) [rad]."""
         links, tool = (np.tile(np.eye(4), (len(q), *n, 1, 1)) for n in ((len(self.links),), ()))
         anchors, axes = np.empty((len(q), gen3.JOINTS, 3)), np.empty((len(q), gen3.JOINTS, 3))
         data = self._data
@@ -171,7 +152,6 @@ class Arm:
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
         """Torques (T, 7) [N m] that the motors need to hold the arm against its weight at ``q`` (T, 7) [rad]."""
-        q = self.check(q)
         out = np.empty((len(q), gen3.JOINTS))
         self._data.qvel[:] = 0.0
         for t, angles in enumerate(q):
@@ -182,50 +162,21 @@ class Arm:
             self._mujoco.mj_rne(self.model, self._data, 0, out[t])
         return out
 
-    def check(self, q: np.ndarray) -> np.ndarray:
-        """``q`` as an array (T, 7) of finite angles [rad].
 
-        Raises:
-            ArmError: it is not one.
-        """
-        q = np.asarray(q, float)
-        if q.ndim != 2 or q.shape[1] != gen3.JOINTS:
-            raise ArmError(f"joint angles have the shape {q.shape}; give (frames, {gen3.JOINTS}) in radians.")
-        if not np.isfinite(q).all():
-            raise ArmError(f"joint angles of frame {int(np.argmin(np.isfinite(q).all(axis=1)))} are not finite.")
-        return q
-
-
-def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, moment: np.ndarray) -> np.ndarray:
+def body_torque(arm: Arm, at: Postures, force: np.ndarray, *, moment: np.ndarray) -> np.ndarray:
     """Joint torques (T, 7) [N m] of the forces and moments on the arm's K capsules.
 
     Args:
-        at: postures, or joint angles (T, 7) [rad].
+        at: postures.
         force: on each capsule (T, K, 3) [N], in the world.
         moment: on each capsule about its centre (T, K, 3) [N m].
-
-    Raises:
-        ArmError: a shape does not fit.
     """
-    at = at if isinstance(at, Postures) else arm.postures(at)
-    shape = (len(at.tool), len(arm.shapes), 3)
-    force, moment = _fits("force", force, shape), _fits("moment", moment, shape)
     # a . (m + p x f) - (a x o) . f needs no array (T, K, 7, 3)
     about_base = moment + np.cross(arm.capsule_poses(at)[..., :3, 3], force)
     turn = (np.einsum("tnc,tjc->tnj", about_base, at.axes)
             - np.einsum("tnc,tjc->tnj", force, np.cross(at.axes, at.anchors)))
     # joint j carries the links from j + 1 on, the Punyo included
     return np.where(np.arange(gen3.JOINTS) < arm.capsule_links[:, None], turn, 0.0).sum(axis=1)
-
-
-def _fits(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    value = np.asarray(value, float)
-    if value.shape != shape:
-        raise ArmError(f"{name} has the shape {value.shape}; it must be {shape}.")
-    if not np.isfinite(value).all():
-        frame = np.argwhere(~np.isfinite(value))[0][0]
-        raise ArmError(f"{name} of frame {frame} is not finite; leave out frames that did not converge.")
-    return value
 
 
 def chain_of(arm: Arm) -> Chain:
@@ -239,23 +190,6 @@ def chain_of(arm: Arm) -> Chain:
                      for link, c in zip(arm.capsule_links, arm.capsules, strict=True))
     return Chain(tuple(tuple(map(float, row)) for row in base[:3]),  # type: ignore[arg-type]
                  tuple(positions), tuple(quaternions), joints, capsules)  # type: ignore[arg-type]
-
-
-def checked_poses(poses: np.ndarray, what: str) -> np.ndarray:
-    """Poses as an array (T, 4, 4) [m], at least one.
-
-    Raises:
-        ArmError: they are none; ``what`` names them.
-    """
-    poses = np.ascontiguousarray(poses, float)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
-        raise ArmError(f"{what}: the shape is {poses.shape}; give (frames, 4, 4) in metres.")
-    turn = poses[:, :3, :3]
-    if (not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6
-        or (np.linalg.det(turn) < 0).any()):
-        raise ArmError(f"{what}: a matrix that is not a rotation (its columns must be orthogonal unit vectors, "
-                       f"right-handed), or a number that is not finite.")
-    return poses
 
 
 def arm_model() -> mujoco.MjSpec:

@@ -1,4 +1,4 @@
-"""Joint angles that lead the tool along a path of poses, or the reason why there are none."""
+"""Joint angles that lead the tool along a straight line, or the reason why there are none."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from enum import Enum
 
 import numpy as np
 
-from vsfsim.core.rotation import rotation_matrix, rotation_vector
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.exact import snapped
 from vsfsim.robot import gen3
-from vsfsim.robot.arm import Arm, ArmError, Postures, checked_poses
+from vsfsim.robot.arm import Arm, Postures
 from vsfsim.robot.inverse_kinematics import solve
 from vsfsim.robot.path import poses_of
 
-STRIDE, TURN = 0.005, 0.05  # longest step of the tool from one solution to the next [m], [rad]
+STRIDE = 0.005  # longest step of the tool from one solution to the next [m]
 # A joint that moves further in one such step passes a singular posture [rad]; at 1 cm/s that is 0.5 rad/s, more than
 # half of what the arm can do.
 JUMP = 0.25
 ALLOWED_NEIGHBOURS = 1  # neighbouring links share a housing, so their capsules overlap by construction
-LINE_POSITION, LINE_ANGLE = 1e-5, 1e-4  # tolerance of every pose of the path [m], [rad]
+CLEARANCE = 0.005  # least gap between links that are not neighbours, and above the table [m]
 
 
 class Reason(Enum):
@@ -33,105 +33,75 @@ class Reason(Enum):
     SINGULAR = "the arm would pass a singular posture"
 
 
-class Unreachable(ArmError):
+class Unreachable(VsfsimError):
     """A touch that the arm cannot make."""
 
     reason: Reason
     """Why, for the attempt that came furthest."""
-    progress: float
-    """How far that attempt came, as a fraction of the path."""
 
-    def __init__(self, message: str, reason: Reason, progress: float):
+    def __init__(self, message: str, reason: Reason):
         super().__init__(message)
-        self.reason, self.progress = reason, progress
+        self.reason = reason
 
 
 def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.ndarray, *, frames: int,
-                   **limits: object) -> np.ndarray:
+                   table: float | None = 0.0, restarts: int = 12, seed: int = 0) -> np.ndarray:
     """Joint angles (frames, 7) [rad] that take the tool from ``start`` to ``stop`` (3,) [m], both included, with the
-    orientation ``rotation`` (3, 3).
+    orientation ``rotation`` (3, 3), in the world.
 
-    The keywords ``limits`` and the errors are those of `follow`.
-    """
-    if frames < 2:
-        raise ArmError(f"frames is {frames}; a line needs its two ends, so at least 2.")
-    start, stop = np.asarray(start, float), np.asarray(stop, float)
-    poses = poses_of(start + np.linspace(0.0, 1.0, frames)[:, None] * (stop - start), rotation)
-    return follow(arm, poses, **limits)  # type: ignore[arg-type]
-
-
-def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0,
-           self_clearance: float = 0.005, table_clearance: float = 0.005, restarts: int = 12,
-           seed: int = 0, jump: float = JUMP) -> np.ndarray:
-    """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the
-    other.
-
-    Every pose is met to 1e-5 m and 1e-4 rad. Between two poses the tool moves in steps of 5 mm and 0.05 rad at most, so
-    that the joints do not jump and collisions between the poses are found. Equal poses get equal angles.
+    Every pose is met to the tolerances of `inverse_kinematics.solve`. Between two frames the tool moves in steps of
+    5 mm at most, so that the joints do not jump and collisions between the frames are found.
 
     Args:
-        near: joint angles (7,) [rad] at which the search begins.
+        frames: of the line, 2 at least.
         table: height of the table in the world [m], None for no table. Base and shoulder may touch it.
-        self_clearance, table_clearance: least gap between links that are not neighbours, and above the table [m].
         restarts: number of random postures at which the search begins again, besides a few that face the target.
         seed: of these postures.
-        jump: largest rotation of a joint in one step [rad].
 
     Raises:
-        Unreachable: no posture leads along the whole path.
-        ArmError: the array does not hold poses.
+        Unreachable: no posture leads along the whole line.
     """
-    poses = checked_poses(poses, "poses of the path")
-    dense, number = _refined(poses)
-    best: tuple[float, Reason, str] | None = None
-    for q0 in _beginnings(arm, poses[0], near, restarts, seed):
-        found, reason, detail = _track(arm, dense, q0, table, self_clearance, table_clearance, jump)
+    start, stop = np.asarray(start, float), np.asarray(stop, float)
+    dense, number = _refined(start + np.linspace(0.0, 1.0, frames)[:, None] * (stop - start))
+    poses = poses_of(dense, rotation)
+    furthest, why = -1, (Reason.POSE, "")
+    for q0 in _beginnings(arm, start, restarts, seed):
+        found, reason, detail = _track(arm, poses, q0, table)
         if reason is None:
-            q = found[number]
-            _verify(arm, q, poses)
-            return q
-        progress = len(found) / len(dense)
-        if best is None or progress > best[0]:
-            best = progress, reason, detail
-    assert best is not None
-    progress, reason, detail = best
+            return found[number]
+        if len(found) > furthest:
+            furthest, why = len(found), (reason, detail)
     shoulder = arm.postures(np.zeros((1, gen3.JOINTS))).anchors[0, 1]
-    away = float(np.linalg.norm(dense[round(progress * len(dense)) if progress < 1 else -1, :3, 3] - shoulder))
-    if away > arm.reach:
-        reason, detail = Reason.TOO_FAR, f"{away:.3f} m from joint 2, and the arm reaches {arm.reach:.3f} m"
-    x, y, z = poses[0, :3, 3]
+    away = float(np.linalg.norm(dense[furthest] - shoulder))
+    reason, detail = why if away <= arm.reach else (
+        Reason.TOO_FAR, f"{away:.3f} m from joint 2, and the arm reaches {arm.reach:.3f} m")
+    x, y, z = start
     raise Unreachable(f"the touch from [{x:.4f}, {y:.4f}, {z:.4f}] m cannot be made: {reason.value}, "
-                      f"{100 * progress:.0f} % along its path ({detail}). "
-                      "Choose another start, target or orientation, or move the object.", reason, progress)
+                      f"{100 * furthest / len(dense):.0f} % along its path ({detail}). "
+                      "Choose another start, target or orientation, or move the object.", reason)
 
 
-def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, self_clearance: float,
-           table_clearance: float, jump: float) -> tuple[np.ndarray, Reason | None, str]:
+def _track(arm: Arm, poses: np.ndarray, q0: np.ndarray,
+           table: float | None) -> tuple[np.ndarray, Reason | None, str]:
     """The joint angles (n, 7) up to the end of the path or the first obstacle, and what that is."""
     out: list[np.ndarray] = []
-    solved: dict[bytes, np.ndarray] = {}
     reason, detail = None, ""
-    for pose in dense:
-        known = solved.get(pose.tobytes())
-        if known is None:
-            s = solve(arm, pose, _guess(arm, out, q0))
-            if not s.found:
-                reason = Reason.LIMITS if s.at_limit else Reason.POSE
-                detail = f"the tool stays {s.position:.2g} m and {s.angle:.2g} rad away"
-                break
-            known = snapped(s.q)  # the last bits of a solution are the CPU's
-            if out and np.abs(known - out[-1]).max() > jump:
-                reason, detail = (Reason.SINGULAR,
-                                  f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by "
-                                  f"{np.abs(known - out[-1]).max():.2g} rad")
-                break
-            solved[pose.tobytes()] = known
-        out.append(known)
+    for pose in poses:
+        s = solve(arm, pose, _guess(arm, out, q0))
+        if not s.found:
+            reason = Reason.LIMITS if s.at_limit else Reason.POSE
+            detail = f"the tool stays {s.position:.2g} m and {s.angle:.2g} rad away"
+            break
+        q = snapped(s.q)  # the last bits of a solution are the CPU's
+        if out and (turn := np.abs(q - out[-1])).max() > JUMP:
+            reason, detail = Reason.SINGULAR, f"joint {int(turn.argmax()) + 1} would jump by {turn.max():.2g} rad"
+            break
+        out.append(q)
     if not out:
         return np.empty((0, gen3.JOINTS)), reason, detail
-    q = np.stack(out)
-    blocked = _blocked(arm, q, table, self_clearance, table_clearance)
-    return (q[:blocked[0]], *blocked[1:]) if blocked else (q, reason, detail)
+    line = np.stack(out)
+    blocked = _blocked(arm, line, table)
+    return (line[:blocked[0]], *blocked[1:]) if blocked else (line, reason, detail)
 
 
 def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
@@ -145,40 +115,35 @@ def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
     return ahead
 
 
-def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float,
-             table_clearance: float) -> tuple[int, Reason, str] | None:
+def _blocked(arm: Arm, q: np.ndarray, table: float | None) -> tuple[int, Reason, str] | None:
     """The first of the postures ``q`` (T, 7) in which the arm is too close to itself or to the table."""
     at, hits = arm.postures(q), []
     gaps, pairs = self_gaps(arm, at)
-    if (gaps < self_clearance).any():
-        frame = int((gaps < self_clearance).any(axis=1).argmax())
+    if (gaps < CLEARANCE).any():
+        frame = int((gaps < CLEARANCE).any(axis=1).argmax())
         i, j = (arm.capsules[k].link for k in pairs[gaps[frame].argmin()])
         hits.append((frame, Reason.SELF_COLLISION,
-                     f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {self_clearance:g} is wanted"))
+                     f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {CLEARANCE:g} is wanted"))
     if table is not None:
         gaps, moving = table_gaps(arm, at, table)
-        if (gaps < table_clearance).any():
-            frame = int((gaps < table_clearance).any(axis=1).argmax())
+        if (gaps < CLEARANCE).any():
+            frame = int((gaps < CLEARANCE).any(axis=1).argmax())
             link = arm.capsules[moving[gaps[frame].argmin()]].link
             hits.append((frame, Reason.TABLE,
-                         f"{link} is {gaps[frame].min():.3g} m above it, at least {table_clearance:g} is wanted"))
+                         f"{link} is {gaps[frame].min():.3g} m above it, at least {CLEARANCE:g} is wanted"))
     return min(hits, key=lambda h: h[0]) if hits else None
 
 
-def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts: int,
-                seed: int) -> Iterator[np.ndarray]:
-    """Joint angles at which the search begins: the given ones, the home posture turned towards the target, random
-    ones."""
-    if near is not None:
-        yield arm.check(np.asarray(near, float)[None])[0]
+def _beginnings(arm: Arm, target: np.ndarray, restarts: int, seed: int) -> Iterator[np.ndarray]:
+    """Joint angles at which the search begins: the home posture turned towards the target (3,) [m], random ones."""
     home = np.array(gen3.HOME)
     # joint 1 turns about -z of the base, see the table
-    x, y, _ = arm.base[:3, :3].T @ (target[:3, 3] - arm.base[:3, 3])
+    x, y, _ = arm.base[:3, :3].T @ (target - arm.base[:3, 3])
     home[0] = -np.arctan2(y, x)
     yield home
-    for flip in ((1, -1), (3, -1), (5, -1)):  # the elbow or the wrist the other way
+    for flip in (1, 3, 5):  # the elbow or the wrist the other way
         other = home.copy()
-        other[flip[0]] *= flip[1]
+        other[flip] *= -1
         yield other
     rng = np.random.default_rng(seed)
     low, high = np.where(np.isfinite(arm.lower), arm.lower, -np.pi), np.where(np.isfinite(arm.upper), arm.upper, np.pi)
@@ -186,30 +151,17 @@ def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts:
         yield rng.uniform(low, high)
 
 
-def _refined(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The path with steps of STRIDE and TURN at most (N, 4, 4) [m], and the place of each of ``poses`` in it (T,)."""
-    before, after = poses[:-1], poses[1:]
-    vector = rotation_vector(before[:, :3, :3].swapaxes(1, 2) @ after[:, :3, :3])
-    way = after[:, :3, 3] - before[:, :3, 3]
-    length = np.maximum(np.linalg.norm(way, axis=1) / STRIDE, np.linalg.norm(vector, axis=1) / TURN)
-    steps = np.maximum(1, np.ceil(length - 1e-9)).astype(int)
+def _refined(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (T, 3) [m] with others between them, `STRIDE` apart at most (N, 3), and the place of each of the given
+    ones among all (T,)."""
+    way = np.diff(line, axis=0)
+    steps = np.maximum(1, np.ceil(np.linalg.norm(way, axis=1) / STRIDE - 1e-9)).astype(int)
     number = np.concatenate([[0], np.cumsum(steps)])
-    pair = np.repeat(np.arange(len(steps)), steps)  # of each step the pair of poses that it lies between
+    pair = np.repeat(np.arange(len(steps)), steps)  # of each step the pair of positions that it lies between
     share = ((np.arange(len(pair)) - number[pair] + 1) / steps[pair])[:, None]
-    out = np.tile(np.eye(4), (len(pair) + 1, 1, 1))
-    out[1:, :3, 3] = before[pair, :3, 3] + share * way[pair]
-    out[1:, :3, :3] = before[pair, :3, :3] @ rotation_matrix(share * vector[pair])
-    out[number] = poses
+    out = np.concatenate([line[:1], line[pair] + share * way[pair]])
+    out[number] = line
     return out, number
-
-
-def _verify(arm: Arm, q: np.ndarray, poses: np.ndarray) -> None:
-    """Checks that every pose is met within `LINE_POSITION` and `LINE_ANGLE`."""
-    tool = arm.postures(q).tool
-    assert np.linalg.norm(tool[:, :3, 3] - poses[:, :3, 3], axis=1).max() <= LINE_POSITION
-    # |R - R'| in the Frobenius norm is sqrt(2) times a small angle
-    assert np.linalg.norm(tool[:, :3, :3] - poses[:, :3, :3], axis=(1, 2)).max() <= np.sqrt(2.0) * LINE_ANGLE
-
 
 
 def segment_distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -9,22 +9,20 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.extras import require
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
-from vsfsim.view.rerun_file import write_rerun
 from vsfsim.view.scored import of_result
 from vsfsim.view.subject import of_drawing, of_view
 
 
 def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
          progress: Callable[[int, int, str], None] | None = None) -> tuple[list[str], dict[str, Any]]:
-    """Write the page of a dataset folder, of a scene or of a result, or a recording of the same for Rerun.
+    """Write the page of a dataset folder, of a scene or of a result.
 
     Args:
         what: folder of a dataset, name of a scene, path of its .toml file, or a result file (.json).
-        out: the file, a page unless it ends in .rrd.
+        out: the file.
         objects: object views of a dataset or result to show, at most.
         seed: of a scene's object.
         progress: called with (done, in all, what).
@@ -38,9 +36,6 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
         SceneError, MeshError: the scene's object cannot be built.
     """
     about: dict[str, Any] = {}
-    recording = out.suffix == ".rrd"
-    if recording:
-        require("rerun", "rerun")
     if Path(what).suffix == ".json":
         title, words, shown, about = of_result(Path(what), objects, progress)
     elif is_dataset(what):
@@ -57,13 +52,10 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
         name, drawing = draw_scene(what, seed)
         title, words = f"{name}, {drawing.subtitle or f'seed {seed}'}", drawing.lines[0]
         shown = [of_drawing(name, drawing)]
-    if recording:
-        write_rerun(out, title, shown, about)
-    else:
-        write_atomic(out, page(title, shown, **about))
-    size, opened = out.stat().st_size, f"`rerun {out}`" if recording else "a browser"
-    return ([f"{title}: {words}", f"written: {out}, {size / 1e6:.1f} MB; open it with {opened}"],
-            {"page": str(out), "title": title, "objects": [one["name"] for one in shown], "bytes": size})
+    content = page(title, shown, **about)
+    write_atomic(out, content)
+    return ([f"{title}: {words}", f"page: {out}, {len(content) / 1e6:.1f} MB; open it in a browser"],
+            {"page": str(out), "title": title, "objects": [one["name"] for one in shown], "bytes": len(content)})
 
 
 def page(title: str, objects: Sequence[dict[str, Any]], **about: Any) -> bytes:
