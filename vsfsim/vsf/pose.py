@@ -30,7 +30,7 @@ from scipy.spatial import cKDTree
 from trimesh.registration import procrustes
 
 from vsfsim.core.errors import VsfError
-from vsfsim.physics.mesh.surface_distance import winding_number
+from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 
 TRIES = 40
 """Registrations of the papers' procedure, of which the best is kept."""
@@ -93,12 +93,12 @@ class KnownObject:
         cell = float((high - low).max()) / _GRID
         axes = [np.arange(lo + 0.5 * cell, hi + 0.5 * cell, cell) for lo, hi in zip(low, high)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        inside = winding_number(vertices, triangles, points.reshape(-1, 3)) > 0.5
+        body = SurfaceDistance(vertices, triangles)
         surface = np.einsum("kj,kji->ki", weight, corners[pick])
         # Closed parts may overlap: a point of the surface is outside all parts just in front of its triangle.
         front = surface + 1e-4 * (high - low).max() * normal[pick] / size[pick, None]
-        exposed = winding_number(vertices, triangles, front) < 0.5
-        return cls(surface[exposed], low, cell, inside.reshape(points.shape[:3]))
+        inside = body.inside(points.reshape(-1, 3)).reshape(points.shape[:3])
+        return cls(surface[~body.inside(front)], low, cell, inside)
 
     def contains(self, points: np.ndarray) -> np.ndarray:
         """Whether points (k, 3) [m] in the object's frame are inside it (k,) bool; to half a cell."""

@@ -12,8 +12,9 @@ import trimesh
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
+from vsfsim.physics.elements import gas
 from vsfsim.physics.mesh.formats import parse
-from vsfsim.physics.mesh.repair import read_surface, signed_volume
+from vsfsim.physics.mesh.repair import read_surface
 from vsfsim.physics.mesh.scan import fill_mesh_file
 
 CUBE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
@@ -30,7 +31,7 @@ def obj_block(low: tuple[float, float, float], size: tuple[float, float, float])
 def volume(content: str | bytes, name: str) -> float:
     data = content.encode() if isinstance(content, str) else content
     found = parse(data, Path(name))
-    return signed_volume(found.vertices, found.faces)
+    return gas.volume(found.vertices, found.faces)
 
 
 def test_relative_indices_count_from_where_they_stand(tmp_path: Path) -> None:
@@ -144,14 +145,13 @@ def test_polygons_that_are_not_convex_are_cut_by_their_ears() -> None:
     text += "f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n" + "".join(
         f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}\n" for k in range(6))
     found = parse(text.encode(), Path("l.obj"))
-    assert signed_volume(found.vertices, found.faces) == pytest.approx(0.75)
+    assert gas.volume(found.vertices, found.faces) == pytest.approx(0.75)
     assert trimesh.Trimesh(found.vertices, found.faces).area == pytest.approx(1.5 + 4.0)
 
 
 def test_counts_are_compared_with_the_header() -> None:
     box = trimesh.creation.box((1, 2, 3))
-    stl, off = box.export(file_type="stl"), box.export(file_type="off")
-    off = off.encode() if isinstance(off, str) else off
+    stl, off = box.export(file_type="stl"), box.export(file_type="off").encode()
     assert volume(b"solid facet".ljust(80) + stl[80:], "a.stl") == pytest.approx(6.0), "it is binary"
     for data, name, word in (
         (stl[:80] + struct.pack("<I", 13) + stl[84:], "a.stl", "announces 13 triangles, and it holds 12"),

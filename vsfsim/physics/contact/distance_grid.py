@@ -98,10 +98,11 @@ def baked(shape: MeshFile, *, spacing: float | None = None) -> DistanceGrid:
 
 @functools.lru_cache(maxsize=16)
 def _baked(shape: MeshFile, spacing: float | None, content: bytes) -> DistanceGrid:
+    from vsfsim.physics.elements import gas
     from vsfsim.physics.mesh import account, repair
 
     surface = repair.read_surface(shape)
-    if repair.signed_volume(surface.vertices, surface.faces) < 1e-4 * float(np.prod(surface.extents)):
+    if gas.volume(surface.vertices, surface.faces) < 1e-4 * float(np.prod(surface.extents)):
         raise MeshError(f"mesh file '{shape.path}' encloses no volume: it is an open sheet; a probe is a solid. "
                         f"Close it or give it thickness.")
     grid = bake(surface.vertices + surface.centre, surface.faces, spacing=spacing, centre=surface.centre,

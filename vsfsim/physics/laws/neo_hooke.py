@@ -20,9 +20,9 @@ The first two terms are positive semi-definite; the third makes it indefinite wh
 
 so under pressure (c < 0 < J), where only twists and changes of volume can be negative, the projected tangent adds tau
 |skew A|^2 and enlarges kappa, both by the least amounts that leave no eigenvalue negative. Elsewhere (tension, or an
-inverted element) c is replaced by theta c with the theta <= 1 at which no eigenvalue is negative. Those have a closed
-form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic distortion energies", 2019): mu +- c s_k for twists
-and flips, and the eigenvalues of the 3 x 3 block of the stretches, with s_k the singular values of F. Under pressure
+inverted element) c is replaced by theta c with theta = mu / (2 |c| s_0) where that is less than 1: the eigenvalues of
+d(cof F)/dF are +- s_k for twists and flips, with s_k the singular values of F, and 2 s_0 at most for changes of stretch
+(Smith, de Goes and Kim, "Analytic eigensystems for isotropic distortion energies", 2019). Under pressure
 theta c would not do: it takes away what c adds to the stiffness of every other mode, a factor of 1/J. A tangent stores
 c, kappa and tau / J^2.
 """
@@ -67,32 +67,6 @@ def functions(module: str) -> Any:
         return value, slope
 
     @wp.func(module=module)
-    def scaling(s0: real, s1: real, s2: real, mu: real, kappa: real, c: real):
-        # theta, the factor of c with which no eigenvalue of mu I + kappa cof (x) cof + theta c d(cof)/dF is negative.
-        # twists and flips: mu +- theta c s_k
-        size = wp.abs(c) * s0
-        theta = real(1.0)
-        if size > mu:
-            theta = mu / size
-        # Stretches: mu I + kappa p p^T + theta c S, p_k = s_i s_j, S_ij = s_k. Unless all leading minors are positive,
-        # theta is halved, which is enough because |S| <= 2 s0.
-        p0 = s1 * s2
-        p1 = s2 * s0
-        p2 = s0 * s1
-        k01 = kappa * p0 * p1 + theta * c * s2
-        k02 = kappa * p0 * p2 + theta * c * s1
-        k12 = kappa * p1 * p2 + theta * c * s0
-        k00 = mu + kappa * p0 * p0
-        k11 = mu + kappa * p1 * p1 - k01 * k01 / k00
-        k12 = k12 - k01 * k02 / k00
-        k22 = mu + kappa * p2 * p2 - k02 * k02 / k00
-        if k11 <= real(0.0):
-            theta = real(0.5) * theta
-        elif k22 - k12 * k12 / k11 < real(0.0):
-            theta = real(0.5) * theta
-        return theta
-
-    @wp.func(module=module)
     def twist(g: real, j: real, mu: real, si: real, sj: real, sk: real):
         # tau / J^2 for the twist of the plane of s_i and s_j, from squared singular values
         return wp.max(g * g - mu * mu / sk, real(0.0)) / (real(0.5) * mu * (si + sj) + g * j)
@@ -118,10 +92,9 @@ def functions(module: str) -> Any:
         if c < real(0.0) and j > flat:
             more, tau = least_additions(squares, j, mu, kappa, -c)
             return c, more, tau
-        s2 = wp.sqrt(squares[2])
-        if j < real(0.0):
-            s2 = -s2
-        return c * scaling(wp.sqrt(squares[0]), wp.sqrt(squares[1]), s2, mu, kappa, c), kappa, real(0.0)
+        # twists and flips are mu +- c s_k, and the stretches' part of c is 2 c s_0 at most
+        size = real(2.0) * wp.abs(c) * wp.sqrt(squares[0])
+        return c * mu / wp.max(size, mu), kappa, real(0.0)
 
     @wp.func(module=module)
     def respond(d: mat33, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int, push: real):

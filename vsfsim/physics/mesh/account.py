@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
-from vsfsim.physics.mesh.repair import Surface, signed_volume
+from vsfsim.physics.elements import gas
+from vsfsim.physics.mesh.repair import Surface
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 
 BASE = 0.01
@@ -75,7 +76,7 @@ def level(surface: Surface) -> Callable[[np.ndarray], np.ndarray]:
 
 def scan_volume(surface: Surface) -> float:
     """Volume that a surface encloses [m^3]; parts that overlap count once."""
-    exact = signed_volume(surface.vertices, surface.faces)
+    exact = gas.volume(surface.vertices, surface.faces)
     if surface.watertight and not surface.overlap:
         return exact
     low, size = surface.vertices.min(axis=0), surface.extents
@@ -83,7 +84,7 @@ def scan_volume(surface: Surface) -> float:
     count = np.maximum(np.ceil(size / step).astype(int), 8)
     axes = [low[a] + size[a] * (np.arange(count[a]) + 0.5) / count[a] for a in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    within = SurfaceDistance(surface.vertices, surface.faces)(points) < 0.0
+    within = SurfaceDistance(surface.vertices, surface.faces).inside(points)
     return float(within.mean() * np.prod(size))
 
 
@@ -134,7 +135,7 @@ def _apart(surface: Surface, distance: Callable[[np.ndarray], np.ndarray]) -> fl
         # a face inside another part bounds nothing
         step = np.tile(1e-3 * np.linalg.norm(surface.extents) * normal[good] / size[good, None], (2, 1))
         test = SurfaceDistance(surface.vertices, surface.faces)
-        outer = (test(points + step) < 0.0) != (test(points - step) < 0.0)
+        outer = test.inside(points + step) != test.inside(points - step)
         points = points[outer] if outer.any() else points
     return float(np.abs(distance(points)).max())
 

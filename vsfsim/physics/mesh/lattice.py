@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import elementwise
 from scipy.spatial import cKDTree
 
 from vsfsim.core.hexes import split_prisms
@@ -24,7 +25,7 @@ DENSITY = 5.0
 CELL = (12.0 / DENSITY) ** (1 / 3)
 """Edge of a cell, which holds 12 tetrahedra, over the element size [-]."""
 _NEAR_LONG, _NEAR_SHORT = 0.24999, 0.41189  # Labelle and Shewchuk, table 1: a cut nearer to a node moves the node
-_ROUNDS, _FOUND = 24, 1e-9  # of the search for a cut, at most, and the level over the edge at which it ends [-]
+_ROUNDS, _FOUND = 40, 1e-9  # of the search for a cut, at most, and the level over the edge at which it ends [-]
 _TIE = 4  # decimals to which fractions of edges are compared, so that a symmetric body keeps its ties
 _WORST_SINE = 0.12  # smallest sine of a dihedral angle to which a pull may bring a tetrahedron
 _PULL = 0.55  # of a cell's edge: how far a corner or an edge of the surface pulls
@@ -53,7 +54,7 @@ def fill_lattice(level: Level, low: np.ndarray, high: np.ndarray, resolution: fl
         return nodes[:0], tets[:0]
     # the first end of every cut edge is the inner one
     pairs = np.where((state[pairs[:, 0]] > 0)[:, None], pairs, pairs[:, ::-1])
-    cut = _crossings(level, nodes[pairs], value[pairs])
+    cut = _crossings(level, nodes[pairs])
     nodes, state, alive = _move_nodes(nodes, state, pairs, cut, cell)
     points = np.concatenate([nodes, cut[1]])
     number = {(int(a), int(b)): len(nodes) + k for k, (a, b) in enumerate(pairs) if alive[k]}
@@ -89,26 +90,13 @@ def _lattice(low: np.ndarray, high: np.ndarray, edge: float) -> tuple[np.ndarray
     return cell, nodes, out
 
 
-def _crossings(level: Level, ends: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where edges, of ``ends`` (k, 2, 3) with ``value`` (k, 2), leave the body: part of the way from the inner end (k,)
-    and place (k, 3); by interpolation and bisection in turn."""
-    bounds, value = np.tile([0.0, 1.0], (len(ends), 1)), value.copy()
+def _crossings(level: Level, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where edges, of ``ends`` (k, 2, 3), leave the body: part of the way from the inner end (k,) and place (k, 3)."""
     inner, way = ends[:, 0], ends[:, 1] - ends[:, 0]
     least = _FOUND * float(np.linalg.norm(way, axis=1).max())
-
-    def between(low: np.ndarray, high: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return low + a / (a - b) * (high - low)
-
-    rows = np.arange(len(ends))
-    for k in range(_ROUNDS):
-        middle = bounds[rows].mean(axis=1) if k % 2 else between(*bounds[rows].T, *value[rows].T)
-        found = level(inner[rows] + middle[:, None] * way[rows])
-        side = np.where(found < 0.0, 0, 1)
-        bounds[rows, side], value[rows, side] = middle, found
-        rows = rows[np.abs(found) > least]
-        if not len(rows):
-            break
-    part = between(*bounds.T, *value.T)
+    part = elementwise.find_root(lambda part, rows: level(inner[rows] + part[:, None] * way[rows]), (0.0, 1.0),
+                                 args=(np.arange(len(ends)),), maxiter=_ROUNDS,
+                                 tolerances={"fatol": least, "xatol": 0.1 * _FOUND}).x
     return part, inner + part[:, None] * way
 
 

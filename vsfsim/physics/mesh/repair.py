@@ -17,8 +17,9 @@ from scipy.spatial import cKDTree
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
+from vsfsim.physics.elements import gas
 from vsfsim.physics.mesh.formats import FORMATS, Facets, parse
-from vsfsim.physics.mesh.surface_distance import winding_number
+from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 from vsfsim.physics.mesh.validity import joined
 
 LARGEST = 5.0
@@ -218,21 +219,16 @@ def _cap(mesh: trimesh.Trimesh, notes: list[str]) -> None:
                                       if len(mesh.faces) > given else "."))
 
 
-def signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume enclosed by triangles that are wound outwards [m^3]; taken about their middle, so that the result for an
-    open part does not depend on its position."""
-    a, b, c = (vertices[faces[:, n]] - vertices[np.unique(faces)].mean(axis=0) for n in range(3))
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-
-
 def _by_nesting(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray, int, bool]:
     """Parts wound by their nesting, loose debris left out: vertices, faces, solids, whether parts overlap."""
     adjacency = trimesh.Trimesh(vertices, faces, process=False).face_adjacency
     part = trimesh.graph.connected_component_labels(adjacency, node_count=len(faces))
     part = part if part.max() < 2000 else np.zeros_like(part)
     members = [np.flatnonzero(part == p) for p in range(part.max() + 1)]
-    volume = np.array([signed_volume(vertices, faces[m]) for m in members])
+    volume = np.array([gas.volume(vertices, faces[m]) for m in members])
     corners = [vertices[np.unique(faces[m])] for m in members]
+    solids = [SurfaceDistance(vertices, faces[m] if v > 0.0 else faces[m][:, ::-1])
+              for m, v in zip(members, volume, strict=True)]
     low, high = np.array([c.min(axis=0) for c in corners]), np.array([c.max(axis=0) for c in corners])
     depth = np.zeros(len(members), int)
     meets = np.zeros((len(members),) * 2, bool)
@@ -240,10 +236,10 @@ def _by_nesting(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tu
         if i == j:
             continue
         spots = corners[i][::max(1, len(corners[i]) // 24)]
-        inside = np.abs(winding_number(vertices, faces[members[j]], spots))
-        if (inside > 0.5).mean() > 0.9 and abs(volume[i]) < abs(volume[j]):
+        inside = solids[j].inside(spots)
+        if inside.mean() > 0.9 and abs(volume[i]) < abs(volume[j]):
             depth[i] += 1
-        elif (inside > 0.2).any():
+        elif inside.any():
             meets[i, j] = meets[j, i] = True
     hollow = depth % 2 == 1
     wrong = (volume > 0.0) == hollow
