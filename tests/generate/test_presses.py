@@ -160,7 +160,7 @@ def test_a_file_holds_the_shapes_and_refuses_a_press_without_one(made, tmp_path)
     ("cylinder = [0.008, 0.02]", 'mesh = "tip.stl"', "shape is .*a touch of a dataset is made with a simple shape"),
     ("depth = 0.002", "depth = 0.0", "depth"),
     ("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0", '[sensor]\nkind = "bubble"',
-     "other is for a rigid .probe., and this scene is touched by 'bubble'"),
+     "other is not for a scene that is touched by 'bubble'"),
 ])
 def test_what_no_press_can_be_is_refused(old, new, message):
     with pytest.raises(SceneError, match=message):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from vsfsim.core.errors import SceneError
@@ -97,9 +98,7 @@ class Chain:
 
     def table(self) -> dict[str, Any]:
         """As JSON values; `read_chain` takes them back."""
-        return {"base": [list(r) for r in self.base], "positions": [list(p) for p in self.positions],
-                "quaternions": [list(p) for p in self.quaternions], "joints": list(self.joints),
-                "capsules": [[c.link, *c.start, *c.stop, c.radius] for c in self.capsules]}
+        return {**msgspec.to_builtins(self), "capsules": [[c.link, *c.start, *c.stop, c.radius] for c in self.capsules]}
 
 
 def capsule_pose(start: np.ndarray, stop: np.ndarray) -> np.ndarray:

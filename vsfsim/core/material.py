@@ -98,15 +98,11 @@ class MaterialField:
                                  f"{did_you_mean(name, names)}")
         out = np.empty(len(names))
         for i, name in enumerate(names):
-            if name in self.regions:
-                out[i] = self.regions[name]
-            elif self.base is not None:
-                out[i] = self.base
-            elif defaults is not None:
-                out[i] = defaults[i]
-            else:
+            given = self.regions.get(name, self.base) or (None if defaults is None else float(defaults[i]))
+            if given is None:
                 raise SceneError(f"{where}: young_modulus gives no value for region '{name}'; add it under regions, "
                                  f"or give base.")
+            out[i] = given
         return out
 
 

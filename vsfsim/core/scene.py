@@ -228,14 +228,11 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
                          + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None
                             else ", or a [sensor] and [[obstacles]] for it to press on."))
     touches = tree["touches"] if isinstance(tree.get("touches"), Mapping) else {}
-    for key in ("level", "other"):
-        if effector != "probe" and touches.get(key):
-            raise SceneError(f"{path} [touches]: {key} is for a rigid [probe], and this scene is touched by "
-                             f"'{effector}'. Take {key} out.")
-    for key in ("tilt", "depth_range", "approach_range"):
-        if "arm" in tree and touches.get(key):
-            raise SceneError(f"{path} [touches]: {key} is {touches[key]!r}, but the scene has an [arm]; it is for a "
-                             f"[probe] or a [sensor], and an arm draws its own directions. Take {key} out.")
+    strange = {"level", "other"} if effector != "probe" else set()
+    if effector == "arm":  # it draws its own directions
+        strange |= {"tilt", "depth_range", "approach_range"}
+    for key in (key for key, given in touches.items() if given and key in strange):
+        raise SceneError(f"{path} [touches]: {key} is not for a scene that is touched by '{effector}'. Take {key} out.")
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import operator
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -183,13 +182,11 @@ class Dataset:
         if isinstance(key, str):
             return self.load(key)
         try:
-            number = operator.index(key)
-        except TypeError:
-            raise TypeError(f"a dataset is indexed by a whole number, a slice or the name of an object view; "
-                            f"{key!r} is none of them. `split(name)` gives the views of a split.") from None
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"the dataset in {self.path} has {len(self)} object views; there is no number {number}.")
-        return self.load(self.entries[number].name)
+            entry = self.entries[key]
+        except IndexError:
+            raise IndexError(f"the dataset in {self.path} has {len(self)} object views; there is no number "
+                             f"{key}.") from None
+        return self.load(entry.name)
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.path)!r}: {self._in_words()})"

@@ -175,7 +175,11 @@ def examine(path: Path) -> tuple[ObjectView | None, list[str]]:
 def _view(items: Items, attributes: h5py.AttributeManager, path: Path, *, blind: bool = False) -> ObjectView:
     """The object view of an open file; the truth of a blind one is not read."""
     shown = View(**_fields(items, "view", "view", path))
-    touches = tuple(_touch(_fields(items, f"touches/{name}", "touches/*", path)) for name in sorted(items["touches"]))
+    touches = []
+    for name in sorted(items["touches"]):
+        values = _fields(items, f"touches/{name}", "touches/*", path)
+        press = None if values["press"] is None else int(values["press"])
+        touches.append(Touch(**{**values, "touched": bool(values["touched"]), "press": press}))
     truth = None if blind else Truth(**_fields(items, "truth", "truth", path))
     probes = _probes(attributes["probe"], path)
     for k, touch in enumerate(touches):
@@ -185,11 +189,12 @@ def _view(items: Items, attributes: h5py.AttributeManager, path: Path, *, blind:
     return ObjectView(check_name(attributes["name"], f"{path} @name"),
                       whole_number(attributes["object_index"], f"{path} @object_index"),
                       whole_number(attributes["view_index"], f"{path} @view_index"),
-                      check_name(attributes["split"], f"{path} @split"), probes[0], shown, touches, truth, probes[1:])
+                      check_name(attributes["split"], f"{path} @split"), probes[0], shown, tuple(touches), truth,
+                      probes[1:])
 
 
 def _fields(items: Items, place: str, kind: str, path: Path) -> dict[str, Any]:
-    """The fields of a group by their names in the schema, None where there is none."""
+    """The fields of a record, None where there is none; columns of the audit and channels in tables of their own."""
     values: dict[str, Any] = {}
     lengths: dict[str, int] = {}
     if place not in items:
@@ -203,7 +208,11 @@ def _fields(items: Items, place: str, kind: str, path: Path) -> dict[str, Any]:
         if item is not None:
             check_shape(field, item.shape, where, lengths)
         array = None if item is None else check_array(field, _array(item, field), where, lengths)
-        values[field.name] = tuple(array) if array is not None and field.dtype == TEXT else array
+        if "/" not in field.name:
+            values[field.name] = tuple(array) if array is not None and field.dtype == TEXT else array
+        elif array is not None:
+            table, column = field.name.split("/")
+            values.setdefault(table, {})[column] = array
     return values
 
 
@@ -270,18 +279,6 @@ def _probes(text: str, path: Path) -> tuple[ProbeShape, ...]:
     except (ValueError, TypeError, SceneError) as error:
         raise DatasetError(f"{path}: attribute 'probe' is {plain(text, longest=200)}, not a probe's shape: "
                            f"{plain(error)}") from error
-
-
-def _touch(values: dict[str, Any]) -> Touch:
-    tables: dict[str, dict[str, np.ndarray]] = {"audit": {}, "channels": {}}
-    for name in [name for name in values if "/" in name]:
-        table, _, column = name.partition("/")
-        value = values.pop(name)
-        if value is not None:
-            tables[table][column] = value
-    press = values.pop("press")
-    return Touch(**{**values, **tables, "touched": bool(values["touched"]),
-                    "press": None if press is None else int(press)})
 
 
 def _rows_of(group: h5py.Group, kind: str, where: str) -> list[Field]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.machinery import ModuleSpec, PathFinder
@@ -75,19 +76,10 @@ def named_files(values: Any, folder: str | Path) -> dict[str, Path]:
     Args:
         values: JSON or TOML values. folder: that relative paths are relative to.
     """
-    out: dict[str, Path] = {}
-    for text in texts_of(values):
-        # "FILE@sha256" names the weights of a network and what they must be.
-        name = text.partition("@")[0]
-        if not name or "\0" in name:
-            continue
-        path = Path(folder, Path(name).expanduser())
-        try:
-            if path.is_file():
-                out[text] = path.absolute()
-        except OSError:  # a text that is no name of a file, such as one of 300 letters
-            continue
-    return out
+    # "FILE@sha256" names the weights of a network and what they must be
+    found = {text: Path(folder, Path(text.partition("@")[0]).expanduser()) for text in texts_of(values)}
+    # which asks nothing of a text that is no name of a file, such as one of 300 letters
+    return {text: path.absolute() for text, path in found.items() if os.path.isfile(path)}
 
 
 def differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:

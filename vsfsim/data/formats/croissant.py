@@ -29,11 +29,11 @@ _COLUMNS = {
     "largest_force": ("sc:Float", "Largest norm of the force in a converged frame [N].")}
 
 
-def export(dataset: Dataset, folder: Path, *, files: bool = True) -> None:
+def export(dataset: Dataset, folder: Path) -> None:
     """Write croissant.json, the index, and the dataset's own files into an empty folder.
 
     Args:
-        dataset: finished. folder: where. files: whether its files are copied there, too.
+        dataset: finished. folder: where.
 
     Raises:
         MissingPackage: pyarrow is not installed.
@@ -46,9 +46,8 @@ def export(dataset: Dataset, folder: Path, *, files: bool = True) -> None:
             rows.append((view.name, entry.file, view.split, view.object_index, index, len(touch.time),
                          int((~touch.converged).sum()), bool(touch.touched), float(force.max(initial=0.0))))
     write_table(folder / INDEX, columns_of(_COLUMNS, rows))
-    if files:
-        for name in (*(entry.file for entry in dataset.entries), MANIFEST):
-            shutil.copyfile(dataset.path / name, folder / name)
+    for name in (*(entry.file for entry in dataset.entries), MANIFEST):
+        shutil.copyfile(dataset.path / name, folder / name)
     (folder / "croissant.json").write_text(json.dumps(describe(dataset, folder), indent=1) + "\n")
 
 
