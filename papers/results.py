@@ -10,8 +10,7 @@ from pathlib import Path
 from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
-from vsfsim.bench.board.named import EARLIER, SAME_READINGS, listed
-from vsfsim.bench.board.shipped import read_rows, row_sha256, write_rows
+from vsfsim.bench.board.rows import EARLIER, SAME_READINGS, listed, read_rows, row_sha256, write_rows
 from vsfsim.bench.commands.catalogue import on_device
 from vsfsim.bench.evaluate import make
 from vsfsim.bench.result import Result, readings_apart
@@ -40,7 +39,7 @@ class Found:
     objects: frozenset[str] | None = None
     """Names of the objects that count, None for all."""
     stands: bool = True
-    """It is no earlier row (`vsfsim.bench.board.named.EARLIER`), on which no claim rests."""
+    """It is no earlier row (`vsfsim.bench.board.rows.EARLIER`), on which no claim rests."""
 
     def values(self, metric: str, shot: str) -> ByObject:
         """A metric of each object that counts, mean over runs; {} where the result does not hold it."""

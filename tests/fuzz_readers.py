@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.board.rows import read_rows
 from vsfsim.bench.predictions import PredictionFile
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task

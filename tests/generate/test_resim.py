@@ -8,8 +8,7 @@ import pytest
 from small_scenes import CAMERA, SPRUNG
 
 from vsfsim.bench import leaderboard
-from vsfsim.bench.board.named import CLAIMED, is_ceiling
-from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.board.rows import CLAIMED, is_ceiling, read_rows
 from vsfsim.bench.board.site import write_site
 from vsfsim.bench.commands.inspect_result import inspect_result
 from vsfsim.bench.evaluate import evaluate

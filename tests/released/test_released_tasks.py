@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.board.shipped import read_rows
+from vsfsim.bench.board.rows import read_rows
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record
 from vsfsim.bench.task import load_task

@@ -13,7 +13,7 @@ from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
-from vsfsim.bench.board.named import (
+from vsfsim.bench.board.rows import (
     CEILING,
     CLAIMED,
     EARLIER,
@@ -24,9 +24,11 @@ from vsfsim.bench.board.named import (
     contradicts,
     is_same,
     listed,
+    read_rows,
+    row_sha256,
     write_list,
+    write_rows,
 )
-from vsfsim.bench.board.shipped import read_rows, row_sha256, write_rows
 from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result, machine
 from vsfsim.bench.task import Task
@@ -59,7 +61,7 @@ class Row:
     origin: str = "shipped"
     """"shipped", "made here", or "shipped, made again here"."""
     evidence: str = "open"
-    """What the repository's list says that it rests on (`vsfsim.bench.board.named.Entry`)."""
+    """What the repository's list says that it rests on (`vsfsim.bench.board.rows.Entry`)."""
 
     @property
     def signs(self) -> str:

@@ -169,7 +169,7 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
         sealed (FILE): Private part of a sealed set; --dataset is its dataset (`vsfsim lab seal`).
         out: Result file; default: results/TASK/NAME.json.
     """
-    from vsfsim.bench.board.shipped import row_sha256
+    from vsfsim.bench.board.rows import row_sha256
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import check_commitment, receipt, score_predictions
     from vsfsim.bench.task import load_task, open_dataset

@@ -12,9 +12,9 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.admission.fingerprint import shipped_record
-from vsfsim.bench.board import named
+from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.board.shipped import read_rows, row_sha256
+from vsfsim.bench.board.rows import read_rows, row_sha256
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
 from vsfsim.bench.result_file import as_rows, beside_zero
@@ -36,7 +36,7 @@ def test_a_board_that_ships_is_the_board_of_its_results(task, results, tmp_path,
     board = leaderboard.collect(task, [results])
     leaderboard.ship(board, tmp_path / "toy-v1.json")
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
-    monkeypatch.setattr(named, "folder", lambda _: tmp_path)
+    monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
     shipped = leaderboard.collect(task)
     assert leaderboard.markdown(shipped) == leaderboard.markdown(board)
     for row, was in zip(shipped.rows, board.rows, strict=True):
@@ -70,11 +70,11 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
     known = methods().keys() | ceilings().keys()
     for task in map(load_task, shelf.tasks()):
         there = {one.method for one in read_rows(shelf.folder("leaderboard") / f"{task.name}.json").values()}
-        said = [name for names in named.absent(task.name) for name in names.split(", ")]
+        said = [name for names in rows.absent(task.name) for name in names.split(", ")]
         assert len(said) == len(set(said)) and set(said) <= known and not there & set(said), task.name
         assert task.superseded_by or wanted <= there | set(said), task.name
     assert all(f"no row of {names}: {reason}" in leaderboard.text(board)
-               for names, reason in named.absent(TASK).items())
+               for names, reason in rows.absent(TASK).items())
 
 
 # ------------------------------------------------------------------ rows made by hand, from what ships alone
@@ -117,11 +117,11 @@ def test_a_forged_row_has_no_evidence_and_no_rank_of_a_method_that_ships(board, 
     files = [saved(forged(board, share, **more), tmp_path / f"{k}.json", evidence=said)
              for k, (share, said, more) in enumerate((
                  (0.2, "sealed", {"contents": contents_of("sbml", {})}), (0.21, "verified", {"contents": {}}),
-                 (0.22, "verified", {"entry": named.PREDICTIONS}), (0.5, "verified", resim),
+                 (0.22, "verified", {"entry": rows.PREDICTIONS}), (0.5, "verified", resim),
                  (0.1, "verified", {"method": "great", **own}), (0.1, "sealed", {"method": "a;reboot", **own})))]
     found = leaderboard.collect(board.task, files)
     mine = {row.path.stem: row for row in found.rows if row.path in files}
-    assert [mine[k].mark == named.CLAIMED for k in "012345"] == [True, True, True, True, False, False]
+    assert [mine[k].mark == rows.CLAIMED for k in "012345"] == [True, True, True, True, False, False]
     assert [mine[k].rank for k in "012345"] == [None, None, None, None, 1, None]
     assert "means something to a shell" in mine["5"].mark
     assert {row.evidence for row in mine.values()} == {"open"}
@@ -131,10 +131,10 @@ def test_a_forged_row_has_no_evidence_and_no_rank_of_a_method_that_ships(board, 
 def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board, tmp_path, monkeypatch):
     """A row added, a score changed, evidence written into a row; then a list with a receipt that is missing."""
     root = shelf.folder("leaderboard")
-    for name in (f"{TASK}.json", named.LIST):
+    for name in (f"{TASK}.json", rows.LIST):
         shutil.copy(root / name, tmp_path / name)
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
-    monkeypatch.setattr(named, "folder", lambda _: tmp_path)
+    monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
     path, table = tmp_path / f"{TASK}.json", json.loads((root / f"{TASK}.json").read_text())
     ranks = [(row.result.method, row.result.preset, row.rank) for row in leaderboard.collect(board.task).rows]
     assert ranks == [(row.result.method, row.result.preset, row.rank) for row in board.rows]
@@ -144,20 +144,20 @@ def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board,
     changed = dict(zip(table["rows"], (great, better)))
     path.write_text(json.dumps({**table, "rows": {**table["rows"], **changed}}))
     found = leaderboard.collect(board.task).rows
-    odd = {row.result.method: row for row in found if row.mark == named.EARLIER}
+    odd = {row.result.method: row for row in found if row.mark == rows.EARLIER}
     assert odd.keys() == {"great", other["method"]} and all(row.rank is None for row in odd.values())
     assert {row.evidence for row in found} == {"open"} and "†" in leaderboard.text(leaderboard.collect(board.task))
-    entry = next(iter(named.listed().values()))
-    named.write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / named.LIST)
-    assert {one.evidence for one in named.listed().values()} == {"verified"}
-    (tmp_path / named.LIST).write_text((tmp_path / named.LIST).read_text().replace('"verified"', '"sealed"'))
+    entry = next(iter(rows.listed().values()))
+    rows.write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / rows.LIST)
+    assert {one.evidence for one in rows.listed().values()} == {"verified"}
+    (tmp_path / rows.LIST).write_text((tmp_path / rows.LIST).read_text().replace('"verified"', '"sealed"'))
     with pytest.raises(TaskError, match="needs the commitment of its set and the receipt"):
-        named.listed()
+        rows.listed()
 
 
 def test_every_listed_row_ships_and_is_as_it_was_listed():
     """No entry without its row; no row of today's tasks by the trainings whose records were rewritten."""
-    there, entries = {}, named.listed()
+    there, entries = {}, rows.listed()
     for path in {shelf.folder("leaderboard") / of / f"{entry.task}.json" for entry in entries.values()
                  for of in ("", "studies")}:
         there |= {row_sha256(one): one for one in read_rows(path).values()}

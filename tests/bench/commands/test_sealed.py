@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard, predictions
-from vsfsim.bench.board import named
+from vsfsim.bench.board import rows
 from vsfsim.bench.board.site import write_site
 from vsfsim.bench.predictions import score_predictions
 from vsfsim.core.errors import TaskError
@@ -70,11 +70,11 @@ def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, t
     # a row is sealed by an entry of the list with the receipt that the holder of the private part alone can make
     leaderboard.ship(leaderboard.collect(task, [tmp_path / "r.json"]), tmp_path / "toy-v1.json")
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
-    monkeypatch.setattr(named, "folder", lambda _: tmp_path)
-    entry = next(one for one in named.listed().values() if one.task == "toy-v1")
+    monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
+    entry = next(one for one in rows.listed().values() if one.task == "toy-v1")
     given = predictions.receipt(private, entry.sha256)
     assert given["commitment"] == commitment and given != predictions.receipt(private, "0" * 64)
-    named.write_list([msgspec.structs.replace(entry, evidence="sealed", **given)], tmp_path / named.LIST)
+    rows.write_list([msgspec.structs.replace(entry, evidence="sealed", **given)], tmp_path / rows.LIST)
     board = leaderboard.collect(task)
     assert board.rows[0].evidence == "sealed" and "  sealed  " in leaderboard.text(board).splitlines()[4]
     write_site([board], tmp_path / "site")

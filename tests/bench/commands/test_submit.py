@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from vsfsim.bench.board.named import command_of
+from vsfsim.bench.board.rows import command_of
 from vsfsim.bench.commands import submit as module
 from vsfsim.bench.commands.submit import submit
 from vsfsim.bench.identity import contents_of

@@ -23,9 +23,7 @@ import msgspec
 import numpy as np
 
 from vsfsim.bench.admission.fingerprint import MARK, READING, SCALE, Again, Record
-from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, claimed, is_ceiling
-from vsfsim.bench.board.named import Entry as Listed
-from vsfsim.bench.board.shipped import row_sha256
+from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, Entry, claimed, is_ceiling, row_sha256
 from vsfsim.bench.metrics import METRICS, Score
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import as_rows
@@ -49,12 +47,12 @@ class Admission:
     """By metric and shot, computed from its rows."""
     other_bits: bool
     """Its dataset is not the board's to the bit."""
-    entry: Listed | None = None
+    entry: Entry | None = None
     """What the repository's list says of it; None where it is not listed."""
 
 
 def admit(result: Result, task: Task, record: Record | None, reference: str,
-          entries: Mapping[str, Listed], *, made_here: bool, packed: bool = False) -> Admission:
+          entries: Mapping[str, Entry], *, made_here: bool, packed: bool = False) -> Admission:
     """Look at a result before it is ranked: is it of the task, are its data the task's, are its scores those of its
     rows, and is it of the method whose name it has?
 

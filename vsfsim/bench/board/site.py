@@ -13,7 +13,7 @@ from typing import Any
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.charts import chart, render
 from vsfsim.bench.board.compare import ByObject, interval, paired
-from vsfsim.bench.board.named import command_of
+from vsfsim.bench.board.rows import command_of
 from vsfsim.bench.leaderboard import Board, Row, labels_of, score_cells, unit_of
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import paired
-from vsfsim.bench.board.named import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
+from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import Board, Row, collect, interval_text, score_table
 from vsfsim.bench.result import Result
