@@ -1,4 +1,4 @@
-"""`vsfsim lab tradeoff`: limits of known sequences, the front, its page, and what is refused."""
+"""`vsfsim lab tradeoff`: limits of known sequences, the front, and what is refused."""
 
 import math
 
@@ -60,12 +60,6 @@ def test_the_front_and_the_sentences():
     assert sentence(0.005, POINTS).startswith("0.5 %: e,")
     assert sentence(0.002, POINTS) == "0.2 %: cannot be told on this scene, the limit itself is known to 0.4 % only"
     assert "is off by 1 %" in sentence(0.008, [p for p in POINTS if p.key != "e"])
-
-
-def test_the_page_is_whole_and_needs_no_network():
-    content = command.page(POINTS, title="Title & more", about=["about"], sentences=["5 %: c"], notes=[])
-    assert "<svg" in content and "<b>" not in content and "g &lt;b&gt;" in content and "Title &amp; more" in content
-    assert content.count("<tr") == 1 + len(POINTS) and "src=" not in content
 
 
 class Imagined:

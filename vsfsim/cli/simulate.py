@@ -141,7 +141,7 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
 
     The same touches are made at every tier, element size, tolerance and number of frames, and each reading is compared
     with the limit of finer and finer meshes, whose own error is stated. Prints all points, the front among them, and
-    what an error of 10 % to 0.2 % costs; writes points.jsonl and the page tradeoff.html.
+    what an error of 10 % to 0.2 % costs; keeps them in points.jsonl.
 
     Args:
         out: Folder of the results; a run that was interrupted continues there; default: tradeoff/SCENE.
@@ -166,4 +166,4 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
                                  tiers_only=tuple(tier or ()), progress=progress)
     if picture is not None:
         write_figure(command.draw(found.points, f"{found.scene}: {found.what}"), picture)
-    report(f"{found.text()}\npage: {folder / 'tradeoff.html'}", found.table(), json)
+    report(found.text(), found.table(), json)

@@ -14,7 +14,6 @@ from scipy import sparse
 
 from vsfsim.physics.elements import gas
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed
-from vsfsim.sensing.membrane_fe import SensorError
 
 if TYPE_CHECKING:
     from vsfsim.physics.bubble.sensor import BubbleModel
@@ -98,7 +97,6 @@ class BubbleReadout:
 
     def positions(self, points: np.ndarray) -> np.ndarray:
         """Read-out nodes (T, N, 3) [m] of solver nodes (T, n, 3) [m]."""
-        points = self._checked(points, "positions")
         return points.copy() if self._same else np.stack([self._down @ x for x in points])
 
     def forces(self, points: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -111,11 +109,7 @@ class BubbleReadout:
         Args:
             points: solver nodes (T, n, 3) [m].
             force: on these nodes (T, n, 3) [N].
-
-        Raises:
-            SensorError: shapes that do not match.
         """
-        points, force = self._checked(points, "positions"), self._checked(force, "forces")
         if self._same:
             return force.copy()
         return np.stack([self._transfer(x, f) for x, f in zip(points, force, strict=True)])
@@ -130,13 +124,6 @@ class BubbleReadout:
         turn = np.linalg.solve(inertia, couple[..., None])[..., 0]
         np.add.at(out, self._corners, np.cross(turn[:, None], arm))
         return out
-
-    def _checked(self, array: np.ndarray, what: str) -> np.ndarray:
-        array = np.asarray(array, np.float64)
-        if array.ndim != 3 or array.shape[1:] != (len(self.solver.points), 3):
-            raise SensorError(f"bubble: {what} have shape {array.shape}; give frames of all nodes of the solver's "
-                              f"mesh, (T, {len(self.solver.points)}, 3).")
-        return array
 
 
 def readout_of(model: BubbleModel) -> BubbleReadout:

@@ -1,21 +1,18 @@
 """`vsfsim lab tradeoff SCENE`: the limit of some touches, then setting after setting, kept as they come; the picture of
-error against time on logarithmic axes with a line a tier, and the page that has it with every figure."""
+error against time on logarithmic axes with a line a tier."""
 
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import vsfsim
@@ -62,16 +59,12 @@ class Tradeoff:
         """One a goal."""
         return [front.sentence(goal, self.points) for goal in front.GOALS]
 
-    def notes(self) -> list[str]:
-        """What could not be made."""
-        return [f"{key}: {why}" for key, why in self.refused.items()]
-
     def text(self) -> str:
         """For the terminal."""
         return "\n".join([f"{self.scene}: {self.what}", *self.limit, "", front.text(self.points),
                           "* on the front   ~ error below that of the limit, not ranked   x tier "
                           "does not show the scene's needs", "", *self.sentences(),
-                          *(f"note: {sentence}" for sentence in self.notes())])
+                          *(f"note: {key}: {why}" for key, why in self.refused.items())])
 
     def table(self) -> dict[str, Any]:
         """For JSON."""
@@ -91,14 +84,12 @@ class _Lines:
             try:
                 head, *rows = map(from_json, file.read_text().split("\n")[:-1])
                 self.rows = {row["key"]: row for row in rows}
-                other = {name: head[name] for name, here in circumstances.items() if head[name] != here}
-            except (ValueError, KeyError, TypeError) as error:
-                raise VsfsimError(f"{file} is not a file of `vsfsim lab tradeoff` ({error}). Give "
-                                  "another --out, or delete it.") from None
-            for name, there in other.items():
-                raise VsfsimError(f"{file} was made with {name} {there!r}, and this run has "
-                                  f"{circumstances[name]!r}; their points cannot be put together. "
-                                  "Give another --out, or delete the file.")
+            except (ValueError, KeyError, TypeError):
+                head = {}
+            if head != circumstances:
+                raise VsfsimError(f"{file} was made by another command or another version ({head}), and this run is "
+                                  f"{circumstances}; their points cannot be put together. Give another --out, or "
+                                  "delete the file.")
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, "".join(json.dumps(row) + "\n" for row in (circumstances, *self.rows.values())).encode())
 
@@ -114,7 +105,7 @@ class _Lines:
 def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0,
              device: str = "cpu", tiers_only: tuple[str, ...] = (),
              progress: Callable[[int, int, str], None] = lambda done, total, what: None) -> Tradeoff:
-    """Measure what settings cost and miss on a scene, and write lines, page and table into a folder.
+    """Measure what settings cost and miss on a scene, and write lines into a folder.
 
     Args:
         loaded: the scene, with ``[touches]``.
@@ -164,11 +155,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
     if not points:
         raise VsfsimError(f"{loaded.path}: no setting of the sweep can be made. "
                           + " ".join(f"{key}: {why}" for key, why in refused.items()))
-    found = Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), said, refused, machine_kind())
-    write_atomic(out / "tradeoff.html", page(
-        found.points, title=f"Speed against accuracy: {found.scene}", about=[found.what, *found.limit],
-        sentences=found.sentences(), notes=found.notes()).encode())
-    return found
+    return Tradeoff(loaded.name, subject.what, tuple(front.with_front(points)), said, refused, machine_kind())
 
 
 def _made(subject: DatasetTouches, setting: Setting) -> dict[str, Any]:
@@ -228,18 +215,3 @@ def draw(points: Sequence[Point], title: str) -> Any:
     axes.grid(True, which="major", color="0.88")
     axes.legend(fontsize=8, loc="best", framealpha=1.0)
     return figure
-
-
-def page(points: Sequence[Point], **words: str | Sequence[str]) -> str:
-    """One HTML file that needs no network.
-
-    Args:
-        points: cheapest first.
-        words: ``title``, and sentences ``about`` the touches and their limits, one a goal (``sentences``), and
-            ``notes`` at the end.
-    """
-    drawing = io.StringIO()
-    draw(points, "").savefig(drawing, format="svg")
-    head, rows = front.cells(points)
-    template = Environment(autoescape=True).from_string(files(__package__).joinpath("page.html").read_text("utf-8"))
-    return template.render(drawing=drawing.getvalue()[drawing.getvalue().index("<svg"):], head=head, rows=rows, **words)
