@@ -5,7 +5,7 @@ A method runs in processes of its own (`vsfsim.bench.isolation`), a fresh copy o
 (`vsfsim.bench.trials.jobs`). Only when all its answers are there, the truth is read and the answers are scored
 (`vsfsim.bench.trials.score`).
 
-Threads make the jobs of one or several results, as the work is in the processes. What a job answered is kept beside the
+Threads make the jobs of a result, as the work is in the processes. What a job answered is kept beside the
 result, and a second call with the same operands makes only what is missing. Where a method's ``device`` is "cuda",
 without a number, its trainings are shown one GPU each, in turn. Instead of this machine, a Ray cluster or the shards of
 a job array may run the jobs (`vsfsim.core.system.engines`), over a folder that their machines share.
@@ -18,9 +18,9 @@ import itertools
 import os
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +141,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
         task: the task. rows: what to evaluate, by the result file. again: make results that are there again; else one
         is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
         whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, keep, check, training: as of
-        `evaluate`, of all rows together; a row whose predictions are missing is made again. fan: where the trainings
+        `evaluate`; a row whose predictions are missing is made again. fan: where the trainings
         run. progress: of them, called with (done, of how many, what).
 
     Yields:
@@ -172,9 +172,7 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
                 raise
             except VsfsimError as error:
                 yield Made(path, failure=error)
-    # one after the other, unless trainings of several run at the same time
-    for some in ([wanted] if workers > 1 or fan != HERE else [[one] for one in wanted]):
-        yield from make(some, workers, check=check, fan=fan, progress=progress)
+    yield from make(wanted, workers, check=check, fan=fan, progress=progress)
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
@@ -220,16 +218,16 @@ def own(result: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
-def make(rows: Sequence[Evaluation], workers: int, *, check: bool = True, fan: Fan = HERE,
+def make(rows: Iterable[Evaluation], workers: int, *, check: bool = True, fan: Fan = HERE,
          progress: Progress = lambda *_: None) -> Iterator[Made]:
-    """Make results side by side.
+    """Make results, one after the other.
 
     Args:
         rows: what to make; their results must have different paths.
         workers: trainings and trials that run at the same time, each in a process of its own.
         check: test each method's contract on mock objects first.
         fan: where the jobs run; a shard makes its share of the trainings and scores nothing.
-        progress: called with (trials done, of how many, what is going on).
+        progress: called with (trials done of a row, of how many, what is going on).
 
     Yields:
         What became of each row when it is finished; of a shard only failures.
@@ -237,117 +235,74 @@ def make(rows: Sequence[Evaluation], workers: int, *, check: bool = True, fan: F
     Raises:
         Interrupted: the user has stopped it; finished trainings are kept.
     """
-    counted = itertools.count()  # all trainings, so that every shard counts alike whatever is finished
-    reader, queue, left, trials = Reader(), list[tuple[Evaluation, Job]](), dict[Path, int](), _Count(progress)
-    try:
-        with contextlib.ExitStack() as held:
-            for row in rows:
-                try:
-                    if fan.shard is None:
-                        held.enter_context(own(row.path))
-                    held.enter_context(row)
-                    progress(0, 1, f"{row.path.stem}: contract and dataset")
-                    row.look(check=check)
-                    mine = [job for job in row.jobs
-                            if fan.shard is None or next(counted) % fan.shard[1] == fan.shard[0]]
-                    jobs = [job for job in row.left if job in mine]
-                except VsfsimError as error:
-                    yield Made(row.path, failure=error)
-                    continue
-                queue += [(row, job) for job in jobs]
-                sizes = {job.name: row.trials(job) for job in mine}
-                trials.total += sum(sizes.values())
-                trials.done += sum(sizes.values()) - sum(sizes[job.name] for job in jobs)
-                left[row.path] = len(jobs)
-                if not jobs and fan.shard is None:
-                    yield _finished(row)
-            made = _by_ray(queue, fan, trials) if fan.ray else _by_threads(queue, workers, reader, trials)
-            for number, failure in made:
-                row, _ = queue[number]
-                left[row.path] -= 1
-                if failure is not None and left[row.path] >= 0:
-                    left[row.path] = -1  # the first failure is told, and nothing after it
-                    yield Made(row.path, failure=failure)
-                elif left[row.path] == 0 and fan.shard is None:
-                    yield _finished(row)
-    except KeyboardInterrupt as stop:
-        known = [row for row in rows if row.said is not UNKNOWN]
-        done, of = sum(len(one.jobs) - len(one.left) for one in known), sum(len(one.jobs) for one in known)
-        raise Interrupted("interrupted; no training was finished, so nothing is kept." if not done else
-                          f"interrupted; {done} of {of} trainings are finished and kept in "
-                          f"{', '.join(str(one.parts) for one in known)}. Run the same command again to go on, or "
-                          f"delete what is kept to start again.") from stop
-
-
-@dataclass
-class _Count:
-    """Tells how many trials of all rows are done, whichever thread has done them."""
-
-    progress: Progress
-    done: int = 0
-    total: int = 0
-    lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def tell(self, number: int, what: str) -> None:
-        """More trials are done."""
-        with self.lock:
-            self.done += number
-            self.progress(self.done, self.total, what)
-
-
-def _finished(row: Evaluation) -> Made:
-    try:
-        return Made(row.path, row.finish())
-    except VsfsimError as error:
-        return Made(row.path, failure=error)
-
-
-def _by_threads(queue: Sequence[tuple[Evaluation, Job]], workers: int, reader: Reader, trials: _Count
-                ) -> Iterator[tuple[int, VsfsimError | None]]:
-    """The number of each job in ``queue`` as it ends, with what went wrong."""
-    gpus, failed, jobs = _gpus(), set[Path](), max(1, min(workers, len(queue)))
-
-    def work(number: int) -> VsfsimError | None:
-        row, job = queue[number]
-        if row.path in failed:
-            return MethodError("not made")
-        one = gpus and row.parameters.get("device") == "cuda"
+    counted, reader = itertools.count(), Reader()  # all trainings, so that every shard counts alike
+    for row in rows:
+        failure, result = None, None
         try:
-            row.make(job, reader, workers // jobs, trials.tell,
-                     {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if one else {})
+            with own(row.path) if fan.shard is None else contextlib.nullcontext(), row:
+                progress(0, 1, f"{row.path.stem}: contract and dataset")
+                row.look(check=check)
+                mine = [job for job in row.jobs if fan.shard is None or next(counted) % fan.shard[1] == fan.shard[0]]
+                failure = _run(row, mine, workers, reader, fan, progress)
+                result = row.finish() if failure is None and fan.shard is None else None
+        except KeyboardInterrupt as stop:
+            known = row.said is not UNKNOWN
+            done, of = (len(row.jobs) - len(row.left), len(row.jobs)) if known else (0, 0)
+            raise Interrupted("interrupted; no training was finished, so nothing is kept." if not done else
+                              f"interrupted; {done} of {of} trainings are finished and kept in {row.parts}. Run the "
+                              f"same command again to go on, or delete what is kept to start again.") from stop
         except VsfsimError as error:
-            failed.add(row.path)
-            return error
+            if fan.ray and type(error) is VsfsimError:  # the cluster's, and not the row's
+                raise
+            failure = error
+        if failure is not None or fan.shard is None:
+            yield Made(row.path, result, failure)
+
+
+def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan: Fan, progress: Progress
+         ) -> VsfsimError | None:
+    """Make those of some jobs that are not kept; what went wrong first."""
+    left = [job for job in row.left if job in jobs]
+    total = sum(map(row.trials, jobs))
+    done, lock = total - sum(map(row.trials, left)), threading.Lock()
+
+    def tell(number: int, what: str) -> None:
+        nonlocal done
+        with lock:
+            done += number
+            progress(done, total, what)
+
+    if fan.ray:  # a path must mean the same there
+        there = replace(row, path=row.path.absolute(),
+                        dataset=replace(row.dataset, path=row.dataset.path.absolute()))
+        for number, message in engines.on_ray(_train, [(there, job) for job in left], address=fan.ray, gpus=fan.gpus):
+            tell(row.trials(left[number]), left[number].name)
+            if message:
+                return MethodError(message)
         return None
-
-    with ThreadPoolExecutor(jobs) as pool:
-        numbers = {pool.submit(work, number): number for number in range(len(queue))}
+    gpus = _gpus() if row.parameters.get("device") == "cuda" else []
+    with ThreadPoolExecutor(workers) as waits, ThreadPoolExecutor(workers) as pool:
+        going = [waits.submit(row.make, job, reader, pool, tell,
+                              {"CUDA_VISIBLE_DEVICES": gpus[number % len(gpus)]} if gpus else {})
+                 for number, job in enumerate(left)]
         try:
-            for ready in as_completed(numbers):
-                yield numbers[ready], ready.result()
-        except BaseException:  # Ctrl-C, or nobody asks for more
-            pool.shutdown(wait=False, cancel_futures=True)
-            for row, _ in queue:
-                row.stop()
-            raise
-
-
-def _by_ray(queue: Sequence[tuple[Evaluation, Job]], fan: Fan, trials: _Count
-            ) -> Iterator[tuple[int, VsfsimError | None]]:
-    """As `_by_threads`, on a cluster; a path must mean the same there."""
-    items = [(replace(row, path=row.path.absolute(), dataset=replace(row.dataset, path=row.dataset.path.absolute())),
-              job) for row, job in queue]
-    for number, message in engines.on_ray(_train, items, address=fan.ray, gpus=fan.gpus):
-        row, job = queue[number]
-        trials.tell(row.trials(job), job.name)
-        yield number, MethodError(message) if message else None
+            for ready in as_completed(going):
+                ready.result()
+        except BaseException as error:
+            for one in (waits, pool):
+                one.shutdown(wait=False, cancel_futures=True)
+            row.stop()  # so that the threads end as well
+            if not isinstance(error, VsfsimError):
+                raise
+            return error
+    return None
 
 
 def _train(item: tuple[Evaluation, Job]) -> None:
     """In a task of a cluster."""
     one, job = item
-    with one:
-        one.make(job, Reader())
+    with one, ThreadPoolExecutor(1) as pool:
+        one.make(job, Reader(), pool)
 
 
 def _gpus() -> list[str]:

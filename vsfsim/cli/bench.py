@@ -60,7 +60,7 @@ def evaluate(task: TaskName,
         preset: Settings of a method that ships: paper, exact or tuned; default those of its constructor.
         out: Result file, or with --all a folder of them; default: results/TASK/METHOD.json.
         seeds: Draws of the support set; default: the task's number. With cross-validation, of one training.
-        workers: Trainings and trials that run at the same time, each in a process of its own; with --all, of all rows.
+        workers: Trainings and trials that run at the same time, each in a process of its own.
         timeout: Seconds that one call of the method may take; default: no limit.
         memory: Memory that a process of the method may allocate [GiB]; default: what the machine has.
         keep: predictions: also write every prediction beside the truth, RESULT.predictions.npz, which `vsfsim show

@@ -11,7 +11,7 @@ import os
 import platform
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -172,14 +172,14 @@ class Evaluation:
 
     # ------------------------------------------------------------------ one job
 
-    def make(self, job: Job, reader: Reader, workers: int = 1, tell: Callable[[int, str], None] = lambda *_: None,
+    def make(self, job: Job, reader: Reader, pool: Executor, tell: Callable[[int, str], None] = lambda *_: None,
              environment: Mapping[str, str] | None = None) -> None:
         """Train, run the trials, and keep the answers.
 
         Args:
-            job: the job. reader: what reads the object views. workers: trials at the same time.
-            tell: called with (trials done since the last call, what is going on). environment: further variables of the
-            method's processes.
+            job: the job. reader: what reads the object views. pool: runs the training and the trials. tell: called with
+            (trials done since the last call, what is going on). environment: further variables of the method's
+            processes.
 
         Raises:
             MethodError: the method raises, answers with something that cannot be scored, or was changed meanwhile.
@@ -188,30 +188,23 @@ class Evaluation:
         subjects = {name: reader.subject(self.task, self.dataset, name) for name in job.test}
         specimens = self.training.specimens(self.task, self.dataset, job.fold, job.train, job.seed or 0,
                                             reader.specimen)
-        asked, answers = job.asked(self.task.protocol.labels), dict[int, Answers]()
         self._check_contents()
         tell(0, f"{self.parts.stem} {job.name}: meta-fit")
-        learned = self.host.learn(specimens, seed=job.seed, environment=environment)
+        learned = pool.submit(self.host.learn, specimens, seed=job.seed, environment=environment).result()
         opened = contents_of(self.method, self.said.parameters, opened=learned.opened)
-
-        def one(number: int) -> int:
-            run, name, label = asked[number]
-            answers[number] = run_trial(self.host, learned, subjects[name],
-                                        asked_of(subjects[name], label, run, self.task.protocol))
-            return number
-
-        with ThreadPoolExecutor(workers) as pool:
-            try:
-                waiting = [pool.submit(one, number) for number in range(len(asked))]
-                for ready in as_completed(waiting):
-                    tell(1, f"{self.parts.stem}: {answers[ready.result()].trial.where}")
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                self.stop()  # so that the threads end as well
-                raise
+        trials = [pool.submit(run_trial, self.host, learned, subjects[name],
+                              asked_of(subjects[name], label, run, self.task.protocol))
+                  for run, name, label in job.asked(self.task.protocol.labels)]
+        try:
+            for one in trials:
+                tell(1, f"{self.parts.stem}: {one.result().trial.where}")
+        except BaseException:
+            for one in trials:
+                one.cancel()
+            raise
         self._check_contents(opened)
         new = tuple(name for name in opened if name not in self.contents)
-        save(self._file(job), Done(tuple(answers[k] for k in range(len(asked))), learned.seconds,
+        save(self._file(job), Done(tuple(one.result() for one in trials), learned.seconds,
                                    self.host.peak_memory_mib, new))
 
     def _check_contents(self, known: Mapping[str, str] | None = None) -> None:
