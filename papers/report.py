@@ -9,7 +9,7 @@ from typing import Any
 from papers.results import Found, on_other_data
 from papers.study import Study
 from vsfsim.bench.board.compare import ByObject, Paired, interval, paired
-from vsfsim.bench.leaderboard import interval_text, unit_of
+from vsfsim.bench.leaderboard import interval_text, printed, unit_of
 from vsfsim.core.text_table import text_table
 
 RANKING = "5"
@@ -72,7 +72,7 @@ def cells(study: Study, found: Mapping[str, Found]) -> tuple[list[str], list[lis
         ours = [*(interval_text(values[shot]) if shot in values else "" for shot in shots),
                 *(_difference(apart[shot]) if shot in apart else "" for shot in compared)]
         rows.append([v.name, *(ours if v.name in found else ["missing", *ours[1:]][:len(ours)]),
-                     *(_paper(v.paper.get(shot)) for shot in said)])
+                     *(printed(v.paper.get(shot)) for shot in said)])
     return head, rows
 
 
@@ -107,7 +107,3 @@ def remarks(found: Mapping[str, Found]) -> list[str]:
 
 def _difference(d: Paired) -> str:
     return f"{d.mean:+.3f} ± {d.error:.3f}{' *' if d.told_apart else ''}"
-
-
-def _paper(value: float | tuple[float, float] | None) -> str:
-    return "" if value is None else " ± ".join(f"{v:.2f}" for v in (value if isinstance(value, tuple) else (value,)))

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
 from vsfsim.bench.board.charts import filled
@@ -284,9 +286,9 @@ def published(board: Board) -> list[list[str]]:
     """Head and rows of the literature, [] without any. In brackets stands the ratio to the 0-shot error of the paper's
     zero Gaussian prior, which predicts zero."""
     labels = board.task.protocol.labels
-    zero = {row.unit: _mean(row.values["0"]) for row in board.task.paper
+    zero = {row.unit: float(np.ravel(row.values["0"])[0]) for row in board.task.paper
             if "(zero)" in row.method and "0" in row.values}
-    rows = [[row.method, *(_pair(row.values.get(label), zero.get(row.unit)) for label in labels), row.unit,
+    rows = [[row.method, *(printed(row.values.get(label), zero.get(row.unit)) for label in labels), row.unit,
              row.source + ("" if row.comparable else " (not comparable)")]
             for row in board.task.paper]
     return [["method", *(f"{label}-shot" for label in labels), "unit", "source"], *rows] if rows else []
@@ -303,12 +305,9 @@ def interval_text(values: ByObject) -> str:
     return f"{mean:.3f} ± {error:.3f}" if error == error else f"{mean:.3f}"
 
 
-def _pair(value: float | tuple[float, float] | None, zero: float | None) -> str:
+def printed(value: float | tuple[float, float] | None, zero: float | None = None) -> str:
+    """A number of a paper, or its mean and standard deviation, with the mean's ratio to ``zero``; "" for none."""
     if value is None:
         return ""
-    mean, *std = value if isinstance(value, tuple) else (value,)
-    return " ± ".join(f"{v:.2f}" for v in (mean, *std)) + ("" if zero is None else f" ({mean / zero:.2f})")
-
-
-def _mean(value: float | tuple[float, float]) -> float:
-    return value[0] if isinstance(value, tuple) else value
+    numbers = value if isinstance(value, tuple) else (value,)
+    return " ± ".join(f"{v:.2f}" for v in numbers) + ("" if zero is None else f" ({numbers[0] / zero:.2f})")

@@ -87,10 +87,8 @@ def paired(one: ByObject, other: ByObject) -> Paired:
 
 def interval(values: ByObject) -> tuple[float, float]:
     """Mean over objects and its standard error (NaN for one object)."""
-    array = np.array(list(values.values()), float)
-    if not len(array):
-        return math.nan, math.nan
-    return float(array.mean()), float(array.std(ddof=1) / math.sqrt(len(array))) if len(array) > 1 else math.nan
+    found = paired(values, dict.fromkeys(values, 0.0))
+    return found.mean, found.error
 
 
 def joined_ranks(values: Sequence[ByObject]) -> list[int]:
