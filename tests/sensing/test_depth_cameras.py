@@ -7,7 +7,7 @@ import pytest
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
-from vsfsim.core.scene_tables.camera import DEPTH_CAMERAS
+from vsfsim.core.scene_tables.object import DEPTH_CAMERAS
 from vsfsim.data.records import View
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe

@@ -19,9 +19,8 @@ import numpy as np
 from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
 from vsfsim.core.errors import SceneError
 from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_bodies, parse_press, parse_probe
-from vsfsim.core.scene_tables.camera import CameraSpec, parse_camera
 from vsfsim.core.scene_tables.dataset import ArmSpec, DatasetSpec, TouchSpec, parse_dataset, parse_touches
-from vsfsim.core.scene_tables.object import ObjectSpec, parse_object
+from vsfsim.core.scene_tables.object import CameraSpec, ObjectSpec, parse_camera, parse_object
 from vsfsim.core.shape import MeshFile, ProbeShape
 from vsfsim.core.table import Vector, check_keys, ends, parse_toml, read_text, sample, typed
 

@@ -9,12 +9,15 @@ Any number of machines may write at the same time: all of them would write the s
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.plain_text import from_json, plain
+from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import Store
 from vsfsim.data.hdf5 import encode_view
 from vsfsim.data.manifest import Entry, entry_of, file_name
@@ -56,13 +59,9 @@ def finished_names(store: Store) -> set[str]:
 
 def read_line(store: Store, name: str) -> Entry | None:
     """The line of an object view, None if it is not there or not whole."""
-    content = store.get(f"{FOLDER}/{name}{_LINE}")
-    try:
-        table = from_json(content or b"")
-        table.pop("seed")
-        return Entry(**{**table, "audits": tuple(table.get("audits", ()))})
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return None
+    with contextlib.suppress(msgspec.DecodeError):
+        return msgspec.json.decode(store.get(f"{FOLDER}/{name}{_LINE}") or b"", type=Entry)
+    return None
 
 
 def forget(store: Store, name: str) -> None:
@@ -86,30 +85,28 @@ def check_kind(store: Store, made_on: str, *, mixed: bool) -> None:
                            f"machines of one kind, or give --allow mixed; each file then says what made it.")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Failure:
     """What is known of an object view that could not be made."""
 
-    count: int
+    count: int = 0
     """How often it has failed, or its process has died."""
-    reason: str
+    reason: str = ""
     """Of the last time."""
 
 
 def failure(store: Store, name: str) -> Failure:
     """The failures of an object view so far."""
-    try:
-        table = from_json(store.get(f"{FOLDER}/{name}{_FAILED}") or b"")
-        return Failure(int(table["count"]), str(table["reason"]))
-    except (ValueError, KeyError, TypeError):
-        return Failure(0, "")
+    with contextlib.suppress(msgspec.DecodeError):
+        return msgspec.json.decode(store.get(f"{FOLDER}/{name}{_FAILED}") or b"", type=Failure)
+    return Failure()
 
 
 def put_failure(store: Store, name: str, found: Failure) -> None:
     """Keep the failures of an object view; none removes them."""
     spot = f"{FOLDER}/{name}{_FAILED}"
     if found.count:
-        store.put(spot, json.dumps(dataclasses.asdict(found)).encode())
+        store.put(spot, msgspec.json.encode(found))
     else:
         store.remove(spot)
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from vsfsim.core.errors import did_you_mean
 from vsfsim.core.scene import CameraSpec
-from vsfsim.core.scene_tables.camera import DEPTH_CAMERAS, DepthCamera
+from vsfsim.core.scene_tables.object import DEPTH_CAMERAS, DepthCamera
 from vsfsim.core.system.exact import length
 from vsfsim.data.records import View
 from vsfsim.sensing.surface import RenderError, Surface, checked_surface
