@@ -57,6 +57,8 @@ def test_tasks_in_a_batch_are_independent_of_each_other_and_of_the_padding():
     g1, g2 = (implicit_gradient(network, *given, steps=10, regularisation=2.0, damping=100.0)
               for given in ((together, both, both), (single, alone, alone)))
     torch.testing.assert_close(g1[1], g2[0])
+    far = implicit_gradient(network, together, both, both, steps=10, regularisation=2.0, damping=1e9)
+    torch.testing.assert_close(far, network.gradient(together, both))  # what no curvature turns is the first order's
 
 
 def test_without_support_nothing_moves():

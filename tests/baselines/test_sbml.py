@@ -104,6 +104,15 @@ def test_several_networks_find_the_level_that_no_picture_shows(train, task, tmp_
         Sbml(prior=str(tmp_path)).meta_fit([])
 
 
+@pytest.mark.parametrize(("networks", "parts"), [(1, 1), (3, 3), (9, 6)])
+def test_views_of_one_object_are_learned_from_or_held_out_together(networks, parts):
+    names = [f"plants-{k:04d}" for k in range(6) for _ in range(4)]
+    held = Sbml(networks=networks)._held_out(names)
+    assert len(held) == parts
+    for part in held:
+        assert {names[i] for i in part}.isdisjoint(names[i] for i in range(24) if i not in part)
+
+
 def test_what_a_gpu_learns_is_what_the_host_learns(train, device, task):
     if device == "cpu":
         pytest.skip("the host alone learns here")

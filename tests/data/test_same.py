@@ -25,7 +25,9 @@ def test_a_difference_is_a_share_of_the_largest_force_of_the_frames_that_converg
     assert difference(one, other) == 0.0
 
 
-def test_other_frames_or_marks_are_other(touch):
+def test_other_frames_or_marks_and_a_force_out_of_nothing_are_other(touch):
+    silent = dataclasses.replace(touch, force=np.zeros_like(touch.force))
+    assert difference(silent, silent) == 0.0 and difference(silent, touch) == np.inf
     marked = touch.converged.copy()
     marked[0] = ~marked[0]
     assert difference(touch, dataclasses.replace(touch, converged=marked)) == np.inf

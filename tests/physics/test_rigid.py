@@ -10,7 +10,7 @@ import trimesh
 import warp as wp
 
 from vsfsim.core.errors import MeshError
-from vsfsim.core.shape import Box, MeshFile, Sphere
+from vsfsim.core.shape import Box, Capsule, MeshFile, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
@@ -121,6 +121,14 @@ def test_beyond_the_grid_the_gap_never_overestimates_and_is_right_in_size(ball, 
     assert np.isfinite(curvature).all() and outside.any()
     assert np.abs(np.linalg.norm(normal[outside], axis=1) - 1.0).max() < 1e-12
     assert (np.einsum("ni,ni->n", normal, x)[outside] > 0.0).all()
+
+
+def test_each_of_several_meshes_has_its_own_distance(ball, device, tmp_path):
+    trimesh.creation.box((0.02, 0.01, 0.03)).export(tmp_path / "box.stl")
+    bodies = RigidBodies([ball, Capsule(0.01, 0.03), MeshFile(str(tmp_path / "box.stl"), 1.0), ball])
+    x = shell(500, 0.005, 0.04)[0]
+    for k in range(4):
+        assert np.abs(evaluate(bodies, k, x, device)[0] - bodies.distance(k, x)).max() < 1e-15
 
 
 def broken(kind):
