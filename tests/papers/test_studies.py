@@ -149,6 +149,17 @@ def test_a_shipped_study_asks_what_there_is(name):
     assert len(set(stems)) == len(stems)
 
 
+def test_the_blocks_of_the_worlds_differ_in_their_pictures_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
+    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("24", "2").replace("touches = 23", "touches = 9"))
+    told, blind, looks = (worlds.dataset(name) for name in ("springs", "springs-blind", "springs-looks"))
+    assert [(a.view.rgb != b.view.rgb).any() for a, b in zip(told, blind)] == [False, True], "every second is reversed"
+    colours = [{tuple(c) for c in one.view.rgb[one.view.mask]} for one in looks]
+    assert all(len(found) == 2 for found in colours) and not colours[0] & colours[1], "each block has its own"
+    for a, b in (*zip(told, blind), *zip(told, looks)):
+        assert (a.truth.probe_stiffness == b.truth.probe_stiffness).all()
+
+
 def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     half = study.variant("half")
