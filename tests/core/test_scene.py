@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vsfsim.core import shelf
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import SceneFile, load_scene, parse_scene
+from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import Capsule, Family, MeshFile, Plane, Sphere
 
 FULL = """
@@ -87,12 +86,6 @@ def test_three_lines_are_enough():
     assert s.press is s.touches is s.dataset is None
     assert (s.object.fixed, s.object.tier, s.object.resolution, s.object.poisson_ratio,
             s.object.friction) == ("bottom", "auto", None, 0.45, 0.0)
-
-
-@pytest.mark.parametrize("name", sorted(shelf.scenes()))
-def test_shipped_scenes_load(name):
-    scene = load_scene(shelf.find_scene(name))
-    assert isinstance(scene, SceneFile) and scene.name == name and scene.tree["description"]
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [

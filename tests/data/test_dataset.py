@@ -54,15 +54,6 @@ def contents(path):
     return {p.name: p.read_bytes() for p in sorted(path.iterdir())}
 
 
-def test_open_iterate_blind(built):
-    dataset = Dataset.open(built)
-    assert len(dataset) == 3 and dataset.names("train") == tuple(NAMES[:2])
-    assert [view.name for view in dataset] == NAMES
-    assert dataset.load(NAMES[0]).truth is not None
-    assert all(view.truth is None for view in dataset.blind())
-    assert dataset.recipe == RECIPE
-
-
 def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(built, tmp_path):
     script = tmp_path / "run.py"
     script.write_text(textwrap.dedent(f"""

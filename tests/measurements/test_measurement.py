@@ -6,8 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from measurements import indent
 from measurements.measurement import Column, Measurement, Table
 
 ROOT = Path(__file__).parents[2]
@@ -46,3 +48,10 @@ def test_an_installed_package_without_its_repository_says_where_the_scripts_are(
     out = subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()", "measure", "solver"],
                          capture_output=True, text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert out.returncode == 2 and "needs a checkout of the repository" in out.stderr and "measurements/" in out.stderr
+
+
+def test_a_peers_errors_are_shares_of_the_reference():
+    made = {"forces": [1.1, 1.8], "balance": [1e-6, 1e-7], "seconds": [1.0, 3.0], "tets": 8, "said": ""}
+    found = indent.compared(made, np.array([0.001, 0.005]), np.array([1.0, 2.0]))
+    assert found["at_5"] == pytest.approx(-0.1) and found["at_1"] == found["worst"] == pytest.approx(0.1)
+    assert found["rms"] == pytest.approx(0.1) and found["seconds"] == 2.0 and found["balance"] == 1e-6

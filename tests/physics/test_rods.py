@@ -10,7 +10,6 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 from stems import crossing, plant, stem, touch
 
-from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Capsule, Sphere
 from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
@@ -220,16 +219,6 @@ def test_a_heavy_stem_sags(device):
     assert 0.1 - frames.nodes[0, 0, -1, 2] == pytest.approx(down, rel=0.01)
     # half a segment stands on the clamp
     assert frames.reaction[0, 0, 2] == pytest.approx(800.0 * 9.81 * np.pi * 0.002**2 * 0.2 * 39 / 40, rel=1e-3)
-
-
-@pytest.mark.parametrize(("change", "word"), [
-    ({"parent": [-1, 2, 1]}, "parent"), ({"radius": -1.0}, "radius"), ({"young_modulus": 0.0}, "young_modulus"),
-                                              ({"half_width": 0.01, "blade_normal": np.array([0.0, 0.0, 1.0])},
-                                               "blade"),
-])
-def test_a_plant_that_is_none_is_refused(change, word):
-    with pytest.raises(SceneError, match=word):
-        plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]]), change.pop("parent", [-1, 0, 1]), **change)
 
 
 def test_what_cannot_be_solved_is_refused():

@@ -1,12 +1,20 @@
-"""The Gen3 is the one of the table: its frames, its weight, its reach; computed here without MuJoCo."""
+"""The Gen3 is the one of the table: its frames, its weight, its reach; computed here without MuJoCo. As a dataset
+stores it, and as rigid bodies for the solver, it is the same."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from vsfsim.core.errors import SceneError
+from vsfsim.core.rotation import rotation_matrix
+from vsfsim.core.scene import parse_scene
+from vsfsim.core.shape import parse_probe_shapes, probe_table
+from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot import gen3
-from vsfsim.robot.arm import Arm
+from vsfsim.robot.arm import Arm, chain_of
+from vsfsim.robot.reach import straight_touch
 
 TABLE = Path(__file__).with_name("kinova_gen3.md")
 EPS = 1e-5  # rad, of the difference quotients
@@ -138,3 +146,39 @@ def test_the_punyo_sits_on_its_mount(angles):
     top = carrying.body_poses(angles)[:, -2]
     across = np.einsum("ti,ti->t", at.tool[:, :3, 3] - top[:, :3, 3], at.tool[:, :3, 2])
     assert across == pytest.approx(np.full(len(angles), carrying.shapes[-2].radius), abs=1e-5)
+
+
+@pytest.mark.parametrize("punyo", [False, True])
+def test_the_chain_of_a_dataset_is_the_arm(punyo):
+    base = np.eye(4)
+    base[:3, :3], base[:3, 3] = [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], [-0.6, 0.1, 0.02]
+    arm = Arm(punyo=punyo, base=base)
+    chain = chain_of(arm)
+    assert parse_probe_shapes(json.loads(json.dumps(probe_table(chain))), "test") == (chain,)
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))
+    at, links = arm.postures(q), chain.links(q)
+    assert np.abs(links - at.links).max() < 1e-12
+    assert np.abs(chain.capsule_poses(links)[..., :3, 3] - arm.capsule_poses(at)[..., :3, 3]).max() < 1e-12
+    axes, anchors = chain.joint_axes(links)
+    assert np.abs(axes - at.axes).max() < 1e-12 and np.abs(np.cross(anchors - at.anchors, axes)).max() < 1e-12
+    with pytest.raises(SceneError, match="unknown shape 'chain'"):
+        parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.1] }\nyoung_modulus = 1e5\n[probe]\nshape = '
+                    '{ chain = {} }\n', "x.toml")
+
+
+def test_the_arm_presses_a_block_with_its_wrist(block, device):
+    """The forearm comes from the side: the force is on the links that reach the block, and its reaction on the block's
+    ground."""
+    model = block((0.1, 0.1, 0.2), 0.05, poisson_ratio=0.4)
+    base = np.eye(4)
+    base[:3, 3] = [-0.42, 0.33, 0.0]
+    arm = Arm(base=base)
+    q = straight_touch(arm, [0.14, 0.13, 0.17], [0.14, 0.086, 0.17], rotation_matrix((0.0, np.pi / 2, 0.0)),
+                       frames=12)[[0, 10, 11]]
+    frames = Solver(model, arm.shapes, device=device).run(arm.body_poses(q)[:, None])
+    assert frames.converged.all()
+    force = frames.body_force[:, 0]
+    wrist = [arm.links[n].startswith("spherical_wrist") or arm.links[n] == "forearm_link" for n in arm.capsule_links]
+    assert (force[0] == 0.0).all() and (force[:, np.logical_not(wrist)] == 0.0).all()
+    assert force[-1].sum(axis=0)[1] > 1.0, "the block pushes the arm back along y"
+    assert force.sum(axis=1) == pytest.approx(frames.force[:, 0], abs=1e-9)

@@ -1,12 +1,12 @@
-"""Straight touches: met along the whole line, or refused with the reason."""
+"""Straight touches: met along the whole line, or refused with the reason; and gaps, against MuJoCo's distances."""
 
+import mujoco
 import numpy as np
 import pytest
 
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
-from vsfsim.robot import reach
+from vsfsim.robot import gen3, reach
 from vsfsim.robot.arm import Arm
-from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.inverse_kinematics import solve
 from vsfsim.robot.reach import Reason, Unreachable, straight_touch
 
@@ -31,7 +31,7 @@ def off(arm, q, start, stop, rotation):
 @pytest.mark.parametrize("punyo", [False, True])
 def test_the_whole_line_is_met(punyo):
     arm = Arm(punyo=punyo)
-    home = arm.postures(np.array([HOME])).tool[0]  # there the dome looks down, along its way
+    home = arm.postures(np.array([gen3.HOME])).tool[0]  # there the dome looks down, along its way
     start, turn = (home[:3, 3], home[:3, :3]) if punyo else (START, FORWARD)
     stop = start + 0.1 * turn[:, 2] if punyo else STOP
     q = straight_touch(arm, start, stop, turn, frames=60)
@@ -106,3 +106,33 @@ def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way, monkeypatch
     with pytest.raises(Unreachable, match="would jump") as error:
         straight_touch(arm, *line, frames=81, table=None, restarts=3)
     assert error.value.reason is Reason.SINGULAR
+
+
+@pytest.mark.parametrize("punyo", [False, True])
+def test_gaps_are_mujocos(punyo):
+    arm = Arm(punyo=punyo)
+    data = mujoco.MjData(arm.model)
+    geom = {(c.link, i): arm.model.geom(f"{c.link}_{i}").id for link in arm.links for i,
+            c in enumerate(c for c in arm.capsules if c.link == link)}
+    ids = list(geom.values())
+    q = np.random.default_rng(5).uniform(-2.0, 2.0, (6, 7))
+    gaps, pairs = reach.self_gaps(arm, arm.postures(q))
+    table, moving = reach.table_gaps(arm, arm.postures(q), 0.1)
+    assert len(pairs) > 80
+    for t in range(len(q)):
+        data.qpos[:] = q[t]
+        mujoco.mj_kinematics(arm.model, data)
+        for p, (i, j) in enumerate(pairs):
+            want = mujoco.mj_geomDistance(arm.model, data, ids[i], ids[j], 5.0, None)
+            # MuJoCo stops at 1e-6 m where capsules are nearly parallel
+            assert gaps[t, p] == pytest.approx(want, abs=2e-6)
+        for m, k in enumerate(moving):
+            half = arm.shapes[k].length / 2 * data.geom_xmat[ids[k]].reshape(3, 3)[2, 2]
+            ends = data.geom_xpos[ids[k]][2] + np.array([-half, half])
+            assert table[t, m] == pytest.approx(ends.min() - arm.shapes[k].radius - 0.1, abs=1e-12)
+
+
+def test_the_home_posture_is_free():
+    arm = Arm(punyo=True)
+    at = arm.postures(np.array([gen3.HOME]))
+    assert reach.self_gaps(arm, at)[0].min() > 0.04 and reach.table_gaps(arm, at, 0.0)[0].min() > 0.2

@@ -1,13 +1,11 @@
 """Jobs in worker processes: one that dies or does not end costs its own answer only; a file of answers goes on."""
 
-import json
 import os
 import time
 
 import pytest
 
-from measurements.stability.team import Ended, Late, answers, kept, processor_time
-from vsfsim.core.errors import VsfsimError
+from measurements.stability.team import Ended, Late, answers, processor_time
 
 
 def double(job):
@@ -38,16 +36,3 @@ def test_a_block_ends_at_its_processor_time_whatever_it_catches():
                 pass
     with processor_time(0.1):
         time.sleep(0.3)  # takes none
-
-
-def test_a_file_goes_on_without_the_line_that_was_cut_off(tmp_path):
-    file = tmp_path / "rows.jsonl"
-    assert kept(file, {"seed": 1}, "vsfsim this") == []
-    with file.open("a") as out:
-        out.write('{"number": 4}\n{"numb')
-    assert kept(file, {"seed": 1}, "vsfsim this") == [{"number": 4}] == kept(file, {}, "vsfsim this")
-    with pytest.raises(VsfsimError, match="made with seed 1, and this run has 2"):
-        kept(file, {"seed": 2}, "vsfsim this")
-    file.write_text(json.dumps([1]))
-    with pytest.raises(VsfsimError, match="not a file of `vsfsim this`"):
-        kept(file, {"seed": 1}, "vsfsim this")

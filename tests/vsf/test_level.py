@@ -1,10 +1,11 @@
-"""The level of a learned prior, from objects that it was not learned on: in cases with a closed form."""
+"""The level of a learned prior, and the standard deviations of its predicted readings, from objects that it was not
+learned on: in cases with a closed form."""
 
 import numpy as np
 import pytest
 from scipy import sparse
 
-from vsfsim.vsf.meta.calibration import Held, Level, blended, pattern_scale
+from vsfsim.vsf.meta.calibration import Held, Level, Missed, Width, blended, pattern_scale
 from vsfsim.vsf.meta.composition import GaussianPrior
 
 
@@ -72,3 +73,36 @@ def test_several_networks_are_a_mixture_and_the_level_scales_it():
     np.testing.assert_allclose(out.total_mean(), [2.0, 3.0])
     np.testing.assert_allclose(out.var, (0.25 * 3.0 + 0.01 * 5.0) / 0.36)
     np.testing.assert_allclose(out.total_std() ** 2, out.var + 0.3**2 * np.array([2.0, 3.0]) ** 2)
+
+
+def signs(m):
+    return np.where(np.arange(m) % 2, 1.0, -1.0)
+
+
+def test_frames_that_move_no_particle_have_a_width_of_their_own():
+    moved = np.repeat([0.0, 1e-9], 40)
+    width = Width.of([Missed(np.where(moved, 2.0, 0.1) * signs(80), np.zeros(80), moved)])
+    assert width.free == pytest.approx(0.1, rel=1e-3)
+    np.testing.assert_allclose(width.std(np.zeros(80), moved), np.where(moved, 2.0, 0.1), rtol=1e-3)
+
+
+def test_objects_count_alike_whatever_their_number_of_readings():
+    # With one variance v for all, the mean over objects of log v + e^2 / v is least at the mean of their e^2.
+    width = Width.of([Missed(1.0 * signs(600), np.zeros(600), np.zeros(600)),
+                      Missed(3.0 * signs(6), np.zeros(6), np.zeros(6))])
+    assert width.free == pytest.approx(np.sqrt((1.0 + 9.0) / 2.0), rel=1e-4)
+
+
+@pytest.mark.parametrize("true", [Width(0.1, 0.0, 0.0, 3.0), Width(0.3, 2.0, 0.3, 1.5)])
+def test_the_factors_behind_errors_are_found(true):
+    # Over twenty seeds the standard deviations differ by up to 2.2 %.
+    rng = np.random.default_rng(5)
+    objects = []
+    for _ in range(8):
+        moved = rng.integers(0, 2, 2000)
+        predicted, springs = moved * rng.uniform(0.0, 8.0, 2000), moved * rng.uniform(0.1, 1.0, 2000)
+        objects.append(Missed(true.std(predicted, springs) * rng.standard_normal(2000), predicted, springs))
+    found = Width.of(objects)
+    for predicted, springs in ((0.0, 0.0), (1.0, 0.5), (2.0, 0.2), (7.0, 0.9)):
+        assert found.std(np.array(predicted), np.array(springs)) == pytest.approx(
+            float(true.std(np.array(predicted), np.array(springs))), rel=0.05)

@@ -9,7 +9,6 @@ import pytest
 import warp as wp
 from stems import crossing, plant, stem, touch
 
-from vsfsim.core.errors import SceneError
 from vsfsim.physics.rods.kernels import segment
 from vsfsim.physics.rods.model import build
 
@@ -157,11 +156,3 @@ def test_a_bent_wire_stays_bent_and_carries_its_branch(device):
     # the unloaded part is rigid: distances between its nodes are those at rest
     for a, b in ((1, 2), (2, 3), (2, 4), (3, 4)):
         assert np.linalg.norm(end[a] - end[b]) == pytest.approx(np.linalg.norm(body.nodes[a] - body.nodes[b]), rel=1e-9)
-
-
-def test_a_core_that_is_stiffer_than_its_segment_is_refused():
-    body = stem(3, length=LENGTH, radius=RADIUS, young_modulus=E)
-    for core, words in ((np.full((4, 2), EI * 1.1), "core of segment 1 is"),
-                        (np.full((3, 2), EI), "yielding has the shape"), (np.full((4, 2), np.nan), "1 is nan")):
-        with pytest.raises(SceneError, match=words):
-            dataclasses.replace(body, yielding=core)
