@@ -54,7 +54,7 @@ def test_what_is_left_out_is_assumed_and_said():
     prepared = prepare(parse_scene(BOX, "s.toml").sample(), Request())
     scene, notes = prepared.scene, prepared.notes
     assert prepared.tier == "linear" and scene.probe == Sphere(0.006)
-    assert "20 % of the object's smallest edge" in notes[0]
+    assert "a ball of 6 mm radius was taken" in notes[0]
     # first contact on the top at its middle, a tenth of the height deep
     assert scene.press.start == pytest.approx((0.0, 0.0, 0.036), abs=2e-6)
     assert scene.press.stop == pytest.approx((0.0, 0.0, 0.033), abs=2e-6)

@@ -27,23 +27,18 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     """The scene with a probe that suits the object's size, if the file has none, and what was assumed."""
     if "probe" in scene.given:
         return scene, []
+    shape, radius = scene.required_object.shape, LARGEST_RADIUS
     # A path is made for a certain probe: the default one of the scene format.
-    if scene.press is not None or isinstance(scene.required_object.shape, Family):
-        assert scene.probe == Sphere(LARGEST_RADIUS)
-        return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
-    shape = scene.required_object.shape
-    if isinstance(shape, MeshFile):
-        from vsfsim.physics.mesh.repair import extents  # imports trimesh
+    if scene.press is None and not isinstance(shape, Family):
+        if isinstance(shape, MeshFile):
+            from vsfsim.physics.mesh.repair import extents  # imports trimesh
 
-        size = extents(shape)
-    else:
-        size = np.array(extent(shape))
-    radius = min(LARGEST_RADIUS, float(f"{RADIUS * size.min():.2g}"))
-    if radius <= 0.0 or radius == LARGEST_RADIUS:
-        return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
-    note = (f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken, "
-            f"{100 * RADIUS:g} % of the object's smallest edge.")
-    return dataclasses.replace(scene, probe=Sphere(radius)), [note]
+            size = extents(shape)
+        else:
+            size = np.array(extent(shape))
+        radius = min(LARGEST_RADIUS, float(f"{RADIUS * size.min():.2g}")) or LARGEST_RADIUS
+    return dataclasses.replace(scene, probe=Sphere(radius)), [
+        f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken."]
 
 
 def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:

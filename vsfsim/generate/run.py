@@ -28,8 +28,8 @@ from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade.buy import bought, check_accuracy
 from vsfsim.generate.workers import make_one
 from vsfsim.physics.runtime import check_device, compile_kernels
+from vsfsim.sensing.camera import RENDERERS
 
-RENDERERS = ("warp", "pyrender")
 ALLOWED = ("mixed", "poison")
 
 

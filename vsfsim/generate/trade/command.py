@@ -98,7 +98,7 @@ class _Lines:
         if key not in self.rows:
             self.rows[key] = {"key": key, **make()}
             with open(self.file, "a") as file:
-                file.write(json.dumps(self.rows[key], allow_nan=False) + "\n")
+                file.write(json.dumps(self.rows[key]) + "\n")
         return self.rows[key]
 
 

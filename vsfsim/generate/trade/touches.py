@@ -31,8 +31,6 @@ CANDIDATES = 3
 """Touches that are drawn for each that is taken."""
 WHOLE = 0.75
 """Share of the frames of a touch that must have an equilibrium on all meshes of its limit [-]."""
-DIGITS = 7
-"""Of a number in a file."""
 
 
 @dataclass(frozen=True)
@@ -83,25 +81,12 @@ class Run:
 
     def table(self) -> dict[str, Any]:
         """For JSON."""
-        return msgspec.to_builtins(self, enc_hook=_numbers)
+        return msgspec.to_builtins(self, enc_hook=np.ndarray.tolist)
 
     @classmethod
     def read(cls, table: Any) -> Run:
         """As `table` gave it."""
-        return msgspec.convert(table, cls, dec_hook=lambda _, values: _array(values))
-
-
-def _numbers(values: np.ndarray) -> Any:
-    """Lists of numbers of `DIGITS` digits; None where there is no number."""
-    if values.ndim > 1:
-        return [_numbers(row) for row in values]
-    return values.tolist() if values.dtype == bool else [
-        float(f"{v:.{DIGITS}g}") if np.isfinite(v) else None for v in values.tolist()]
-
-
-def _array(values: Any) -> np.ndarray:
-    found = np.array(values)
-    return found if found.dtype == bool else np.array(values, float)
+        return msgspec.convert(table, cls, dec_hook=lambda _, values: np.array(values))
 
 
 class DatasetTouches:
