@@ -47,8 +47,6 @@ _DEEP_PAIR, _SPACING_PAIR, _GRID_PAIR = 0.1, 0.4, (3, 16)
 class Overlap:
     """How far k touches' bodies and object lie in one another."""
 
-    penetration: torch.Tensor
-    """Depth of the deepest point of the boundary inside a body (k,) [m]."""
     inside: torch.Tensor
     """Depth of the deepest point of a body inside the object, or of the object's inner points inside a body (k,)
     [m]."""
@@ -164,25 +162,7 @@ class Intrusion:
         places = np.einsum("kmij,mj->kmi", own[..., :3, :3], self._samples) + own[..., :3, 3]
         depth, face = self._surface.depth(closed, torch.as_tensor(places, device=self.device))
         near = torch.zeros_like(faces).scatter_reduce(1, face.long(), depth, "amax")
-        return Overlap(faces.amax(dim=1), torch.maximum(inside, near.amax(dim=1)), faces, near)
-
-    def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor,
-             coarse: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Where the contact needs more.
-
-        Args:
-            columns, pose, u: see `check`.
-            coarse: faces that can be cut further (B, F) bool.
-
-        Returns:
-            The larger of penetration and depth inside (k,) [m], the faces that meet a body (B, F) bool, and those that
-            need more points (B, F) bool.
-        """
-        found = self.check(columns, pose, u)
-        met, cut = torch.zeros_like(coarse), torch.zeros_like(coarse)
-        inside = found.near > self.tolerance
-        met[columns], cut[columns] = (found.faces > 0.0) | inside, (found.faces > self.fine) | inside
-        return torch.maximum(found.penetration, found.inside), met, cut & coarse
+        return Overlap(torch.maximum(inside, near.amax(dim=1)), faces, near)
 
 
 class PairOverlap:

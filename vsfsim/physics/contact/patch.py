@@ -11,7 +11,6 @@ and soft enough that float64 keeps its digits. The solver inverts this block exa
 """
 
 import functools
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -167,25 +166,6 @@ def neighbours(mesh: QuadraticMesh, faces: np.ndarray) -> np.ndarray:
     near = np.zeros(len(mesh.points), bool)
     near[mesh.faces[faces]] = True
     return np.flatnonzero(near[mesh.faces].any(axis=1))
-
-
-def grow(patches: list[Patch], cuts: np.ndarray, touches: Sequence[int], met: np.ndarray, cut: np.ndarray,
-         mesh: QuadraticMesh, make: Callable[[int, np.ndarray], Patch]) -> None:
-    """Grow the patches (B) of some ``touches``, in place.
-
-    Args:
-        patches, touches: see above.
-        cuts: parts along the edge of each boundary triangle (B, F), likewise in place.
-        met: triangles outside the patches that meet a body (B, F) bool.
-        cut: triangles that get more points (B, F) bool.
-        mesh: the mesh.
-        make: the patch of a touch over some triangles (f,).
-    """
-    for b in touches:
-        extra = np.flatnonzero(met[b])
-        if len(extra) or cut[b].any():
-            cuts[b, cut[b]] = np.array([*CUTS[1:], CUTS[-1]])[np.searchsorted(CUTS, cuts[b, cut[b]])]
-            patches[b] = make(b, np.union1d(patches[b].faces, neighbours(mesh, extra)))
 
 
 def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:

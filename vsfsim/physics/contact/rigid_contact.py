@@ -20,7 +20,7 @@ from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.mount import Mount, Springs
-from vsfsim.physics.contact.patch import CUTS, Patch, at_points, grow, make_patch, sheet_contact
+from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, neighbours, sheet_contact
 from vsfsim.physics.contact.points import Contact, bound
 from vsfsim.physics.contact.reach import Gaps, plan
 from vsfsim.physics.linear.rest_factor import Response, response
@@ -111,9 +111,7 @@ class RigidContact(Contact):
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         known = getattr(self, "dof", None)
         self._take(padded.nodes, self.model.free, self.model.mesh.points)
-        self._member, self._of_body = torch.zeros_like(tensor(self._cuts), dtype=torch.bool), tensor(parts["host"] >= 0)
-        for row, patch in zip(self._member, self.patches, strict=True):
-            row[tensor(patch.faces)] = True
+        self._of_body = tensor(parts["host"] >= 0)
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         self._points, found = bound(k.Points, {
             **{name: parts[name] for name in ("shape", "local", "stiffness", "host", "spot", "leave", "soft")},
@@ -291,15 +289,21 @@ class RigidContact(Contact):
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
         """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
         bodies were found between those; whether they had to."""
-        pose, mounts = self._held_at(pose), pose
-        kept, coarse = self.friction_state(), torch.as_tensor(self._cuts < self._finest, device=self.device)
-        self._overlap[columns], met, cut = self._passage.grow(columns, pose, u, coarse)
+        pose, mounts, kept = self._held_at(pose), pose, self.friction_state()
+        found = self._passage.check(columns, pose, u)
+        self._overlap[columns] = torch.maximum(found.faces.amax(dim=1), found.inside)
         moved, beside = self._body_points.renew(columns, pose, u, self.patches)
-        met |= torch.as_tensor(beside, device=self.device)
-        met &= ~self._member  # (B, faces)
-        if not (moved or bool((met | cut)[columns].any())):
-            return False
-        grow(self.patches, self._cuts, columns.tolist(), met.cpu().numpy(), cut.cpu().numpy(), self.model.mesh,
-             self._patch)
-        self._renew(mounts, kept)
-        return True
+        inside = found.near > self._passage.tolerance
+        met, cut = (((found.faces > depth) | inside).cpu().numpy() for depth in (0.0, self._passage.fine))
+        grown = bool(moved)
+        for b, touched, coarse in zip(columns.tolist(), met, cut, strict=True):
+            patch = self.patches[b]
+            extra = np.setdiff1d(np.flatnonzero(touched | beside[b]), patch.faces)
+            coarse = coarse & (self._cuts[b] < self._finest)
+            if len(extra) or coarse.any():
+                self._cuts[b, coarse] = np.array([*CUTS[1:], CUTS[-1]])[np.searchsorted(CUTS, self._cuts[b, coarse])]
+                self.patches[b] = self._patch(b, np.union1d(patch.faces, neighbours(self.model.mesh, extra)))
+                grown = True
+        if grown:
+            self._renew(mounts, kept)
+        return grown

@@ -105,29 +105,23 @@ class CoupledSolver(Solver):
         return within.cpu().numpy()
 
     def _record(self, converged: np.ndarray) -> None:
-        u = self._balance.u
+        u, split = self._balance.u, 3 * len(self.object.mesh.points)
         self.history.append(u.clone().cpu().numpy())
-        split = 3 * len(self.object.mesh.points)
         force = self._balance.contact_force().view(-1, 3, u.shape[1])
-        surface = torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)
-        marked = torch.as_tensor(~converged, device=self.device)
-        force = force.masked_fill(marked, torch.nan)
-        self.surface_force.append(force[surface].cpu().numpy())
+        force[:, :, torch.as_tensor(~converged, device=self.device)] = torch.nan
+        self.surface_force.append(force[self.object.mesh.surface_nodes()].cpu().numpy())
         assert isinstance(self.contact, PairContact)
         carried = self.contact.carried_by
         self.sensor_force.append(carried(force[split // 3:], place=False).cpu().numpy())
         rest = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None]
-        own = rest + u[split:].view(-1, 3, u.shape[1])
-        self.sensor_position.append(carried(own, place=True).cpu().numpy())
+        self.sensor_position.append(carried(rest + u[split:].view(-1, 3, u.shape[1]), place=True).cpu().numpy())
 
     def _report(self, state: State) -> Rows:
         # the balance of the object only: the sensor's forces are in its own frame, and end at its rim
-        split = 3 * len(self.object.mesh.points)
-        mask = torch.zeros_like(self._balance.free)
-        mask[:split] = 1.0
-        own = dict(state)
-        own["contact"], own["internal"] = state["contact"] * mask, state["internal"] * mask
-        out = super()._report(own)
+        own = {name: state[name].clone() for name in ("contact", "internal")}
+        for values in own.values():
+            values[3 * len(self.object.mesh.points):] = 0.0
+        out = super()._report({**state, **own})
         if self.elasticity.pressure is not None:
             pressure = wp.to_torch(self.elasticity.pressure).cpu().numpy()
             self.pressure.append(np.where(out["converged"], pressure, np.nan))

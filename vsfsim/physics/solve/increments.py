@@ -169,5 +169,5 @@ def inside(bodies: RigidBodies, model: Model, pose: np.ndarray, device: str = "c
     check = Intrusion(model.mesh, bodies, model.element_size, device=device, coupled=model.coupled)
     found = check.check(torch.arange(len(pose), device=device), pose, torch.zeros(
         (model.mesh.points.size, len(pose)), dtype=torch.float64, device=device))
-    depth = torch.maximum(found.penetration, found.inside) if solid else found.penetration
-    return (depth > deep).cpu().numpy()
+    depth = found.faces.amax(dim=1)
+    return ((torch.maximum(depth, found.inside) if solid else depth) > deep).cpu().numpy()

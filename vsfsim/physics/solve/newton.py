@@ -12,6 +12,8 @@ The *measure* of a touch is the sum of the lengths of its unbalanced nodal force
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import torch
 import warp as wp
@@ -193,21 +195,19 @@ class Equilibrium:
                  near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Directions of descent (3 n, k) [m], the iterations that they took (k,), and which met negative curvature (k,)
         bool: these are found with the projected tangent, without the geometric term of the contact."""
-        direction, steps, curved = self._direction(columns, residual, near)
+        opt = self.options
+        solve = functools.partial(newton_direction, self.elasticity, self.contact, iterations=opt.cg,
+                                  deadline=self._deadline, factors=self.factors)
+        # far from the solution, where Newton's linear model is no more accurate, a looser solution serves
+        loose = torch.full_like(residual[0], opt.cg_tolerance * opt.cg_far)
+        direction, steps, curved = solve(columns, residual, near=near,
+                                         tolerance=torch.where(near, opt.cg_tolerance, loose))
         if bool(curved.any()) and clock.now() <= self._deadline:
             self._tangent(columns[curved], projected=True)
-            direction[:, curved], more, _ = self._direction(
-                columns[curved], residual[:, curved], torch.zeros_like(near[curved]))
+            direction[:, curved], more, _ = solve(columns[curved], residual[:, curved], tolerance=loose[curved],
+                                                  near=torch.zeros_like(near[curved]))
             steps[curved] += more
         return direction, steps, curved
-
-    def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
-                   near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        opt = self.options
-        # far from the solution, where Newton's linear model is no more accurate, a looser solution serves
-        tolerance = opt.cg_tolerance * torch.where(near, 1.0, opt.cg_far)
-        return newton_direction(self.elasticity, self.contact, columns, residual, near=near, iterations=opt.cg,
-                                deadline=self._deadline, tolerance=tolerance, factors=self.factors)
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
               tolerance: float) -> torch.Tensor:

@@ -26,7 +26,7 @@ from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import torch_threads
-from vsfsim.physics.solve import audit, increments, weight
+from vsfsim.physics.solve import audit, increments
 from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity, LinearElasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
@@ -34,6 +34,8 @@ from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.work_check import WorkCheck
 
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
+_LEAST_LOAD = 1 / 256  # the smallest part of the weight that is added
+_AWAY = 1e3  # how far the bodies are meanwhile [m], on the side of a plane that is solid
 _GROWTHS = 10  # solves of a step while the patch grows, cuts of its faces included
 
 
@@ -104,7 +106,7 @@ class Solver:
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses, start)
         self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
-        weight.apply(self._balance, previous)
+        hang(self._balance, previous)
         self.contact.begin_step(previous, self._balance.u)
         self.contact.move(previous, self._balance.every)
         self._work_check = WorkCheck(self._balance)
@@ -293,3 +295,42 @@ class Solver:
         """The values of one frame from the state of all touches."""
         self._balance.reason[self._unknown & (self._balance.reason == Reason.NONE)] = Reason.PATH
         return audit.report(self._balance, state, self._grounding)
+
+
+def hang(balance: Equilibrium, pose: np.ndarray) -> None:
+    """Find the equilibrium of an object under its weight alone, from which all touches begin, in parts of the load that
+    are as large as they converge.
+
+    Args:
+        balance: the batch; all its displacements are set.
+        pose: poses of the bodies (B, K, 4, 4), free of the object.
+    """
+    model, contact, options = balance.model, balance.contact, balance.options
+    if not model.load.any():
+        return
+    deadline = clock.now() + options.seconds * len(balance.every)
+    first, whole = balance.every[:1], balance.load
+    away = pose.copy()
+    away[..., :3, 3] -= _AWAY * pose[..., :3, 2]
+    contact.begin_step(away, balance.u)
+    contact.move(away, balance.every)
+    linear = model.preconditioner.solve((model.load * model.free)[:, None])
+    slope = torch.as_tensor(linear, dtype=torch.float64, device=balance.device)
+    done, part, u = 0.0, 1.0, torch.zeros_like(slope)
+    while done < 1.0 and part >= _LEAST_LOAD and clock.now() < deadline:
+        share = min(part, 1.0 - done)
+        balance.load = (done + share) * whole
+        balance.u[:, :1] = u + share * slope
+        balance.reset_counts()
+        state = balance.evaluate(first)
+        balance.solve(first, state, options.tolerance, deadline)
+        # out of time the first frame goes on, unless the body at rest (1) is nearer to the balance
+        late = balance.reason[0] == Reason.TIME and done + share == 1.0 and float(state["measure"][0]) < 1.0
+        if balance.reason[0] == Reason.NONE or late:
+            slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
+            done, part = done + share, 2.0 * part
+        else:
+            part = 0.5 * share
+    balance.load = whole
+    balance.u[:] = u
+    balance.factors.forget()
