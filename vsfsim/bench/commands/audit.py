@@ -24,12 +24,12 @@ import numpy as np
 
 from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import ByObject, Paired, by_object, interval, paired
-from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.identity import contents_of
+from vsfsim.bench.commands.catalogue import Choice
+from vsfsim.bench.evaluate import evaluate_all
 from vsfsim.bench.leaderboard import collect, labels_of
 from vsfsim.bench.metrics import spearman
 from vsfsim.bench.result import Result
-from vsfsim.bench.task import Task, open_dataset
+from vsfsim.bench.task import Task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
@@ -168,16 +168,12 @@ def _shortcuts(task: Task, dataset: Path | None, folder: Path, progress: Callabl
     """The metric of each object by shortcut; {} where the data are not here."""
     if dataset is None and not (task.dataset.path() / "dataset.json").is_file():
         return {}
-    data, out = open_dataset(task, dataset), dict[str, ByObject]()
-    source = "the method"  # what the harness makes of the same answers changes no rank
-    for sees in KINDS:
-        path = folder / f"shortcut-{sees}.json"
-        result = Result.load(path) if path.is_file() else None
-        if result is None or (result.task_sha256, result.dataset_sha256, result.contents.get(source)) != (
-                task.sha256, data.sha256, contents_of(METHOD, result.parameters)[source]):
-            result = evaluate(METHOD, task, data, out=path, parameters={"sees": sees}, progress=progress)
-        out[sees] = by_object(result, task.primary, task.ranking_shot)
-    return out
+    rows, out = {folder / f"shortcut-{sees}.json": Choice(METHOD, "", {"sees": sees}) for sees in KINDS}, {}
+    for made in evaluate_all(task, rows, dataset=dataset, progress=progress):
+        if made.result is None:
+            raise made.failure or TaskError(f"{made.path} was not made.")
+        out[made.path] = by_object(made.result, task.primary, task.ranking_shot)
+    return {rows[path].parameters["sees"]: out[path] for path in rows}
 
 
 def _key(result: Result) -> tuple[str, str]:
