@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 SAFETY = 1.25  # safety factor of the error for three meshes or more (Roache 1994) [-]
 LARGEST = 0.03  # error of a curve's limit, over its largest value, beyond which the limit counts as unknown [-]
@@ -28,10 +29,8 @@ STEEP = 4.0  # order of an integral of stresses with quadratic elements; a highe
 class Convergence:
     """Convergence of one quantity, a force [N] or a pressure [Pa], over a sequence of meshes."""
 
-    edge: np.ndarray
-    """h of each mesh, coarsest first (k,) [m]."""
     force: np.ndarray
-    """Value on each mesh (k,), in its unit."""
+    """Value on each mesh, coarsest first (k,), in its unit."""
     order: float | None
     """Observed order of convergence [-]; None if there is none."""
     extrapolated: float | None
@@ -58,7 +57,7 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
     order, value, error = limit.order, float(limit.value[0]), float(limit.error[0])
     if order is None or value == f[-1]:
         error = max(error, float(np.ptp(f[-3:])))
-        return Convergence(h, f, None, None, error,
+        return Convergence(f, None, None, error,
                            f"No order of convergence is observed: {limit.why}. The {name} is {f[-1]:.5g} {unit} on the "
                            f"finest mesh, error about {error:.2g} {unit} "
                            f"({100 * error / max(abs(float(f[-1])), 1e-300):.2g} %).")
@@ -69,7 +68,7 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
         words += f" More than {STEEP:g} is chance with quadratic elements: {STEEP:g} was used."
     if order < 0.5:
         words += " So low an order extrapolates far: take a finer first mesh before trusting it."
-    return Convergence(h, f, order, value, error, words)
+    return Convergence(f, order, value, error, words)
 
 
 def _order(r21: float, r32: float, ratio: float) -> float:
@@ -77,14 +76,11 @@ def _order(r21: float, r32: float, ratio: float) -> float:
 
     (r32^p - 1) r21^p / (r21^p - 1) grows with p from ln r32 / ln r21, which is under the ratio.
     """
-    def steps(p: float) -> float:
-        return (r32**p - 1.0) * r21**p / (r21**p - 1.0)
+    def over(p: float) -> float:
+        return (r32**p - 1.0) * r21**p / (r21**p - 1.0) - ratio
 
     low, high = 1e-6, 60.0
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if steps(middle) < ratio else (low, middle)
-    return 0.5 * (low + high)
+    return low if over(low) >= 0.0 else high if over(high) <= 0.0 else float(brentq(over, low, high, xtol=1e-14))
 
 
 @dataclass(frozen=True)

@@ -37,10 +37,9 @@ class RodOptions:
     below 0.1 mN m, a thousandth of the noise of its sensor."""
     force_limit: float = np.inf
     """Largest contact force [N]: a touch ends before the frame that exceeds it."""
-    newton: int = 60
-    """Newton iterations of one attempt at a stride, without those whose length the free space limits."""
-    travel: int = 400
-    """Newton iterations of one attempt at a stride, all counted."""
+    newton: int = 400
+    """Newton iterations of one attempt at a stride; a branch that springs back takes many, whose length the free space
+    limits."""
     work: int = 800
     """Newton iterations of a frame after which strides are no longer divided."""
     room: int = 512

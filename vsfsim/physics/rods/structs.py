@@ -153,8 +153,7 @@ State = struct(
 # The nodes, and which of them are solved.
 Nodes = struct(
     "Nodes",
-    active="int32 BN  1 where the node is an unknown, 0 where it moves rigidly with its parent",
-    strained="int32 BN  1 where the segment was strained at the last equilibrium",
+    active="int32 BN  1 where the node is an unknown, until nothing touches, 0 where it moves rigidly with its parent",
     plastic="vec3d BN  plastic bending of the core in the middle frame's axes, the first 0 [rad]",
     heat="float64 BN  work that the segment's yielding has turned into heat [J]",
     order="int32 BN  the active nodes, level by level",
@@ -168,7 +167,6 @@ Segments = struct(
     "Segments",
     strain="Strain BN  its strains",
     span_rate="vec3d BN  D', the derivative of the span D along the step [m]",
-    relative_spin="vec3d BN  spin of the child less that of the parent along the step, world [rad]",
     first_contact="int32 BN  place of its first contact in the list",
     contact_count="int32 BN  number of its contacts; first a bit for each capsule that is near")
 

@@ -75,8 +75,7 @@ def capsules_cross(tree: Trees, touch: Touches, w: Work, me: Thread):
 
 @wp.func
 def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, load: real, found: int):
-    """Ends a stride: stores what friction has stretched, how far wires have yielded in an equilibrium, and which
-    segments are strained.
+    """Ends a stride: stores what friction has stretched and how far wires have yielded in an equilibrium.
 
     Args:
         side: list of the contacts. count: of active nodes. load: sum of the plant's weights [N]. found: whether an
@@ -84,12 +83,14 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
     """
     b = me.b
     o = me.o
+    loaded = int(0)  # whether a point presses or a wire has yielded
     for c in range(me.lane, w.count[side, b], me.lanes):
         at = w.contacts[side, b, c]
         at = pressed(tree, touch, me, at, w.now, w.capsules)
         at.memory.stuck = int(Stick.FREE)
         at.memory.stretch = vec3()
         if at.gap.value < ZERO:
+            loaded = 1
             at.memory.stuck = int(Stick.STUCK)
             if at.friction_limit > ZERO:
                 at = rubbed(tree, w, me, at, w.now)
@@ -105,51 +106,29 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
                 lost = ONE - elastic_share(e, wire)
                 w.nodes.plastic[b, i] = w.nodes.plastic[b, i] + lost * e
                 w.nodes.heat[b, i] = w.nodes.heat[b, i] + wire[1] * lost * wp.length(e)
+                if wp.length_sq(w.nodes.plastic[b, i]) > ZERO:
+                    loaded = 1
     sync()
-    kept = int(1)  # 0: the unloaded parts returned to their shape at rest
-    if found == 1 and load == ZERO:
-        # a part of the tree without contacts is unloaded: it moves rigidly with its joint, to the last bit; a segment
-        # that has yielded has another shape at rest, and its bending remains an unknown
-        for back in range(me.high):
-            d = me.high - 1 - back
-            for r in range(tree.level[me.low + d] + me.lane, tree.level[me.low + d + 1], me.lanes):
-                i = tree.rank[r]
-                on = wp.where(wp.length_sq(w.nodes.plastic[b, i]) > ZERO, 1, 0)
-                first = w.segments.first_contact[b, i]
-                for c in range(first, first + w.segments.contact_count[b, i]):
-                    if w.contacts[side, b, c].memory.stuck == Stick.STUCK:
-                        on = 1
-                kid = tree.child[o + i]
-                while kid >= 0:
-                    on = wp.max(on, w.nodes.strained[b, kid])
-                    kid = tree.next[o + kid]
-                w.nodes.strained[b, i] = on
-                w.nodes.active[b, i] = wp.where(i == 0, 1, on)
-            sync()
+    if lane_count(loaded) == 0 and found == 1 and load == ZERO:
+        # Nothing touches: the plant returns to rest to the last bit, unless a soft leaf, bent by less than the
+        # tolerance, would return through a link.
         copy_state(w, me, 0, w.now, w.saved)
+        for i in range(me.lane, me.n, me.lanes):
+            w.nodes.active[b, i] = wp.where(i == 0, 1, 0)
+        sync()
         carry_unloaded(tree, w, me)
         through = int(0)
         for pair in range(me.lane, w.count[side, b] / POINTS, me.lanes):
             at = w.contacts[side, b, POINTS * pair]
-            if at.memory.stuck == Stick.FREE:
-                patch = fibre_patch(tree, touch, me, at.node, at.fibre, at.capsule, w.now, w.capsules)
-                if patch.gap < ZERO:
-                    # a soft leaf, bent by less than the tolerance, would return through a link: it stays bent
-                    through = 1
-        if lane_count(through) == 0 and crossing(
+            patch = fibre_patch(tree, touch, me, at.node, at.fibre, at.capsule, w.now, w.capsules)
+            if patch.gap < ZERO:
+                through = 1
+        if lane_count(through) > 0 or crossing(
             tree, touch.half, w.nodes.order, me, 0, w.saved, w.capsules, w.now, w.capsules
-        ) == 0:
-            kept = 0
-        else:
+        ) > 0:
             copy_state(w, me, 0, w.saved, w.now)
-    if kept == 1:
-        for i in range(me.lane, me.n, me.lanes):
-            w.nodes.active[b, i] = wp.where(i == 0, 1, 0)
-            w.nodes.strained[b, i] = 0
-        sync()
-        for a in range(1 + me.lane, count, me.lanes):
-            w.nodes.active[b, w.nodes.order[b, a]] = 1
-            w.nodes.strained[b, w.nodes.order[b, a]] = 1
+            for a in range(1 + me.lane, count, me.lanes):
+                w.nodes.active[b, w.nodes.order[b, a]] = 1
     sync()
 
 
