@@ -183,7 +183,7 @@ class RodSolver:
         rows, force, moment = of(out.frame), of(out.force), of(out.moment)
         solved = np.arange(len(rows))[:, None] < done[None, :]
         of_frame = {name: np.where(solved, rows[name], np.nan if rows[name].dtype == float else 0)
-                    for name in rows.dtype.names if name != "reaction"}
+                    for name in rows.dtype.names or () if name != "reaction"}
         reaction = rows["reaction"].copy()
         for values in (force, moment, reaction):
             values[~solved] = np.nan

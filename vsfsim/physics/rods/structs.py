@@ -281,7 +281,7 @@ def make_trees(m: Sequence[RodModel], device: str) -> Any:
                       **{name: np.concatenate(values) for name, values in each.items()})
 
 
-def started(models: Sequence[RodModel], **sizes: int) -> Any:
+def started(models: Sequence[RodModel], **sizes: Any) -> Any:
     """The `Work` of touches of the plants ``models`` before their first frame: plants at rest and no contact. ``sizes``
     as of `allocate`."""
     work = allocate(Work, **sizes)
