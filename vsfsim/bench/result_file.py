@@ -95,7 +95,7 @@ def pack(columns: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
     """
     if not columns:
         return {}
-    content = msgspec.msgpack.encode(columns)
+    content = msgspec.msgpack.encode(columns, enc_hook=lambda number: number.item())  # of NumPy
     return {"packed": FORMAT, "size": len(content), "data": base64.b64encode(lzma.compress(content)).decode()}
 
 
