@@ -141,8 +141,8 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
         task: the task. rows: what to evaluate, by the result file. again: make results that are there again; else one
         is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
         whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, keep, check, training: as of
-        `evaluate`; a row whose predictions are missing is made again. fan: where the trainings
-        run. progress: of them, called with (done, of how many, what).
+        `evaluate`; a row whose predictions are missing is made again. fan: where the trainings run. progress: called
+        with (trials done of a row, of how many, what).
 
     Yields:
         Those that are there already and ceilings, then the others as they are ready; a shard yields only these and
@@ -168,8 +168,6 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
                 yield Made(path, evaluate_ceiling(
                     choice.method, task, data, path, parameters=choice.parameters, keep=keep, workers=workers,
                     progress=progress))
-            except Interrupted:
-                raise
             except VsfsimError as error:
                 yield Made(path, failure=error)
     yield from make(wanted, workers, check=check, fan=fan, progress=progress)

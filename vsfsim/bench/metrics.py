@@ -262,7 +262,7 @@ def _of_object(name: str, answer: Answer, score: Callable[[Record], float | None
     return Metric(name, answer, mean, doc, **more)
 
 
-def _of_std(name: str, score: Callable[[np.ndarray, np.ndarray], float], doc: str, **more: Any) -> Metric:
+def _of_std(name: str, score: Callable[[np.ndarray, np.ndarray], Any], doc: str, **more: Any) -> Metric:
     """A metric of the errors and standard deviations of a stiffness; None where a method gives an object none."""
     return _of_object(name, Answer.STIFFNESS, lambda r: None if r["std"] is None or not np.any(r["std"] > 0) else (
         float(score(*uncertainty(r["mean"], r["std"], r["truth"])))), doc, **more)
