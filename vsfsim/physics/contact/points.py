@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.mount import Springs
 from vsfsim.physics.contact.patch import at_points, nodal_sums
 from vsfsim.physics.contact.stiffness import ContactStiffness, assembled
+
+if TYPE_CHECKING:
+    from vsfsim.physics.contact.mount import Springs
 
 _ITERATION = "residual", "anchorings", "renewals"  # of friction in a step
 

@@ -19,7 +19,7 @@ from vsfsim.physics.contact.body_points import BodyPoints, remember
 from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
-from vsfsim.physics.contact.mount import Mount, Springs
+from vsfsim.physics.contact.mount import TRIALS, Mount, Springs
 from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, neighbours, sheet_contact
 from vsfsim.physics.contact.points import Contact, bound
 from vsfsim.physics.contact.reach import Gaps, plan
@@ -71,7 +71,7 @@ class RigidContact(Contact):
         self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
         self.has_friction = bool((friction > 0.0).any())
         self._coefficient = torch.as_tensor(friction, dtype=torch.float64, device=device)
-        self.springs = None if mount is None else Springs(mount, device)
+        self.springs = None if mount is None else Springs(mount, len(bodies), device)
         self.solid = model.mesh.faces.shape[1] == 6
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self.solid else sheet_contact(bodies, model.element_size)
         self._parts, self._finest = cuts**2, CUTS[-1] if self.solid else 0  # cuts of a linear face do not change
@@ -182,7 +182,8 @@ class RigidContact(Contact):
     def _plan_for(self, pose: np.ndarray) -> None:
         """The mounts, or the bodies without any, are at ``pose`` (B, K, 4, 4)."""
         self._plan = pose
-        self._mounts = torch.as_tensor(pose[..., :3, 3], device=self.device)
+        if self.springs is not None:
+            self.springs.origin.copy_(torch.as_tensor(pose[..., :3, 3]))
 
     def _held_at(self, pose: np.ndarray) -> np.ndarray:
         """Poses (B, K, 4, 4) of the bodies whose mounts are at ``pose`` (B, K, 4, 4)."""
@@ -215,13 +216,6 @@ class RigidContact(Contact):
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
             self._points, wp.from_torch(columns.to(torch.int32))])
 
-    def _sprung(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """See `Springs.settle`."""
-        self._now[0][columns] = self.springs.placed(self._mounts)[columns]
-        self._launch(self.kernels.evaluate, columns)
-        pull = self.springs.along(columns, self.force[columns])
-        return pull, self.springs.slope(self.own_stiffness(columns), columns), self.gap[columns].amin(dim=1)
-
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """Find gaps, forces and stiffness at displacements (k, 3 s) [m] of the patches; springs give way until they are
         in balance. The methods below report what the last evaluation found."""
@@ -230,8 +224,14 @@ class RigidContact(Contact):
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
         if self.springs is None:
             self._launch(self.kernels.evaluate, columns)
-        else:
-            self.springs.settle(columns, self._sprung)
+            return
+        for left in reversed(range(TRIALS + 1)):
+            wp.launch(self.kernels.settle, len(columns), device=self.device, inputs=[
+                self._points, wp.from_torch(columns.to(torch.int32)), self.springs.arrays, left])
+            columns = columns[self.springs.searches[columns] > 0]
+            if not len(columns):
+                return
+            self._launch(self.kernels.evaluate, columns)
 
     def friction_state(self) -> Any:
         """See `Contact`, with the points."""

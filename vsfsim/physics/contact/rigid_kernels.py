@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact import mount, sdf
 from vsfsim.physics.contact.kernels import contact_kernels
 from vsfsim.physics.runtime import mat33, real, vec3
 
@@ -39,6 +39,33 @@ def kernels() -> Any:
 
     found = contact_kernels(_MODULE, Rigid, functools.partial(_source, probe=probe), on_faces=False)
     Points = found.Points
+    exact, touch, trials = wp.constant(real(mount.EXACT)), wp.constant(real(mount.TOUCH)), wp.constant(mount.TRIALS)
+
+    @wp.kernel(module=_MODULE, enable_backward=False)
+    def settle(c: Points, columns: wp.array(dtype=wp.int32), s: mount.Arrays, left: int):
+        # what the springs find where the bodies are, and where the bodies go next, `left` times more at most
+        b = columns[wp.tid()]
+        e, w = s.axis[b], s.give[b]
+        s.searches[b] = 1
+        if left < trials:
+            pull, slope, gap = real(0.0), real(0.0), real(1e30)
+            for f in range(c.gap.shape[1]):
+                for q in range(c.gap.shape[2]):
+                    pull += wp.dot(e, c.force[b, f, q])
+                    slope += wp.dot(e, c.stiff[b, f, q] * e)
+                    gap = wp.min(gap, c.gap[b, f, q])
+            spring = s.stiffness * w
+            over = pull - spring
+            s.excess[b] = over
+            if left == 0 or wp.abs(over) <= exact * wp.max(wp.abs(pull), wp.abs(spring)):
+                s.searches[b] = 0
+                return
+            if gap < real(0.0):
+                s.give[b] = w + over / (slope + s.stiffness)
+            else:  # contact is lost
+                s.give[b] = wp.max(w - gap - touch, real(0.0))
+        for k in range(c.origin.shape[1]):
+            c.origin[b, k] = s.origin[b, k] - s.give[b] * e
 
     @wp.kernel(module=_MODULE, enable_backward=False)
     def reach(
@@ -101,7 +128,7 @@ def kernels() -> Any:
                 least = wp.min(least, probe.gap(bodies, j, wp.transpose(turn[t, b, j]) * (p - origin[t, b, j])))
         gap_out[i, b] = least
 
-    return SimpleNamespace(**vars(found), reach=reach, nearest=nearest, vec3=vec3, mat33=mat33, sdf=probe)
+    return SimpleNamespace(**vars(found), settle=settle, reach=reach, nearest=nearest, vec3=vec3, mat33=mat33, sdf=probe)
 
 
 def _source(Points: Any, place: Any, *, probe: Any) -> Any:

@@ -12,6 +12,7 @@ steps. On a GPU iterations are repeated as a CUDA graph: launching their kernels
 from __future__ import annotations
 
 import functools
+import gc
 from collections.abc import Callable
 
 import torch
@@ -169,12 +170,16 @@ def repeat(step: Callable[[], None], running: torch.Tensor, *, most: int, few: i
         return 0
     graph, side = torch.cuda.CUDAGraph(), _side(device)
     side.wait_stream(torch.cuda.current_stream(device))
+    collects = gc.isenabled()
+    gc.disable()  # an array of Warp that is freed meanwhile would end the capture
     with torch.cuda.stream(side), wp.ScopedStream(wp.stream_from_torch(side), sync_enter=False):
         graph.capture_begin(pool=_last[device].pool() if device in _last else None, capture_error_mode="thread_local")
         try:
             step()
         finally:
             graph.capture_end()
+            if collects:
+                gc.enable()
     _last[device] = graph
     for done in range(0, most, _BLOCK):
         if clock.now() > deadline or int(running.sum()) <= few:
