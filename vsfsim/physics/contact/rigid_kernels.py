@@ -128,7 +128,8 @@ def kernels() -> Any:
                 least = wp.min(least, probe.gap(bodies, j, wp.transpose(turn[t, b, j]) * (p - origin[t, b, j])))
         gap_out[i, b] = least
 
-    return SimpleNamespace(**vars(found), settle=settle, reach=reach, nearest=nearest, vec3=vec3, mat33=mat33, sdf=probe)
+    return SimpleNamespace(**vars(found), settle=settle, reach=reach, nearest=nearest, vec3=vec3, mat33=mat33,
+                           sdf=probe)
 
 
 def _source(Points: Any, place: Any, *, probe: Any) -> Any:
