@@ -16,10 +16,12 @@ A point that the other body would push out through its own is on the wrong side.
 a point is no solution. All numbers are float64: a contact force is a stiff spring on a small difference of positions.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import torch
 import warp as wp
 
 from vsfsim.physics.contact import friction
@@ -70,6 +72,26 @@ class Points:
     slips: wp.array3d(dtype=wp.int32)
     wrong_side: wp.array2d(dtype=wp.int32)
     energy: wp.array2d(dtype=real)
+
+
+def bound(struct: Any, given: Mapping[str, Any], size: tuple[int, ...],
+          device: str) -> tuple[Any, dict[str, torch.Tensor]]:
+    """An instance of a Warp ``struct``, and the tensors of its arrays by name: those ``given``, beside its numbers, and
+    zeros for the others, of which those with r dimensions have the first r of ``size``. They are only ever written in
+    place."""
+    out, tensors = struct(), {}
+    for name, var in struct.vars.items():
+        if not hasattr(kind := var.type, "ndim"):
+            setattr(out, name, given[name])
+            continue
+        real = torch.int32 if kind.dtype is wp.int32 else torch.float64
+        if (value := given.get(name)) is None:
+            value = torch.zeros((*size[:kind.ndim], *getattr(kind.dtype, "_shape_", ())), dtype=real, device=device)
+        elif isinstance(value, np.ndarray):
+            value = torch.as_tensor(np.array(value), dtype=real, device=device)
+        tensors[name] = value
+        setattr(out, name, wp.from_torch(value, dtype=kind.dtype))
+    return out, tensors
 
 
 def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, on_faces: bool) -> Any:

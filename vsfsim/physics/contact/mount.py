@@ -21,7 +21,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.points import bound
+from vsfsim.physics.contact.kernels import bound
 from vsfsim.physics.runtime import real, vec3
 
 BALANCED = 1e-3

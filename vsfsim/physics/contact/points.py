@@ -2,40 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 
+from vsfsim.physics.contact.mount import Springs
 from vsfsim.physics.contact.patch import at_points, nodal_sums
 from vsfsim.physics.contact.stiffness import ContactStiffness, assembled
 
-if TYPE_CHECKING:
-    from vsfsim.physics.contact.mount import Springs
-
 _ITERATION = "residual", "anchorings", "renewals"  # of friction in a step
-
-
-def bound(struct: Any, given: Mapping[str, Any], size: tuple[int, ...],
-          device: str) -> tuple[Any, dict[str, torch.Tensor]]:
-    """An instance of a Warp ``struct``, and the tensors of its arrays by name: those ``given``, beside its numbers, and
-    zeros for the others, of which those with r dimensions have the first r of ``size``. They are only ever written in
-    place."""
-    out, tensors = struct(), {}
-    for name, var in struct.vars.items():
-        if not hasattr(kind := var.type, "ndim"):
-            setattr(out, name, given[name])
-            continue
-        real = torch.int32 if kind.dtype is wp.int32 else torch.float64
-        if (value := given.get(name)) is None:
-            value = torch.zeros((*size[:kind.ndim], *getattr(kind.dtype, "_shape_", ())), dtype=real, device=device)
-        elif isinstance(value, np.ndarray):
-            value = torch.as_tensor(np.array(value), dtype=real, device=device)
-        tensors[name] = value
-        setattr(out, name, wp.from_torch(value, dtype=kind.dtype))
-    return out, tensors
 
 
 class Contact:

@@ -18,10 +18,11 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints, remember
 from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
+from vsfsim.physics.contact.kernels import bound
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.mount import TRIALS, Mount, Springs
 from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, neighbours, sheet_contact
-from vsfsim.physics.contact.points import Contact, bound
+from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.contact.reach import Gaps, plan
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from vsfsim.physics.contact.kernels import bound
 from vsfsim.physics.contact.pair.kernels import CANDIDATES, kernels
 from vsfsim.physics.contact.patch import PENALTY
-from vsfsim.physics.contact.points import bound
 from vsfsim.physics.model import Model
 
 _BULGE = 0.25
