@@ -17,7 +17,7 @@ from vsfsim.physics.elements.tet10_shape import GAUSS, shape_values
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.law import Settings, SolidLaw, lame
 from vsfsim.physics.linear.rest_factor import RestFactor
-from vsfsim.physics.mesh.near_rigid import limited
+from vsfsim.physics.mesh.inclusions import limited
 from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh
 from vsfsim.physics.mesh.validity import refuse_loose, sound
 

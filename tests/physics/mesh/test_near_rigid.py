@@ -6,7 +6,7 @@ from frame_checks import from_above
 
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.mesh.near_rigid import limited
+from vsfsim.physics.mesh.inclusions import limited
 from vsfsim.physics.mesh.quadratic import gauss_points, quadratic_mesh
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.solve.frames import SolverOptions
