@@ -14,8 +14,7 @@ from toy_bubble import bubble, disc, patch
 
 from vsfsim.physics.elements import triangle
 from vsfsim.physics.mesh.quadratic import assemble
-from vsfsim.sensing.dense_force import METHODS, BubbleCalibration, DenseForceEstimator
-from vsfsim.sensing.force_program import EstimatorOptions, ridge, solve
+from vsfsim.sensing.dense_force import METHODS, BubbleCalibration, DenseForceEstimator, EstimatorOptions, ridge, solve
 from vsfsim.sensing.membrane_fe import SensorError, in_their_planes, nodal_areas, skin_forces
 
 
