@@ -1,4 +1,6 @@
-"""Metrics against numbers worked out by hand, and noise against its definition."""
+"""Metrics and observations against numbers worked out by hand."""
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from vsfsim.bench.metrics import (
     touch_errors,
     touch_uncertainty,
 )
+from vsfsim.bench.observations import OBSERVATIONS, observation
+from vsfsim.bench.protocol import record
 
 
 def stiffness_scores(mean, truth, std=None):
@@ -88,3 +92,17 @@ def test_stiffness_uncertainty_allows_the_same_scale_on_mean_and_std():
     assert first["stiffness_std_spearman"] > 0.5
     for none in (None, np.zeros(5)):
         assert stiffness_scores(mean, truth, none)["stiffness_nll"] is None
+
+
+def test_observations_by_hand():
+    force, axis = np.array([[0.0, 3.0, 4.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, -1.0])
+    assert observation("normal-force", "x").reading(force, axis).tolist() == [[4.0], [-1.0]]
+    assert observation("force-magnitude", "x").reading(force, axis).tolist() == [[5.0], [1.0]]
+
+
+def test_rows_times_the_true_stiffness_are_the_readings(task, toy_views):
+    view, row = toy_views[1], OBSERVATIONS["normal-force"]
+    recording = record(view, dataclasses.replace(task, observation=row))
+    for reading, clean in zip(recording.readings, recording.clean, strict=True):
+        rows = row.predictor()(view.truth.vsf_points, reading.action, friction=0.0, device="cpu")
+        np.testing.assert_allclose((rows @ view.truth.vsf_stiffness).reshape(clean.shape), clean, atol=1e-9)
