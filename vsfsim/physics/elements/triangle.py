@@ -29,7 +29,7 @@ import numpy as np
 import warp as wp
 
 from vsfsim.physics.elements.block import Block, element_kernels, struct_of
-from vsfsim.physics.runtime import mat33, real
+from vsfsim.physics.runtime import mat33, real, vec3
 
 _STATE = 18
 """Numbers that a tangent stores: u1, u2, n (9), v1 (2), g11, g12, g22, flip, twist, g1/l1, g2/l2."""
@@ -61,7 +61,7 @@ def state_size(block: Block) -> int:
 @functools.cache
 def kernels() -> Any:
     """The kernels of this element."""
-    vec9 = wp.types.vector(length=9, dtype=real)
+    vec2, vec9 = (wp.types.vector(length=n, dtype=real) for n in (2, 9))
     mat22, mat32 = (wp.types.matrix(shape=(n, 2), dtype=real) for n in (2, 3))
     module = "vsfsim_triangle"
     tiny = wp.constant(real(1e-30))
@@ -116,11 +116,34 @@ def kernels() -> Any:
     @wp.func(module=module)
     def frame(f: mat32):
         # the singular frame (rows u1, u2, n), its two directions at rest (columns v1, v2) and the two stretches
-        u, stretch, v = wp.svd3(mat33(f[0, 0], f[0, 1], zero, f[1, 0], f[1, 1], zero, f[2, 0], f[2, 1], zero))
-        side = wp.where(v[2, 2] < zero, -one, one)  # V turns the plane, or mirrors it
-        basis = wp.transpose(u)
-        turn = mat22(v[0, 0], -v[1, 0], v[1, 0], v[0, 0])
-        return wp.matrix_from_rows(basis[0], side * basis[1], side * basis[2]), turn, stretch[0], wp.abs(stretch[1])
+        f1 = vec3(f[0, 0], f[1, 0], f[2, 0])
+        f2 = vec3(f[0, 1], f[1, 1], f[2, 1])
+        c11 = wp.dot(f1, f1)
+        c22 = wp.dot(f2, f2)
+        c12 = wp.dot(f1, f2)
+        d = half * (c11 - c22)
+        r = wp.sqrt(d * d + c12 * c12)
+        l1 = wp.sqrt(half * (c11 + c22) + r)
+        v1 = vec2(one, zero)
+        if r > tiny:
+            if d >= zero:
+                v1 = wp.normalize(vec2(r + d, c12))
+            else:
+                v1 = wp.normalize(vec2(c12, r - d))
+        normal = wp.cross(f1, f2)
+        area = wp.length(normal)
+        u1 = vec3(one, zero, zero)
+        if l1 > tiny:
+            u1 = wp.normalize(f * v1)
+        # The normal of a triangle without area is arbitrary.
+        n = wp.cross(u1, vec3(zero, zero, one))
+        if wp.abs(u1[2]) > real(0.9):
+            n = wp.cross(u1, vec3(one, zero, zero))
+        if area > tiny:
+            n = normal
+        n = wp.normalize(n)
+        turn = mat22(v1[0], -v1[1], v1[1], v1[0])
+        return wp.matrix_from_rows(u1, wp.cross(n, u1), n), turn, l1, area / wp.max(l1, tiny)
 
     @wp.func(module=module)
     def respond(of: arguments, u: mat33, t: int):
