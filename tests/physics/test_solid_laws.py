@@ -21,22 +21,22 @@ def functions(module):
     """Hencky's law: Psi = mu sum (ln l)^2 + lambda/2 (ln J)^2."""
 
     @wp.func(module=module)
-    def energy(lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
-        x = vec3(wp.log(lam[0]), wp.log(lam[1]), wp.log(lam[2]))
+    def energy(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
         trace = x[0] + x[1] + x[2]
         return own[t, q, 0] * wp.dot(x, x) + real(0.5) * own[t, q, 1] * trace * trace
 
     @wp.func(module=module)
-    def slopes(lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
-        trace = wp.log(lam[0] * lam[1] * lam[2])
+    def slopes(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
+        trace = x[0] + x[1] + x[2]
         out = vec3()
         for k in range(3):
-            out[k] = (real(2.0) * own[t, q, 0] * wp.log(lam[k]) + own[t, q, 1] * trace) / lam[k]
+            out[k] = (real(2.0) * own[t, q, 0] * x[k] + own[t, q, 1] * trace) / lam[k]
         return out
 
     @wp.func(module=module)
     def curvatures(lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
-        first = slopes(lam, own, terms, t, q)
+        x = vec3(wp.log(lam[0]), wp.log(lam[1]), wp.log(lam[2]))
+        first = slopes(x, lam, own, terms, t, q)
         out = mat33()
         for a in range(3):
             for b in range(3):

@@ -58,6 +58,16 @@ def functions(module: str) -> Any:
     crushed, thin = wp.constant(real(CRUSHED)), wp.constant(real(THIN))
 
     @wp.func(module=module)
+    def exp_rest(y: real):
+        # exp(y) - 1 - y
+        if wp.abs(y) > real(0.5):
+            return wp.exp(y) - real(1.0) - y
+        tail = real(1.0)
+        for n in range(13):
+            tail = real(1.0) + tail * y * (real(1.0) / real(15 - n))  # the compiler divides, once
+        return real(0.5) * y * y * tail
+
+    @wp.func(module=module)
     def power(lam: real, e: real):
         # lam^e, its slope and curvature over 2, continued below `thin`
         a = wp.max(lam, thin)
@@ -82,28 +92,50 @@ def functions(module: str) -> Any:
         return v + s * d + real(0.5) * c * d * d, s + c * d, c
 
     @wp.func(module=module)
-    def energy(lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
+    def regular(lam: vec3):
+        return lam[2] >= thin and lam[0] * lam[1] * lam[2] >= crushed
+
+    @wp.func(module=module)
+    def energy(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
         total = real(0.0)
         for i in range(TERMS):
+            mu = terms[i, 0]
             alpha = terms[i, 1]
-            part, _, _ = bulk(lam[0] * lam[1] * lam[2], alpha, terms[i, 2])
-            for k in range(3):
-                value, _, _ = power(lam[k], alpha)
-                part += value - real(1.0)
-            total += real(2.0) * terms[i, 0] / (alpha * alpha) * part
+            beta = terms[i, 2]
+            part = real(0.0)
+            if regular(lam):
+                # alpha (ln l1 + ln l2 + ln l3 - ln J) = 0 is left out, so that no term is of first order
+                part = exp_rest(alpha * x[0]) + exp_rest(alpha * x[1]) + exp_rest(alpha * x[2])
+                if wp.abs(beta) > real(1e-12):
+                    part += exp_rest(-alpha * beta * (x[0] + x[1] + x[2])) / beta
+            else:
+                value, _, _ = bulk(lam[0] * lam[1] * lam[2], alpha, beta)
+                part = value - real(3.0)
+                for k in range(3):
+                    value, _, _ = power(lam[k], alpha)
+                    part += value
+            total += real(2.0) * mu / (alpha * alpha) * part
         return own[t, q, 0] * total
 
     @wp.func(module=module)
-    def slopes(lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
+    def slopes(x: vec3, lam: vec3, own: wp.array3d(dtype=real), terms: wp.array2d(dtype=real), t: int, q: int):
         # dPsi/dl
         out = vec3()
-        p = vec3(lam[1] * lam[2], lam[2] * lam[0], lam[0] * lam[1])
         for i in range(TERMS):
             alpha = terms[i, 1]
-            _, s, _ = bulk(lam[0] * lam[1] * lam[2], alpha, terms[i, 2])
-            for k in range(3):
-                _, slope, _ = power(lam[k], alpha)
-                out[k] = out[k] + real(2.0) * terms[i, 0] / (alpha * alpha) * (slope + s * p[k])
+            beta = terms[i, 2]
+            scale = real(2.0) * terms[i, 0] / alpha
+            if regular(lam):
+                y = -alpha * beta * (x[0] + x[1] + x[2])
+                for k in range(3):
+                    z = alpha * x[k]
+                    out[k] = out[k] + scale * (exp_rest(z) + z - exp_rest(y) - y) / lam[k]
+            else:
+                _, s, _ = bulk(lam[0] * lam[1] * lam[2], alpha, beta)
+                p = vec3(lam[1] * lam[2], lam[2] * lam[0], lam[0] * lam[1])
+                for k in range(3):
+                    _, bend, _ = power(lam[k], alpha)
+                    out[k] = out[k] + scale / alpha * (bend + s * p[k])
         return own[t, q, 0] * out
 
     @wp.func(module=module)

@@ -53,7 +53,8 @@ def functions(module: str) -> Any:
 
     @wp.func(module=module)
     def barrier(j1: real):
-        # (J - 1) - f(J) and its derivative from J - 1
+        # (J - 1) - f(J) and its derivative from J - 1. The value is of second order in J - 1; near J = 1 the series
+        # ln J = 2 (s + s^3/3 + ..), s = (J - 1)/(J + 1), keeps its digits.
         j = real(1.0) + j1
         value = real(0.0)
         slope = real(0.0)
@@ -62,8 +63,16 @@ def functions(module: str) -> Any:
             value = j1 - log_least - d + real(0.5) * d * d
             slope = real(1.0) - (real(1.0) - d) / least
         else:
-            value = j1 - wp.log(j)
             slope = j1 / j
+            if wp.abs(j1) < real(0.25):
+                s = j1 / (real(2.0) + j1)
+                z = s * s
+                tail = real(1.0 / 15.0)
+                for n in range(1, 7):
+                    tail = real(1.0) / real(15 - 2 * n) + z * tail
+                value = s * (j1 - real(2.0) * z * tail)
+            else:
+                value = j1 - wp.log(j)
         return value, slope
 
     @wp.func(module=module)
