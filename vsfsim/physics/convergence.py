@@ -29,8 +29,10 @@ STEEP = 4.0  # order of an integral of stresses with quadratic elements; a highe
 class Convergence:
     """Convergence of one quantity, a force [N] or a pressure [Pa], over a sequence of meshes."""
 
+    edge: np.ndarray
+    """h of each mesh, coarsest first (k,) [m]."""
     force: np.ndarray
-    """Value on each mesh, coarsest first (k,), in its unit."""
+    """Value on each mesh (k,), in its unit."""
     order: float | None
     """Observed order of convergence [-]; None if there is none."""
     extrapolated: float | None
@@ -57,7 +59,7 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
     order, value, error = limit.order, float(limit.value[0]), float(limit.error[0])
     if order is None or value == f[-1]:
         error = max(error, float(np.ptp(f[-3:])))
-        return Convergence(f, None, None, error,
+        return Convergence(h, f, None, None, error,
                            f"No order of convergence is observed: {limit.why}. The {name} is {f[-1]:.5g} {unit} on the "
                            f"finest mesh, error about {error:.2g} {unit} "
                            f"({100 * error / max(abs(float(f[-1])), 1e-300):.2g} %).")
@@ -68,7 +70,7 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
         words += f" More than {STEEP:g} is chance with quadratic elements: {STEEP:g} was used."
     if order < 0.5:
         words += " So low an order extrapolates far: take a finer first mesh before trusting it."
-    return Convergence(f, order, value, error, words)
+    return Convergence(h, f, order, value, error, words)
 
 
 def _order(r21: float, r32: float, ratio: float) -> float:
