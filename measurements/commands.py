@@ -89,6 +89,26 @@ def plant_ceilings(scene: str = "plants-v4-mini", objects: Several = None, first
 
 
 @command(app)
+def gpu(scene: str, device: Device = "cuda:0", objects: Several = None, touches: Several = None,
+        workers: Several = None, cores: Annotated[int | None, typer.Option(min=0)] = None,
+        out: JsonFile = None) -> None:
+    """Frames a second of a scene on a GPU, operations and waits of its host, and the ratio to CPU cores of the same
+    machine.
+
+    Args:
+        scene: Name of a scene with [touches], or the path of its .toml file.
+        objects: Default: the scene's own number.
+        touches: Of each view; default: the scene's.
+        workers: Processes on the GPU; default: those of `vsfsim generate`.
+        cores: Processes that make the same on the CPU; default: one a core, 0: none.
+    """
+    from measurements.gpu import measure
+
+    _report(measure(scene, device=device, objects=objects, touches=touches, workers=workers, cores=cores,
+                    progress=step), out)
+
+
+@command(app)
 def peers(peer: Names = None, case: Names = None, tier: str = "fem", out: Path = Path("peers"), here: bool = False,
           json: JsonFile = None) -> None:
     """Press S1, S2 and a block of foam in other simulators on our tetrahedra, each in a venv of its own.
@@ -187,6 +207,7 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
                  else fingerprint.load_record(dataset))
         fingerprint.save_record(known := differing(found, known), path := fingerprint.record_path(one))
         measured = known.again
+        assert measured is not None
         print(f"{path}: {100.0 * measured.touches:.3g} % of the touches come to another end, the readings of a view "
               f"are up to {100.0 * measured.size:.2g} % larger or smaller")
         return

@@ -182,8 +182,9 @@ class RestFactor:
             return self._dense[device]
         mask, matrix = torch.as_tensor(self.free, device=device), self._held.tocoo()
         with FileLock(kernel_cache() / f"{device.replace(':', '')}.lock"):
-            left = torch.sparse_coo_tensor(np.stack([matrix.row, matrix.col]), matrix.data, matrix.shape, device=device,
-                                           check_invariants=False).to_dense().mT
+            left = torch.zeros(matrix.shape, dtype=torch.float64, device=device).mT
+            left[tuple(torch.as_tensor(at, device=device) for at in (matrix.row, matrix.col))] = torch.as_tensor(
+                matrix.data, device=device)
             torch.linalg.cholesky(left, out=left)  # in place: it is symmetric, and stored column after column
             out = torch.cholesky_inverse(left)
             del left
