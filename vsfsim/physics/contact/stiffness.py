@@ -18,21 +18,28 @@ class ContactStiffness:
     dof: torch.Tensor
     """Degrees of freedom of the patches that it connects (k, m); the first again is padding."""
     matrix: torch.Tensor
-    """C between them (k, m, m) [N/m]."""
+    """C between them (k, m, m) [N/m]; on a GPU in series with a compliance all of the operator."""
+    factors: tuple[torch.Tensor, ...] = ()
+    """LU factors (k, m, m) of 1 + A C and pivots (k, m), in series with a compliance A on a CPU."""
 
     def __getitem__(self, which: torch.Tensor) -> ContactStiffness:
-        return ContactStiffness(self.dof[which], self.matrix[which])
+        return ContactStiffness(self.dof[which], self.matrix[which], tuple(t[which] for t in self.factors))
 
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
         dof = self.dof[:, :, None]
-        return torch.zeros_like(v).scatter_add_(1, dof, self.matrix @ v.gather(1, dof))
+        own = v.gather(1, dof)
+        own = torch.linalg.lu_solve(*self.factors, own) if self.factors else own
+        return torch.zeros_like(v).scatter_add_(1, dof, self.matrix @ own)
 
     def in_series(self, compliance: torch.Tensor) -> ContactStiffness:
         """T = (C^-1 + A)^-1 = C (1 + A C)^-1 with a symmetric compliance A (k, m, m) [m/N] between `dof`: the contact
         forces under displacements of the patches when the body responds with A."""
-        bracket = compliance @ self.matrix
+        c, on_cpu = self.matrix, self.matrix.is_cpu  # there a sparse product and LU factors save time
+        bracket = torch.bmm(c.mT.to_sparse(), compliance).mT if on_cpu else compliance @ c
         bracket.diagonal(dim1=1, dim2=2).add_(1.0)
-        return replace(self, matrix=torch.linalg.solve_ex(bracket, self.matrix, left=False)[0])
+        if on_cpu:
+            return replace(self, factors=torch.linalg.lu_factor_ex(bracket)[:2])
+        return replace(self, matrix=torch.linalg.solve_ex(bracket, c, left=False)[0])
 
 
 def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor, *,
@@ -48,26 +55,26 @@ def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, fr
             point begins to slip, and so would the rounding; else they are a third of them under a plane across an axis.
         turn: a node from which on displacements are in a frame of its own, and the rotations of that frame (k, 3, 3).
     """
-    own, n, xyz = stiff.reshape(*shapes.shape[:3], 9), local.shape[2], torch.arange(3, device=free.device)
+    own, n = stiff.reshape(*shapes.shape[:3], 9), local.shape[2]
     touch, part = (own != 0.0).flatten(2).any(dim=2).nonzero(as_tuple=True)
     nodes, values = local[touch, part].long(), shapes[touch, part]
-    pairs = (values[:, :, :, None] * values[:, :, None, :]).flatten(2).mT @ own[touch, part]  # (a, n n, 9)
+    pairs = (values[:, :, :, None] * values[:, :, None, :]).flatten(2).mT @ own[touch, part]
     pairs = pairs.view(-1, n, n, 3, 3)
     if turn is not None:
         frame = torch.where((nodes < turn[0])[:, :, None, None], torch.eye(3).to(free), turn[1][touch][:, None])
         pairs = frame.mT[:, :, None] @ pairs @ frame[:, None]
-    of = touch[:, None, None, None, None].expand(-1, n, n, 3, 3)
-    row = (3 * nodes[:, :, None] + xyz).view(-1, n, 1, 3, 1).expand(-1, n, n, 3, 3)
-    col = row.permute(0, 2, 1, 4, 3)
-    pairs = pairs * free[of, row] * free[of, col]
-    of, row, col, pairs = (t[pairs != 0.0] for t in (of, row, col, pairs))
+    dofs = 3 * nodes[:, :, None] + torch.arange(3, device=free.device)  # (a, n, 3)
+    moves = free[touch[:, None, None], dofs]
+    pairs = pairs * moves[:, :, None, :, None] * moves[:, None, :, None]
+    a, i, j, x, y = at = pairs.nonzero(as_tuple=True)
+    of, row, col, pairs = touch[a], dofs[a, i, x], dofs[a, j, y], pairs[at]
     used = torch.zeros(free.shape, dtype=torch.bool, device=free.device)
     used[of, row] = used[of, col] = True
     if whole:
         used = used.view(len(used), -1, 3).any(dim=2, keepdim=True).expand(-1, -1, 3).flatten(1)
     count, place = used.sum(dim=1, keepdim=True), used.cumsum(dim=1) - 1
-    m = max(1, int(count.amax()))
+    k, m = len(free), max(1, int(count.amax()))
     dof = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :m]
     dof = torch.where(torch.arange(m, device=free.device) < count, dof, dof[:, :1])
-    row, col = place[of, row], place[of, col]
-    return ContactStiffness(dof, free.new_zeros(len(dof), m, m).index_put_((of, row, col), pairs, accumulate=True))
+    at = of, place[of, row], place[of, col]
+    return ContactStiffness(dof, free.new_zeros(k, m, m).index_put_(at, pairs, accumulate=True))
