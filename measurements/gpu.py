@@ -106,7 +106,7 @@ def _counted(job: Job, device: str) -> dict[str, Any]:
     began = time.perf_counter()
     make_view()
     seconds = time.perf_counter() - began
-    with warnings.catch_warnings(), profile(activities=[ProfilerActivity.CUDA]) as seen:
+    with warnings.catch_warnings(), profile(activities=[ProfilerActivity.CUDA], acc_events=True) as seen:
         warnings.simplefilter("ignore")  # of the profiler itself
         make_view()
     rows, touches, frames = seen.key_averages(), len(view.touches), len(view.touches[0].time)
