@@ -263,7 +263,7 @@ class Process:
 
     def __init__(self, host: MethodHost, line: socket.socket, end: socket.socket):
         self._host, self._end = host, end
-        self._line = Connection(line.detach())
+        self._line, self._closing = Connection(line.detach()), threading.Lock()
         self._timed_out = ""
         self._said: dict[str, Any] = {}
         self.seconds = defaultdict[str, float](float)
@@ -347,7 +347,8 @@ class Process:
     def end(self) -> None:
         """End the process and all that it started."""
         self._finish()
-        self._line.close()
+        with self._closing:  # the thread that stops an evaluation ends it, too
+            self._line.close()
         self._end.close()
 
     def _finish(self) -> None:
