@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measurements import indent
+from measurements import gpu, indent
 from measurements.measurement import Column, Measurement, Table
+from vsfsim.core.errors import VsfsimError
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,3 +56,13 @@ def test_a_peers_errors_are_shares_of_the_reference():
     found = indent.compared(made, np.array([0.001, 0.005]), np.array([1.0, 2.0]))
     assert found["at_5"] == pytest.approx(-0.1) and found["at_1"] == found["worst"] == pytest.approx(0.1)
     assert found["rms"] == pytest.approx(0.1) and found["seconds"] == 2.0 and found["balance"] == 1e-6
+
+
+def test_a_gpu_is_compared_with_cores_and_a_cpu_is_refused(device):
+    if device == "cpu":
+        with pytest.raises(VsfsimError, match="'cpu', which is no GPU"):
+            gpu.measure("shoes-mini", device=device)
+        return
+    runs, host = (t.rows for t in gpu.measure("shoes-mini", device=device, objects=1, touches=2, cores=1).tables)
+    assert runs[0]["frames"] == runs[1]["frames"] > 0 and runs[0]["difference"] < 2e-4  # each within 1e-4
+    assert host[0]["operations"] > host[0]["waits"] > 0.0 and 0.0 < host[0]["busy"] < 1.0

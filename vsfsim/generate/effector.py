@@ -4,9 +4,9 @@ An *effector* is what touches an object: a rigid probe, an air-filled bubble, an
 know the protocol `Effector` and no effector by name: a scene's ``effector`` says which one it needs, and `effector_of`
 loads it.
 
-A new effector, say ``[sensor] kind = "load-cell"``, is
+A new effector, say ``[sensor] kind = "scale"``, is
 
-1. a file ``load_cell.py`` in ``vsfsim/generate/effectors/`` (in another package, an entry point ``load-cell`` of the
+1. a file ``scale.py`` in ``vsfsim/generate/effectors/`` (in another package, an entry point ``scale`` of the
    group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has the methods of `Effector`. It reads its settings from
    `Scene.effector_table`. One that differs from another effector in a few methods inherits or calls the others.
 2. a row ``touches/*/channels/NAME`` in `vsfsim.data.schema` for every new quantity that it records in `Touch.channels`;

@@ -23,9 +23,6 @@ from vsfsim.core.text_table import text_table
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
 """Of lines (Okabe and Ito 2008, which people with colour blindness tell apart)."""
-
-_VIRIDIS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
-"""Viridis (van der Walt and Smith 2015) at five places."""
 _PAGES = Path(__file__).parent / "pages"
 
 
@@ -92,12 +89,6 @@ def chart(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], labels: Se
     return render("chart.svg", lines=drawn, ticks=[(up_at(tick), f"{tick:g}") for tick in ticks], across=across,
                   marks=[(across_at(x), text) for x, text in enumerate(labels)], axis=axis, left=left, right=right,
                   level=None if level is None else up_at(level), top=upper, bottom=lower, width=width, height=height)
-
-
-def colour_of(share: float) -> str:
-    """Colour at a share from 0 to 1 of the map; shares beyond it have the colour of its end."""
-    at = np.linspace(0.0, 1.0, len(_VIRIDIS))
-    return "#" + "".join(f"{round(float(np.interp(share, at, band))):02x}" for band in _VIRIDIS.T)
 
 
 def png_uri(image: np.ndarray) -> str:
