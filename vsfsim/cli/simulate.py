@@ -83,7 +83,7 @@ def generate(scene: SceneName, request: Request, out: str | None = None, json: J
     from vsfsim.core.shelf import find_scene
 
     fan = cluster.asked()
-    part = fan.shard
+    part = list(fan.shard or ())
     loaded = load_scene(find_scene(scene))
     from vsfsim.generate.run import make, planned  # takes seconds; a mistake in the scene is reported before
 
@@ -101,11 +101,10 @@ def generate(scene: SceneName, request: Request, out: str | None = None, json: J
     seconds = time.perf_counter() - began
     dataset = made.dataset
     if dataset is None:
-        assert part is not None, "all of a dataset was made, and it is not finished"
-        report(f"{folder}: shard {part[0]}/{part[1]} made {len(made.names)} object views, {seconds:.0f} s; "
+        report(f"{folder}: shard {'/'.join(map(str, part))} made {len(made.names)} object views, {seconds:.0f} s; "
                f"{made.unfinished} of the dataset are missing"
                + ("" if made.unfinished else "; the same command without a --shard ends it"),
-               {"dataset": str(folder), "shard": list(part), "views": len(made.names),
+               {"dataset": str(folder), "shard": part, "views": len(made.names),
                 "missing": made.unfinished, "left_out": list(made.left_out), "seconds": seconds}, json)
     else:
         numbers = {"dataset": dataset.origin or str(dataset.path), "sha256": dataset.sha256, "views": len(dataset),
