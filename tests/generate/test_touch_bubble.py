@@ -20,7 +20,6 @@ from vsfsim.generate.resim import again
 from vsfsim.generate.run import generate
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.robot.path import turn_to
-from vsfsim.sensing.bubble_touch import rim_of
 
 SCENE = """
 name = "felt"
@@ -60,6 +59,13 @@ class Plan:
     poses: np.ndarray
     axis: np.ndarray
     probe: Dome
+
+
+def rim_of(triangles, nodes):
+    """True (n,) at the nodes of an edge that belongs to one triangle alone."""
+    edges, count = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
+                             return_counts=True)
+    return np.isin(np.arange(nodes), edges[count == 1])
 
 
 @pytest.fixture(scope="module")

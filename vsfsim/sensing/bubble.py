@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy import sparse
 
-from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.membrane import TriangleMesh, closed
+from vsfsim.physics.mesh.membrane import TriangleMesh
 
 if TYPE_CHECKING:
     from vsfsim.physics.bubble.sensor import BubbleModel
@@ -135,22 +134,6 @@ def readout_of(model: BubbleModel) -> BubbleReadout:
 
     mesh, published = cast(TriangleMesh, model.mesh), model.read_out
     return BubbleReadout(flat(model.flat, mesh.faces, mesh.rim), flat(published.flat, published.faces, published.rim))
-
-
-def gauge_pressure(model: BubbleModel, points: np.ndarray) -> np.ndarray:
-    """Gauge pressure (T,) [Pa] of the gas when the model's nodes are at ``points`` (T, n, 3) [m].
-
-    A sealed gas keeps p V^gamma constant; an open one has the pressure of its supply.
-    """
-    spec = model.spec
-    if not spec.sealed:
-        return np.full(len(points), model.pressure)
-    mesh = cast(TriangleMesh, model.mesh)
-    faces = closed(mesh.faces, mesh.rim)
-    dome = np.array([gas.volume(x, faces) for x in points])
-    start = spec.ambient_pressure + model.pressure
-    return start * ((mesh.volume[0] + model.dead_volume)
-                    / (dome + model.dead_volume)) ** spec.gamma - spec.ambient_pressure
 
 
 def wrench(points: np.ndarray, force: np.ndarray, *, origin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -4,12 +4,8 @@ These values of the real sensor are known (docs/sensing.md): 640 x 480 pixels, a
 of 25 degrees, and the rim plane at about 54 mm. The public mesh is given in the camera's frame and places the camera
 40 mm off the dome's axis along the long semi-axis, so that the tilt turns it to the middle.
 
-The appearance follows statistics that were measured from three public pictures of a real Punyo's inside
-(uiuc-iml/punyo_force_estimation, demo/0/expand): a near-black skin with bright ragged patches of some millimetres and
-fine flecks, one green lamp at the left of the picture, whose light saturates near it, a white housing ring around the
-rim that glows green, clips on it, a tube that comes in at the left and a label at the lower left. The print is drawn
-procedurally at material points, so it moves and stretches with the skin; tube and label change the colours alone, not
-the depth.
+The renderer is that of every other camera. The skin bears a noise at its material points, which moves and stretches
+with it. Lamp, housing and print of the real sensor are not modelled, since no scene and no method needs them.
 """
 
 from __future__ import annotations
@@ -19,8 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.sensing.membrane_fe import SensorError, checked_mesh, nodal_normals
-from vsfsim.sensing.surface import srgb
+from vsfsim.core.solid import Appearance
+from vsfsim.sensing.camera import render
+from vsfsim.sensing.surface import RenderError, Surface
+
+_LOOK = Appearance(np.array([[0.05, 0.45, 0.18]]), ("noise",), np.array([0.003]), np.array([0.9]))
+"""Of the skin: green, with patches of 3 mm on its stress-free shape."""
 
 
 @dataclass(frozen=True)
@@ -39,20 +39,15 @@ class BubbleCamera:
     """From the camera to the rim plane, along the dome's axis [m]."""
     offset: float = 0.040
     """Of the camera along -x, the long semi-axis [m]."""
-    patch: float = 0.0030
-    """Longest wavelength of the print's patches, on the stress-free skin [m]."""
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or not self.focal > 0.0:
-            raise SensorError(f"bubble camera: {self.width} x {self.height} pixels, focal length {self.focal!r} px; "
+            raise RenderError(f"bubble camera: {self.width} x {self.height} pixels, focal length {self.focal!r} px; "
                               f"all must be greater than 0.")
         if not abs(self.tilt) < 1.5 or not 0.0 < self.distance < 0.5 or not abs(self.offset) < 0.5:
-            raise SensorError(f"bubble camera: tilt {self.tilt!r} rad, distance {self.distance!r} m, offset "
+            raise RenderError(f"bubble camera: tilt {self.tilt!r} rad, distance {self.distance!r} m, offset "
                               f"{self.offset!r} m; give a tilt within 1.5 and lengths under half a metre, "
                               "the distance greater than 0 (the camera is below the rim plane).")
-        if not 0.0 < self.patch < 0.5:
-            raise SensorError(f"bubble camera: patch is {self.patch!r} m; it must be a length greater than 0 and under "
-                              f"half a metre.")
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -87,39 +82,25 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
     Args:
         points: node positions, mount frame (T, n, 3) [m].
         triangles: wound outwards (m, 3).
-        material: coordinates of the nodes on the stress-free skin (n, 2) [m]; the patches are printed there.
+        material: coordinates of the nodes on the stress-free skin (n, 2) [m]; the noise is fixed there.
         camera: its pose and intrinsics.
         device: Warp device.
 
     Raises:
-        SensorError: a shape that does not match, a node that is not finite, or a skin behind the camera.
+        RenderError: a shape that does not match, a node that is not finite, or a skin behind the camera.
     """
     points, material = np.asarray(points, np.float64), np.asarray(material, np.float64)
     if points.ndim != 3 or len(points) == 0:
-        raise SensorError(f"bubble camera: points have shape {points.shape}; give frames of positions "
+        raise RenderError(f"bubble camera: points have shape {points.shape}; give frames of positions "
                           f"(T, n, 3), T >= 1.")
-    if not np.isfinite(points).all():
-        raise SensorError("bubble camera: a node is not finite; leave out frames that did not converge.")
-    _, triangles = checked_mesh(points[0], triangles, "bubble camera")
-    if material.shape != (points.shape[1], 2) or not np.isfinite(material).all():
-        raise SensorError(f"bubble camera: material coordinates have shape {material.shape}; give finite "
+    if material.shape != (points.shape[1], 2):
+        raise RenderError(f"bubble camera: material coordinates have shape {material.shape}; give "
                           f"({points.shape[1]}, 2) in metres.")
     pose = camera.pose
     if (((points - pose[:3, 3]) @ pose[:3, 2]).max(axis=1) <= 0.0).any():
-        raise SensorError("bubble camera: the whole skin lies behind the camera; positions are in the mount frame, +z "
+        raise RenderError("bubble camera: the whole skin lies behind the camera; positions are in the mount frame, +z "
                           "out of the dome.")
-    from vsfsim.sensing.render_bubble import cast_inside
-
-    normals = np.stack([nodal_normals(x, triangles) for x in points])
-    lamp = pose[:3, 3] + np.array([-0.012, -0.018, 0.004])
-    # The light is full where the optical axis meets the rim plane.
-    power = (camera.distance / math.cos(camera.tilt)) ** 2
-    depth, light = cast_inside(points, triangles.astype(np.int32), normals, material, camera.intrinsics, pose,
-                               camera.width, camera.height, lamp=lamp, power=power, patch=camera.patch,
-                               rim=_rim(material), device=device)
-    return InsideView(depth, srgb(light))
-
-
-def _rim(material: np.ndarray) -> tuple[float, float]:
-    """Semi-axes of the rim (2,) [m], as those of the skin's flat shape."""
-    return float(np.abs(material[:, 0]).max()), float(np.abs(material[:, 1]).max())
+    printed = np.pad(material, ((0, 0), (0, 1)))
+    seen = [render(Surface(x, triangles, np.zeros(len(triangles), np.int64), _LOOK, printed), camera.intrinsics, pose,
+                   camera.width, camera.height, device=device) for x in points]
+    return InsideView(np.stack([view.depth for view in seen]), np.stack([view.rgb for view in seen]))

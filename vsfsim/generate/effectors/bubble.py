@@ -47,7 +47,6 @@ from vsfsim.physics.solve.kernels import coupled_kernels, solver_kernels
 from vsfsim.robot.path import pose_at, press_path
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 from vsfsim.sensing.camera import fitting_camera
-from vsfsim.sensing.membrane_fe import nodal_normals
 from vsfsim.sensing.surface import Surface
 from vsfsim.sensing.tessellate import tessellate
 
@@ -93,12 +92,9 @@ class BubbleEffector(OnSolids):
         return (*out, *fine, *(("inside_depth", "inside_rgb") if sensor.camera else ()))
 
     def kernels(self, scene: Scene) -> list[Any]:
-        """Those of the coupled solver and of the camera inside; its oracle VSF sticks to the dome without a kernel."""
-        from vsfsim.sensing import render_bubble
-
-        camera = [render_bubble.inside_kernel] if scene.required_sensor.camera else []
+        """Those of the coupled solver; its oracle VSF sticks to the dome without a kernel."""
         own = [] if scene.object is None else tiers.elements(scene, bubble_touch.tier_for(scene, None))
-        return [*coupled_kernels([*own, ("triangle", ""), ("hinge", ""), ("gas", "")]), *camera]
+        return coupled_kernels([*own, ("triangle", ""), ("hinge", ""), ("gas", "")])
 
     def shapes(self, subject: Subject, aims: Sequence[Aim]) -> tuple[ProbeShape, list[ProbeShape], float]:
         """The free dome, to whose skin the object sticks."""
@@ -317,8 +313,11 @@ def result_of(made: Made, request: Request) -> PressResult:
 def inward_distance(model: BubbleModel, position: np.ndarray) -> np.ndarray:
     """How far every node (n,) [m] has moved inwards along the free dome's normal, from its ``position`` in the mount
     frame (n, 3) [m]; negative where it bulges out."""
-    mesh = model.mesh
-    return -((position - mesh.points) * nodal_normals(mesh.points, mesh.faces)).sum(axis=1)
+    points, faces = model.mesh.points, model.mesh.faces
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    area = np.zeros_like(points)
+    np.add.at(area, faces, np.cross(b - a, c - a)[:, None])
+    return -((position - points) * area).sum(axis=1) / np.linalg.norm(area, axis=1)
 
 
 def _panels(s: Solved, t: int, full: int, device: str) -> tuple[Panel, ...]:
