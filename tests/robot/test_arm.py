@@ -4,6 +4,7 @@ stores it, and as rigid bodies for the solver, it is the same."""
 import json
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -74,17 +75,16 @@ def angles():
 
 
 def test_the_figures_are_those_of_the_table():
+    spec = mujoco.MjSpec.from_file(str(gen3.MODEL))
     for link, (name, _, position, quaternion, limits, mass, com, turn,
-               inertia) in zip(gen3.LINKS, table(), strict=True):
+               inertia) in zip(spec.bodies[1:], table(), strict=True):
         assert link.name == name
-        for ours, theirs in ((link.position, position), (link.quaternion, quaternion), (link.mass, mass),
-                             (link.com, com),
-                             (link.inertia_quaternion, turn), (link.inertia, inertia)):
+        for ours, theirs in ((link.pos, position), (link.quat, quaternion), (link.mass, mass), (link.ipos, com),
+                             (link.iquat, turn), (link.inertia, inertia)):
             assert np.array_equal(np.atleast_1d(ours), theirs), name
-        if limits.startswith("±"):
-            assert link.joint_range == (-float(limits[1:]), float(limits[1:]))
-        else:
-            assert link.joint_range == {"fixed": None, "continuous": gen3.CONTINUOUS}[limits]
+        ranges = [joint.range.tolist() for joint in link.joints]
+        assert ranges == ([[-float(limits[1:]), float(limits[1:])]] if limits.startswith("±")
+                          else {"fixed": [], "continuous": [[0.0, 0.0]]}[limits]), name
 
 
 def test_forward_kinematics_agree_with_a_product_of_transforms(arm, angles):
@@ -119,7 +119,7 @@ def test_capsules_have_the_girth_of_the_meshes(arm):
     for name, known in points.items():
         for p in np.array(known):
             gaps = []
-            for c in (c for c in arm.capsules if c.link == name):
+            for c in (c for c in arm.capsules if arm.links[c.link] == name):
                 a, b = np.array(c.start), np.array(c.stop)
                 s = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
                 gaps.append(np.linalg.norm(p - a - s * (b - a)) - c.radius)

@@ -20,7 +20,7 @@ def case(arm):
 
 
 def body(arm, k):
-    return arm.model.body(arm.capsules[k].link).id
+    return arm.body_ids[arm.capsule_links[k]]
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics(arm, case):

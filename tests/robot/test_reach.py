@@ -112,9 +112,8 @@ def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way, monkeypatch
 def test_gaps_are_mujocos(punyo):
     arm = Arm(punyo=punyo)
     data = mujoco.MjData(arm.model)
-    geom = {(c.link, i): arm.model.geom(f"{c.link}_{i}").id for link in arm.links for i,
-            c in enumerate(c for c in arm.capsules if c.link == link)}
-    ids = list(geom.values())
+    ids = range(len(arm.capsules))  # MuJoCo's geoms are the capsules
+    assert arm.model.geom_bodyid.tolist() == arm.body_ids[arm.capsule_links].tolist()
     q = np.random.default_rng(5).uniform(-2.0, 2.0, (6, 7))
     gaps, pairs = reach.self_gaps(arm, arm.postures(q))
     table, moving = reach.table_gaps(arm, arm.postures(q), 0.1)

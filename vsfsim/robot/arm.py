@@ -75,8 +75,8 @@ class Arm:
     does not feel all of a contact's torque."""
     most: np.ndarray
     """Greatest ones (7,) [rad]."""
-    capsules: tuple[gen3.LinkCapsule, ...]
-    """The capsules (K,)."""
+    capsules: tuple[ChainCapsule, ...]
+    """The capsules, each with the number of its body in `links` (K,)."""
     shapes: tuple[Capsule, ...]
     """The shapes of the capsules, as the solver takes them (K,)."""
     capsule_links: np.ndarray
@@ -90,15 +90,18 @@ class Arm:
         import mujoco
 
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
-        spec = arm_model()
+        spec = mujoco.MjSpec.from_file(str(gen3.MODEL))
         if punyo:
             add_punyo(spec)
         self.base = np.eye(4) if base is None else np.asarray(base, float)
-        root = spec.body(gen3.LINKS[0].name)
+        self.links = tuple(body.name for body in spec.bodies[1:])  # a chain, after the world
+        root = spec.body(self.links[0])
         root.pos, root.quat = self.base[:3, 3], quaternion(self.base[:3, :3])
+        self.capsules = tuple(ChainCapsule(self.links.index(geom.parent.name), tuple(geom.fromto[:3].tolist()),
+                                           tuple(geom.fromto[3:].tolist()), float(geom.size[0]))
+                              for geom in spec.geoms)
         self._mujoco, self.model = mujoco, spec.compile()
         self._data = mujoco.MjData(self.model)
-        self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
         self.body_ids = np.array([self.model.body(name).id for name in self.links])
         self._site = self.model.site(self.tool).id
         # views into MuJoCo's memory, as looking them up takes as long as the kinematics
@@ -108,10 +111,9 @@ class Arm:
         self.lower = np.where(limited, self.model.jnt_range[:, 0], -np.inf)
         self.upper = np.where(limited, self.model.jnt_range[:, 1], np.inf)
         self.least, self.most = self.lower + gen3.MARGIN, self.upper - gen3.MARGIN
-        self.capsules = gen3.CAPSULES + (gen3.PUNYO_CAPSULES if punyo else ())
         self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start))))
                             for c in self.capsules)
-        self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
+        self.capsule_links = np.array([c.link for c in self.capsules])
         self.capsule_offsets = np.stack([capsule_pose(np.array(c.start), np.array(c.stop)) for c in self.capsules])
         at = self.postures(np.zeros((1, gen3.JOINTS)))
         chain = np.concatenate([at.anchors[0, 1:], at.tool[0, None, :3, 3]])
@@ -186,32 +188,8 @@ def chain_of(arm: Arm) -> Chain:
     positions = [(0.0, 0.0, 0.0), *(tuple(map(float, arm.model.body_pos[i])) for i in ids[1:])]
     quaternions = [(1.0, 0.0, 0.0, 0.0), *(tuple(map(float, arm.model.body_quat[i])) for i in ids[1:])]
     joints = tuple(int(arm.model.body_jntadr[i]) if arm.model.body_jntnum[i] else -1 for i in ids)
-    capsules = tuple(ChainCapsule(int(link), c.start, c.stop, c.radius)
-                     for link, c in zip(arm.capsule_links, arm.capsules, strict=True))
     return Chain(tuple(tuple(map(float, row)) for row in base[:3]),  # type: ignore[arg-type]
-                 tuple(positions), tuple(quaternions), joints, capsules)  # type: ignore[arg-type]
-
-
-def arm_model() -> mujoco.MjSpec:
-    """The bare arm: bodies, joints, capsules without contact of their own, and the site ``flange``."""
-    import mujoco
-
-    spec = mujoco.MjSpec()
-    spec.modelname = "kinova_gen3"
-    spec.compiler.degree = False
-    body, number = spec.worldbody, 0
-    for link in gen3.LINKS:  # a chain: each body is a child of the one before
-        body = body.add_body(name=link.name, pos=link.position, quat=link.quaternion, mass=link.mass, ipos=link.com,
-                             iquat=link.inertia_quaternion, inertia=link.inertia, explicitinertial=True)
-        if link.joint_range is not None:
-            number += 1
-            joint = body.add_joint(name=f"joint_{number}", axis=[0.0, 0.0, 1.0])
-            if np.isfinite(link.joint_range).all():
-                joint.range = link.joint_range
-        _add_capsules(body, [c for c in gen3.CAPSULES if c.link == link.name], rgba=[0.75, 0.75, 0.78, 1.0])
-    spec.body(gen3.FLANGE_LINK).add_site(name="flange", pos=gen3.FLANGE_POSITION, quat=gen3.FLANGE_QUATERNION)
-    spec.option.gravity = [0.0, 0.0, -gen3.GRAVITY]
-    return spec
+                 tuple(positions), tuple(quaternions), joints, arm.capsules)  # type: ignore[arg-type]
 
 
 def add_punyo(spec: mujoco.MjSpec) -> None:
@@ -220,12 +198,16 @@ def add_punyo(spec: mujoco.MjSpec) -> None:
 
     The site's z is the dome's axis, outwards; its x is along the long axis of the rim.
     """
-    flange = _pose(gen3.FLANGE_POSITION, Rotation.from_quat(np.roll(gen3.FLANGE_QUATERNION, -1)).as_matrix())
+    import mujoco
+
+    site = spec.site("flange")
+    flange = _pose(site.pos, Rotation.from_quat(np.roll(site.quat, -1)).as_matrix())
     pose = flange @ _pose(gen3.PUNYO_POSITION, np.array(gen3.PUNYO_ROTATION))
-    body = spec.body(gen3.FLANGE_LINK).add_body(name="punyo", pos=pose[:3, 3], quat=quaternion(pose[:3, :3]),
-                                                mass=gen3.PUNYO_MASS, ipos=gen3.PUNYO_COM, inertia=gen3.PUNYO_INERTIA,
-                                                explicitinertial=True)
-    _add_capsules(body, gen3.PUNYO_CAPSULES, rgba=[0.95, 0.95, 0.9, 1.0])
+    body = site.parent.add_body(name="punyo", pos=pose[:3, 3], quat=quaternion(pose[:3, :3]), mass=gen3.PUNYO_MASS,
+                                ipos=gen3.PUNYO_COM, inertia=gen3.PUNYO_INERTIA, explicitinertial=True)
+    for k, (start, stop, radius) in enumerate(gen3.PUNYO_CAPSULES):
+        body.add_geom(name=f"punyo_{k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *stop],
+                      size=[radius, 0.0, 0.0], contype=0, conaffinity=0, mass=0.0, rgba=[0.95, 0.95, 0.9, 1.0])
     z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
     x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
     x /= np.linalg.norm(x)
@@ -242,16 +224,6 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     out = np.zeros(4)
     mujoco.mju_mat2Quat(out, np.ascontiguousarray(u @ v).ravel())
     return out
-
-
-def _add_capsules(body: Any, capsules: list[gen3.LinkCapsule] | tuple[gen3.LinkCapsule, ...], *,
-                  rgba: list[float]) -> None:
-    """Capsules of a body that are shown but neither collide nor weigh anything."""
-    import mujoco
-
-    for k, c in enumerate(capsules):
-        body.add_geom(name=f"{body.name}_{k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*c.start, *c.stop],
-                      size=[c.radius, 0.0, 0.0], contype=0, conaffinity=0, mass=0.0, rgba=rgba)
 
 
 def _pose(position: Any, rotation: np.ndarray) -> np.ndarray:

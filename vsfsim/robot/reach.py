@@ -121,14 +121,14 @@ def _blocked(arm: Arm, q: np.ndarray, table: float | None) -> tuple[int, Reason,
     gaps, pairs = self_gaps(arm, at)
     if (gaps < CLEARANCE).any():
         frame = int((gaps < CLEARANCE).any(axis=1).argmax())
-        i, j = (arm.capsules[k].link for k in pairs[gaps[frame].argmin()])
+        i, j = (arm.links[arm.capsule_links[k]] for k in pairs[gaps[frame].argmin()])
         hits.append((frame, Reason.SELF_COLLISION,
                      f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {CLEARANCE:g} is wanted"))
     if table is not None:
         gaps, moving = table_gaps(arm, at, table)
         if (gaps < CLEARANCE).any():
             frame = int((gaps < CLEARANCE).any(axis=1).argmax())
-            link = arm.capsules[moving[gaps[frame].argmin()]].link
+            link = arm.links[arm.capsule_links[moving[gaps[frame].argmin()]]]
             hits.append((frame, Reason.TABLE,
                          f"{link} is {gaps[frame].min():.3g} m above it, at least {CLEARANCE:g} is wanted"))
     return min(hits, key=lambda h: h[0]) if hits else None
