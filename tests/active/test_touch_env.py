@@ -35,7 +35,7 @@ def env(tmp_path_factory):
     """Of a mock task with four training and two test objects, each with 16 touches."""
     task = parse_task(MOCK_TASK.replace("objects = 3", "objects = 6").replace("touches = 8", "touches = 16"), "mock")
     recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=6, views=1, touches=16,
-                    splits={"train": 4, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+                    splits={"train": 4, "test": 2}, device="cpu", tier="linear", precision="float64", renderer="warp")
     views = [mock_view(i, split="train" if i < 4 else "test", touches=16, stiffness=4.0 ** (i % 2)) for i in range(6)]
     folder = tmp_path_factory.mktemp("active") / "toy"
     with DatasetWriter(folder, recipe, [v.name for v in views]) as writer:

@@ -25,7 +25,7 @@ from vsfsim.data.writer import DatasetWriter
 
 RECIPE = Recipe(scene="mock", scene_text='name = "mock"\nseed = 1\n', seed=0, objects=3, views=1, touches=4,
                 splits={"train": 2, "test": 1},
-                device="cpu", tier="vsf", precision="float64", renderer="warp", options={})
+                device="cpu", tier="linear", precision="float64", renderer="warp", options={})
 VIEWS = [mock_view(i, split="train" if i < 2 else "test", touches=4) for i in range(3)]
 NAMES = [view.name for view in VIEWS]
 

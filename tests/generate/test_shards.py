@@ -25,7 +25,7 @@ from vsfsim.generate.effector import find_effector
 from vsfsim.generate.run import generate, make, planned
 
 RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
-                splits={"test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+                splits={"test": 2}, device="cpu", tier="linear", precision="float64", renderer="warp")
 
 
 @pytest.fixture(scope="module")

@@ -210,8 +210,8 @@ def test_the_way_out_is_over_readings_of_the_way_in():
 @pytest.mark.parametrize(("old", "new", "more", "message"), [
     ("nodes = 100", "nodes = 3001", {}, r"\[sensor\]: nodes is 3001; against an object up to 3000"),
     ("nodes = 100", "nodes = 100", {"tier": "linear"}, "which tier 'linear' cannot show"),
-    ('["bulging"]', '["contact"]', {"tier": "vsf"},
-     r"tier 'vsf' cannot be touched by a \[sensor\]"),
+    ('["bulging"]', '["contact"]', {"tier": "linear"},
+     r"tier 'linear' cannot be touched by a \[sensor\]"),
     ("depth = 0.003", "depth = 0.04", {}, r"\[touches\]: depth is 0.04 m, but the free dome"),
     ("nodes = 100", "nodes = 100\ngas_volume = 1e-4", {}, "gas_volume is 100 mL"),])
 def test_what_cannot_be_touched_is_refused_before_anything_is_made(old, new, more, message):

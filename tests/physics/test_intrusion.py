@@ -11,13 +11,11 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
 from vsfsim.generate.effectors.bubble import solve as solve_bubble
-from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius
-from vsfsim.physics.contact.intrusion import DEEP, Intrusion
+from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.foundation import foundation
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
@@ -116,17 +114,6 @@ def test_a_frame_with_a_body_inside_the_object_is_marked(model, device, line, mo
     assert (frames.reason[:2, 0] == Reason.INTRUSION).all() and not frames.converged[:2].any()
     assert frames.converged[2, 0], "free again"
     assert frames.penetration[1, 0] == pytest.approx(0.003, rel=0.1)
-
-
-def test_columns_are_pressed_past_the_nodes_inside_them(block, line):
-    """At the tier `vsf` the nodes inside rest where they are, and the boundary goes past them."""
-    columns = block(SIZE, CELL, poisson_ratio=0.3, elements=foundation)
-    ball = Sphere(0.02)
-    poses = line([[0.0, 0.0, SIZE[2] + 0.02 - d] for d in (0.004, 0.008, 0.012)], ball)
-    options = tiers.options("vsf")
-    frames = Solver(columns, ball, options=options, linear=True).run(poses, start=from_above(poses))
-    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
-    assert (frames.penetration < DEEP * columns.element_size).all()
 
 
 def test_a_ball_that_went_through_a_membrane_is_never_in_silence():

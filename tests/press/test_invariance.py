@@ -36,12 +36,11 @@ class Case:
 
 
 CASES = {
-    "vsf": Case("vsf"), "vsf, friction": Case("vsf", SLANTED, 0.5),
-    "linear, friction": Case("linear", SLANTED, 0.5), "coarse, friction": Case("fem-coarse", SLANTED, 0.5),
-    "fem, friction": Case("fem", SLANTED, 0.5),
+    "linear": Case("linear"), "linear, friction": Case("linear", SLANTED, 0.5),
+    "coarse, friction": Case("fem-coarse", SLANTED, 0.5), "fem, friction": Case("fem", SLANTED, 0.5),
     "parts": Case("linear", parts=PARTS), "large parts": Case("fem-coarse", SLANTED, parts=PARTS),
     "capsule": Case("fem-coarse", HIGHER, probe=("capsule", 0.008, 0.02)),
-    "punch": Case("vsf", LOWER, probe=("box", 0.02, 0.016, 0.02)),
+    "punch": Case("linear", LOWER, probe=("box", 0.02, 0.016, 0.02)),
     "heavy": Case("fem-coarse", weight=5.0),
 }
 

@@ -133,7 +133,7 @@ def test_a_browser_draws_the_object_and_the_cut_takes_part_of_it_away(folder, vs
 FOLDS = """
 name = "toy-v1"
 description = "A toy."
-dataset = { folder = "toy", scene = "mock", seed = 0, objects = 2, views = 1, touches = 3, tier = "vsf" }
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 2, views = 1, touches = 3, tier = "linear" }
 protocol = { folds = 2, draws = 1, trainings = 1, shots = [0, 1], query = 2, seed = 0 }
 observation = { kind = "normal-force" }
 noise = { force_std = 0.1, tare_frames = 0, seed = 0 }

@@ -54,11 +54,6 @@ class Model:
     """That of a nearly incompressible body with a lower bulk stiffness, see `elements.tet10.softened`."""
 
     @property
-    def coupled(self) -> bool:
-        """Whether elements connect the nodes: anchors, each on one node, do not (the tier `vsf`)."""
-        return any(block.nodes.shape[1] > 1 for block in self.blocks)
-
-    @property
     def preconditioner(self) -> RestFactor:
         """The factor for predictions and preconditioning at large deformation."""
         return self.factor if self.soft_factor is None else self.soft_factor
@@ -67,15 +62,6 @@ class Model:
         """Force [N] under which a force counts as zero: a billionth of the softest modulus on one element face, or a
         millionth of the weight."""
         return max(1e-9 * float(self.young_modulus.min()) * self.element_size**2, 1e-6 * float(np.abs(self.load).sum()))
-
-    def grounding(self) -> np.ndarray:
-        """Stiffness of the anchors between each degree of freedom and the ground (3 n,) [N/m]; their force is a support
-        reaction."""
-        out = np.zeros(len(self.free))
-        for block in self.blocks:
-            if block.kind == "anchor":
-                np.add.at(out.reshape(-1, 3), block.nodes[:, 0], block.parameters["stiffness"][:, None])
-        return out
 
     def hold(self, free: np.ndarray) -> Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""

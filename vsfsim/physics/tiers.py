@@ -14,7 +14,6 @@ from vsfsim.core.shape import Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
-from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.catalogue import law_of
 from vsfsim.physics.mesh.account import scan_foot
@@ -23,7 +22,7 @@ from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.inclusions import held_stiffness, mixed_modulus, part_notes, snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.resolved import TURNED
-from vsfsim.physics.model import Elements, Model, build_model, regional_tetrahedra, tetrahedra
+from vsfsim.physics.model import Model, build_model, regional_tetrahedra, tetrahedra
 from vsfsim.physics.solve.frames import SolverOptions
 
 
@@ -31,10 +30,8 @@ from vsfsim.physics.solve.frames import SolverOptions
 class Tier:
     """One fidelity tier."""
 
-    elements: Elements
-    """Makes the elements of the body."""
     nonlinear: bool
-    """Newton's method, or the linear response of the rest state (exact for anchors, whose law is linear)."""
+    """Newton's method, or the linear response of the rest state."""
     body: float
     """Element size over the body's size, the cube root of its bounding box, see `body_limit` [-]."""
     probe: float
@@ -50,19 +47,16 @@ class Tier:
 
 
 TIERS: dict[str, Tier] = {
-    "vsf": Tier(foundation, False, 1 / 8, 1 / 2, 0.017, 1e-6),
-    "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
-    "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
-    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, local_indentation=True,
-                indentation_by_place=True),
-    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, local_indentation=True,
-                     indentation_by_place=True),
+    "linear": Tier(False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
+    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
+    "fem": Tier(True, 1 / 13, 1 / 3, 0.014, 5e-4, local_indentation=True, indentation_by_place=True),
+    "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4, local_indentation=True, indentation_by_place=True),
 }
 THIN_CELLS = 1500
 """Most cells of a thin body: a sheet of 0.3 x 0.2 x 0.001 m would need two layers of 60,000 cubes, and has 47 cells
 along its length with this many, which its bending resolves."""
 # the cheapest tier that shows each need
-_SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "linear", "normal-force": "linear",
+_SHOWS = {"appearance": "linear", "contact": "linear", "coupling": "linear", "normal-force": "linear",
           "bulging": "fem-coarse", "large-deformation": "fem"}
 FOLLOWS = _SHOWS["large-deformation"]
 """The tier of a scene whose elements turn further than small strain follows."""
@@ -87,21 +81,14 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     if tier == "auto" and isinstance(scene.object.shape, MeshFile) and "needs" not in scene.given:
         # the default press of a scan goes past small strain
         return max("fem", enough, key=order.index)
-    incompressible = scene.object.poisson_ratio > MOST_POISSON_RATIO
     if tier == "auto":
-        if own_law and order.index(enough) < order.index(_LAW):
-            return _LAW
-        return _DEFAULT if enough == "vsf" and incompressible else enough
+        return max(_LAW, enough, key=order.index) if own_law else enough
     if tier not in TIERS:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
     if scene.needs and order.index(tier) < order.index(enough):
         needs = ", ".join(need for need in scene.needs if order.index(_SHOWS[need]) > order.index(tier))
         raise SceneError(f"{scene.source}: the scene needs {needs}, which tier '{tier}' cannot show; use "
                          f"'{enough}' or above.")
-    if tier == "vsf" and incompressible:
-        raise SceneError(f"{scene.source} [object]: poisson_ratio = {scene.object.poisson_ratio:g} is too high for "
-                         f"tier 'vsf', whose layers cannot move sideways: its stiffness has no bound as nu goes to "
-                         f"1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'linear' or above.")
     return tier
 
 
@@ -116,8 +103,6 @@ def elements(scene: Scene, tier: str) -> list[tuple[str, str]]:
     """Kinds and laws of the elements that the objects of a scene may have at a tier, as `block.elements_of`: their
     kernels are compiled before there is a model. A family names its materials' laws in ``LAWS``."""
     own, spec = TIERS[tier], scene.object
-    if own.elements is foundation:
-        return [("anchor", "")]
     laws = [neo_hooke.LAW.name]
     if own.nonlinear and isinstance(spec.shape, Family):
         parts = getattr(family(spec.shape.name, f"{scene.source} [object] shape"), "LAWS", ())
@@ -205,8 +190,8 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
     solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
                         focus=local,
-                        parts=np.array(boxes) if boxes and TIERS[tier].elements is tetrahedra else None)
-    if edges is not None and TIERS[tier].elements is tetrahedra:
+                        parts=np.array(boxes) if boxes else None)
+    if edges is not None:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
     modulus = None
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
@@ -254,14 +239,13 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":
         tolerance, note = scan_foot(solid)
         solid = dataclasses.replace(solid, notes=(*solid.notes, note))
-    elements, density = TIERS[tier].elements, spec.density
+    elements, density = tetrahedra, spec.density
     if solid.laws is not None:
         region = np.asarray(solid.region)
         density = np.array([law.density for law in solid.laws])[region]
-        if elements is tetrahedra:
-            elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
+        elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
     law = law_of(scene)
-    if law is not None and elements is tetrahedra and TIERS[tier].nonlinear:
+    if law is not None and TIERS[tier].nonlinear and solid.laws is None:
         elements = functools.partial(tetrahedra, law=law[0], settings=law[1])
     elif law is not None:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.physics import tiers
@@ -92,9 +91,3 @@ def test_a_smooth_basis_has_the_covariance_of_its_process():
     square = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     np.testing.assert_allclose(basis @ basis.T, 0.25 * np.exp(-0.5 * square / 0.05**2), atol=0.01)
     assert basis.shape[1] <= 60
-
-
-def test_a_model_of_other_elements_is_refused():
-    layers = tiers.build(SCENE, "vsf")
-    with pytest.raises(SceneError, match=r"tetrahedra alone.*fem-coarse"):
-        Sensitivity(layers, Sphere(0.015), np.array([[0.0, 0.0, -1.0]]), options=LIMITS)

@@ -16,7 +16,7 @@ from vsfsim.core.rigid import beside
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
 from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, typed, value
 
-Tier = Literal["auto", "vsf", "linear", "fem-coarse", "fem", "fem-fine", "rod"]
+Tier = Literal["auto", "linear", "fem-coarse", "fem", "fem-fine", "rod"]
 """Fidelities that a scene may name."""
 Corners = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], msgspec.Meta(description="6 numbers")]
 

@@ -31,7 +31,7 @@ from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
 
 LINES = "points.jsonl"
-COLOURS = {"vsf": "#7f7f7f", "linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73", "fem-fine": "#d55e00"}
+COLOURS = {"linear": "#e69f00", "fem-coarse": "#0072b2", "fem": "#009e73", "fem-fine": "#d55e00"}
 """Of the tiers (Okabe and Ito 2008, which people with colour blindness tell apart)."""
 DOTS = 200  # per inch
 _SIZE = re.compile(r"[\w-]+, [\d.]+ mm")

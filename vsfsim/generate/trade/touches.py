@@ -49,18 +49,16 @@ class Curve:
     """Frames in contact that did not converge, or are not resolved by the mesh (T,) bool."""
 
 
-def of_touch(touch: Touch, aim: Aim, stiffness: np.ndarray | None) -> Curve:
+def of_touch(touch: Touch, aim: Aim, stiffness: np.ndarray) -> Curve:
     """The way in of a touch that was aimed so; the first of several frames at full depth is its last. ``stiffness`` is
-    that of a small tip (1,) [N/m], None without tetrahedra."""
+    that of a small tip (1,) [N/m]."""
     share = (touch.mount_pose[:, :3, 3] - aim.contact) @ aim.axis / aim.depth
     stop = int(np.argmax(share > 1.0 - 1e-6)) + 1
     on = np.arange(stop)[share[:stop] > 1e-6]
-    readings = {"force": touch.normal_force()[on], "direction": touch.force[on]}
+    readings = {"force": touch.normal_force()[on], "direction": touch.force[on], "stiffness": stiffness}
     if touch.moment is not None and touch.pressure is not None and touch.node_force is not None:
         readings |= {"torque": touch.moment[on], "pressure": touch.pressure[on]
                      - touch.rest_pressure, "dense": touch.node_force[on].astype(float)}
-    if stiffness is not None:
-        readings["stiffness"] = stiffness
     return Curve(share[on], readings, touch.converged[on], (~touch.converged | unresolved_frames(touch))[on])
 
 
@@ -160,9 +158,8 @@ class DatasetTouches:
         built = time.process_time()
         touches = (effector.touch if alone else effector.touch_near)(own, aims, device=self._device)
         cpu = time.process_time() - built
-        soft = None if setting.tier == "vsf" else probe_stiffness(
-            own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
-        curves = tuple(of_touch(touch, a, None if soft is None else soft[k:k + 1])
+        soft = probe_stiffness(own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
+        curves = tuple(of_touch(touch, a, soft[k:k + 1])
                        for k, (touch, a) in enumerate(zip(touches, aims, strict=True)))
         edge = (own.model.element_size if setting.level is None
                 else effector.contact_edge(subject.scene, a, setting.level)[1] for a in aims)

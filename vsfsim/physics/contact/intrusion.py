@@ -107,9 +107,6 @@ class Intrusion:
         bodies: the rigid bodies (K).
         size: element size [m].
         device: Warp device.
-        coupled: whether the object's inner points go with its boundary. The tier `vsf` has columns under its boundary
-            and no state of what lies inside them: there, and of a sheet, only the boundary and points of the bodies are
-            looked at.
         sinks: how deep bodies sink in locally by `local_indentation`, over the element size [-]. The elements do not
             show it, so that bodies may lie so much deeper inside.
         steps: of the grid on a face at the least.
@@ -120,10 +117,10 @@ class Intrusion:
     fine: float
     """Penetration of a face above which it gets more contact points [m]."""
 
-    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str, coupled: bool = True,
-                 sinks: float = 0.0, steps: int = _GRID[0]):
+    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str, sinks: float = 0.0,
+                 steps: int = _GRID[0]):
         self.device, solid, radii = device, mesh.faces.shape[1] == 6, [inner_radius(s) for s in bodies.shapes]
-        self._coupled, small = coupled and solid, min(radii)
+        self._solid, small = solid, min(radii)
         self.tolerance = min((DEEP if solid else _SHEET) * size + sinks * size, _SMALL * small)
         sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
@@ -151,7 +148,7 @@ class Intrusion:
             gap = self._gaps.nearest(here[None], (self._grid @ corners).flatten(1, 2).transpose(0, 1))
             faces.scatter_(1, at, (-gap.T.view(*at.shape, -1).amin(dim=2)).clamp(min=0.0))
         inside = x.new_zeros(count)
-        if self._coupled:
+        if self._solid:
             # the middle of a quadratic tetrahedron: its corners count -1/8, its edges 1/4
             tets = x[:, self._tets]
             middle = 0.25 * tets[:, :, 4:].sum(dim=2) - 0.125 * tets[:, :, :4].sum(dim=2)

@@ -77,7 +77,7 @@ class RigidContact(Contact):
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self.solid else sheet_contact(bodies, model.element_size)
         self._parts, self._finest = cuts**2, CUTS[-1] if self.solid else 0  # cuts of a linear face do not change
         self._passage = Intrusion(model.mesh, bodies, model.element_size, device=device,
-                                  coupled=self.solid and model.coupled, sinks=SATURATED_BY_PLACE * self._by_place,
+                                  sinks=SATURATED_BY_PLACE * self._by_place,
                                   **({} if self.solid else {"steps": 3 * cuts}))
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros(poses.shape[1], dtype=torch.float64, device=device)

@@ -19,7 +19,6 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import spread
@@ -40,9 +39,6 @@ class Sensitivity(Solver):
         axis: directions of the presses (B, 3) [-], along which their forces are read.
         options: limits.
         near: the same touches of the object with other moduli: their equilibria are where frames begin.
-
-    Raises:
-        SceneError: the elements of the object are not tetrahedra.
     """
 
     derivative: list[np.ndarray]
@@ -51,10 +47,6 @@ class Sensitivity(Solver):
 
     def __init__(self, model: Model, shape: ProbeShape, axis: np.ndarray, *, options: SolverOptions,
                  near: Sensitivity | None = None):
-        if any(block.kind != "tet10" for block in model.blocks):
-            raise SceneError(f"forces are differentiated by the moduli of tetrahedra alone; this object has "
-                             f"{', '.join(block.kind for block in model.blocks)}. Take a tier of tetrahedra, as "
-                             f"fem-coarse.")
         super().__init__(model, shape, options=options)
         self._axis = torch.as_tensor(np.asarray(axis, float))
         self._element = [_rows_in(model.mesh.tets, block.nodes) for block in model.blocks]

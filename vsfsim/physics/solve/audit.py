@@ -20,22 +20,19 @@ _FINAL = (Reason.TIME, Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED, Reason.
           Reason.PATH, Reason.SNAPPED)
 
 
-def report(balance: Equilibrium, state: State, grounding: torch.Tensor) -> Rows:
+def report(balance: Equilibrium, state: State) -> Rows:
     """The values of one frame from the state of all touches.
 
     Args:
         balance: the batch.
         state: of all touches.
-        grounding: stiffness of the anchors to the ground (3 n, 1) [N/m].
     """
     contact = balance.contact
     every = balance.every
     batch, accept = len(every), balance.options.tolerance
     acting, internal = state["contact"], state["internal"]
     on_object = acting.view(-1, 3, batch).sum(dim=0).T
-    held = (internal - balance.load - acting) * (1.0 - balance.free)
-    # anchor elements tie the object to the ground: their force is a reaction of the supports
-    held = (held - grounding * balance.u).view(-1, 3, batch).sum(dim=0).T
+    held = ((internal - balance.load - acting) * (1.0 - balance.free)).view(-1, 3, batch).sum(dim=0).T
     weight = balance.load.view(-1, 3).sum(dim=0)
     unbalanced = (held + on_object + weight).norm(dim=1)
     largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=balance.floor)

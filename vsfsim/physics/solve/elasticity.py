@@ -277,7 +277,7 @@ class Elasticity:
 
 class LinearElasticity(Elasticity):
     """As `Elasticity`, with the forces K u, K the stiffness at rest, which is the tangent of every state: for the tier
-    `linear` and for `vsf`."""
+    `linear`."""
 
     def __init__(self, model: Model, *, device: str):
         super().__init__(model, device=device)

@@ -166,7 +166,7 @@ def inside(bodies: RigidBodies, model: Model, pose: np.ndarray, device: str = "c
     deep = _DEEP * inner if np.isfinite(inner) else model.element_size
     if solid:  # of a thin wall both faces may lie in a large body that is barely in it
         deep = min(deep, mean_thickness(model))
-    check = Intrusion(model.mesh, bodies, model.element_size, device=device, coupled=model.coupled)
+    check = Intrusion(model.mesh, bodies, model.element_size, device=device)
     found = check.check(torch.arange(len(pose), device=device), pose, torch.zeros(
         (model.mesh.points.size, len(pose)), dtype=torch.float64, device=device))
     depth = found.faces.amax(dim=1)

@@ -74,7 +74,6 @@ class Solver:
         self.device, self.linear, self.options = device, linear, options or SolverOptions()
         self._mount: Mount | None = None
         self.elasticity = (LinearElasticity if linear else Elasticity)(model, device=device)
-        self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         self._floor = model.least_force()
         self._near: list[Known] = []  # equilibria that frames may begin from
 
@@ -294,7 +293,7 @@ class Solver:
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
         self._balance.reason[self._unknown & (self._balance.reason == Reason.NONE)] = Reason.PATH
-        return audit.report(self._balance, state, self._grounding)
+        return audit.report(self._balance, state)
 
 
 def hang(balance: Equilibrium, pose: np.ndarray) -> None:
