@@ -40,8 +40,6 @@ class Plant:
     """Unit normal of a blade at rest (n, 3)."""
     young_modulus: np.ndarray
     """Of each segment (n,) [Pa]."""
-    density: np.ndarray
-    """Of each segment (n,) [kg/m^3]."""
     region: np.ndarray
     """Of each segment, an index into `region_names` (n,)."""
     region_names: tuple[str, ...]
@@ -68,7 +66,7 @@ class Plant:
     def __post_init__(self) -> None:
         n = len(self.nodes)
         shapes: dict[str, tuple[int, ...]] = {"nodes": (n, 3), "blade_normal": (n, 3), **dict.fromkeys(
-            ("parent", "radius", "half_width", "young_modulus", "density", "region"), (n,))}
+            ("parent", "radius", "half_width", "young_modulus", "region"), (n,))}
         for name, shape in shapes.items():
             if n < 2 or getattr(self, name).shape != shape or not np.isfinite(self.nodes).all():
                 raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; give finite values of the "
@@ -84,7 +82,7 @@ class Plant:
         for name, values, low, high in (
                 ("parent", self.parent, 0, np.arange(n) - 1), ("radius", self.radius, 1e-5, 1.0),
                 ("young_modulus", self.young_modulus, 1.0, 1e13), ("half_width", self.half_width, 0.0, np.inf),
-                ("density", self.density, 0.0, np.inf), ("length", self.lengths(), 1e-5, 10.0),
+                ("length", self.lengths(), 1e-5, 10.0),
                 ("bending stiffness of the core", core[:, 0], 0.0, (1.0 + 1e-9) * self.young_modulus * second),
                 ("yield moment of the core", core[:, 1], 0.0, 1e300)):
             most = np.broadcast_to(high, n)

@@ -83,7 +83,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A surface mesh of the user's own (OBJ, PLY, STL, OFF). As an object its origin is the centre of its base; as a
+    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a
     probe, that of its bounding box."""
 
     path: str
@@ -156,7 +156,7 @@ def _shape(table: Any, where: str, allowed: tuple[str, ...], example: str) -> An
     if "mesh" in table:
         check_keys(table, f"{where} shape", ("mesh", "scale", "up"))
         if not isinstance(table["mesh"], str) or not table["mesh"]:
-            raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY, STL or OFF file, "
+            raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY or STL file, "
                              f"relative to the scene file.")
         return typed(table, MeshFile, where, also=("mesh",), path=table["mesh"])
     for key in table:

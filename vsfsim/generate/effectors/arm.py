@@ -41,8 +41,11 @@ class ArmEffector:
         """Plants are made of beams: tier "rod".
 
         Raises:
-            SceneError: another tier was asked for.
+            SceneError: another tier was asked for, or the scene has gravity.
         """
+        if any(scene.gravity):
+            raise SceneError(f"{scene.source}: gravity is {list(scene.gravity)}, but a plant has no weight: its shape "
+                             "is that at rest. Give gravity = [0, 0, 0].")
         if (tier or "rod") not in ("rod", "auto"):
             raise SceneError(f"{scene.source}: --tier is '{tier}', but what an arm touches is made "
                              "of beams, tier 'rod'.")

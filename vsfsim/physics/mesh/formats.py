@@ -1,7 +1,7 @@
-"""Readers of surface meshes: OBJ, PLY, STL and OFF become corners and triangles.
+"""Readers of surface meshes: OBJ, PLY and STL become corners and triangles.
 
-Formats: Wavefront OBJ (appendix B1 of the Advanced Visualizer manual), PLY (Turk 1994), STL (3D Systems 1989), OFF
-(Geomview). An index is resolved where it stands in the file, and what a header announces is compared with what follows.
+Formats: Wavefront OBJ (appendix B1 of the Advanced Visualizer manual), PLY (Turk 1994), STL (3D Systems 1989).
+An index is resolved where it stands in the file, and what a header announces is compared with what follows.
 What programs read in different ways (a word, a number, the end of a line) is refused: a corner more or less shifts
 every index behind it.
 """
@@ -13,7 +13,7 @@ import operator
 import re
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,8 @@ import numpy as np
 
 from vsfsim.core.errors import MeshError
 
-FORMATS = (".obj", ".ply", ".stl", ".off")
+FORMATS = (".obj", ".ply", ".stl")
 """File formats that are read."""
-_COLOURS = "The file's colours are not used: an object of a scene has one look."
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,6 @@ class Facets:
     """Corners (n, 3)."""
     faces: np.ndarray
     """Triangles (f, 3); a polygon was cut into triangles."""
-    notes: tuple[str, ...] = field(default=())
-    """What of the file is not used, one sentence each."""
 
 
 def parse(content: bytes, path: Path) -> Facets:
@@ -46,7 +43,7 @@ def parse(content: bytes, path: Path) -> Facets:
     """
     kind = path.suffix[1:].upper()
     try:
-        found = {"OBJ": _obj, "PLY": _ply, "STL": _stl, "OFF": _off}[kind](content)
+        found = {"OBJ": _obj, "PLY": _ply, "STL": _stl}[kind](content)
     except _Bad as problem:
         raise MeshError(f"mesh file '{path}' cannot be understood as {kind}: {problem}. Export it again.") from None
     except (ValueError, IndexError, KeyError, OverflowError, UnicodeDecodeError, MemoryError, TypeError) as problem:
@@ -89,17 +86,14 @@ def _number(word: str, line: int, kind: Callable[[str], Any]) -> Any:
     raise _Bad(f"line {line} has '{word[:40]}' where {'an index' if kind is int else 'a number'} belongs")
 
 
-_OBJ_UNUSED = {"usemtl", "vt", "p", "l", "curv", "curv2", "surf"}
-_OBJ_KNOWN = {"v", "f", "fo", "vn", "vp", "g", "o", "s", "mg", "mtllib", "usemap", "maplib", "bevel", "c_interp",
-              "d_interp", "lod", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step", "ctech", "stech", "parm",
-              "trim", "hole", "scrv", "sp", "con", "end"} | _OBJ_UNUSED
+_OBJ_KNOWN = {"v", "f", "fo", "vt", "vn", "vp", "g", "o", "s", "mg", "mtllib", "usemtl", "usemap", "maplib", "bevel",
+              "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "cstype", "deg", "bmat", "step", "ctech",
+              "stech", "parm", "trim", "hole", "scrv", "sp", "con", "end", "p", "l", "curv", "curv2", "surf"}
 
 
 def _obj(content: bytes) -> Facets:
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
-    unused: set[str] = set()
-    coloured = False
     for number, line in enumerate(_lines(content), 1):
         if line.rstrip().endswith("\\"):
             raise _Bad(f"line {number} ends in a backslash, and programs differ on whether the next line belongs to it")
@@ -111,8 +105,8 @@ def _obj(content: bytes) -> Facets:
         if words[0] == "v":
             if len(words) not in (4, 5, 7, 8):
                 raise _Bad(f"line {number} gives a vertex {len(words) - 1} numbers, and it needs three")
+            # x y z, x y z w, x y z r g b, or x y z w r g b
             vertices.append([_number(w, number, float) for w in words[1:]][:3])
-            coloured |= len(words) > 5  # x y z r g b, or x y z w r g b; a lone fourth number is a weight
         elif words[0] in ("f", "fo"):
             given = [_number(word.split("/", 1)[0], number, int) for word in words[1:]]
             # a negative index counts back from the last vertex before this line
@@ -120,11 +114,8 @@ def _obj(content: bytes) -> Facets:
             if 0 in given or min(polygons[-1], default=0) < 0:
                 raise _Bad(f"line {number} names vertex {0 if 0 in given else min(given)}, and {len(vertices)} come "
                            "before it")
-        unused |= {words[0]} & _OBJ_UNUSED
     points = np.array(vertices, float).reshape(-1, 3)
-    notes = (f"The file's lines {', '.join(sorted(unused))} are not used: a scan is its faces, one body of the scene's "
-             f"material and of one colour.",) if unused else ()
-    return Facets(points, _triangles(points, polygons), (*notes, *[_COLOURS] * coloured))
+    return Facets(points, _triangles(points, polygons))
 
 
 # ---------------------------------------------------------------------------------------------- PLY
@@ -185,8 +176,7 @@ def _ply(content: bytes) -> Facets:
     points = np.stack([np.asarray(corner[axis], float) for axis in "xyz"], axis=1)
     faces = next((v for k, v in rows.get("face", {}).items() if k in ("vertex_indices", "vertex_index")), ())
     polygons = [list(map(operator.index, face)) for face in faces]
-    coloured = any({"red", "diffuse_red", "r"} & set(own) for own in rows.values())
-    return Facets(points, _triangles(points, polygons), (_COLOURS,) * coloured)
+    return Facets(points, _triangles(points, polygons))
 
 
 @dataclass
@@ -211,7 +201,7 @@ class _PlyBody:
         return found if kind in "fd" else tuple(map(int, found))
 
 
-# ---------------------------------------------------------------------------------------------- STL, OFF
+# ---------------------------------------------------------------------------------------------- STL
 
 
 _STL_VERTEX = rf"\s+vertex\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})"
@@ -224,7 +214,6 @@ def _stl(content: bytes) -> Facets:
     count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else -1
     text = (content.removeprefix(codecs.BOM_UTF8).lstrip()[:5].lower() == b"solid"
             and b"facet" in content[:2000].lower() and 84 + 50 * count != len(content))
-    notes: tuple[str, ...] = ()
     if text:
         lines = [line.strip().lower() for line in _lines(content)]
         names = [re.match(r"(?:end)?solid\b", line) for line in lines]
@@ -244,30 +233,7 @@ def _stl(content: bytes) -> Facets:
         row = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
         table = np.frombuffer(content, row, count, 84)
         points = table["corner"].reshape(-1, 3).astype(float)
-        if table["attribute"].any():
-            notes = (_COLOURS,)
-    return Facets(points, np.arange(len(points)).reshape(-1, 3), notes)
-
-
-def _off(content: bytes) -> Facets:
-    rows = [(line, words) for line, text in enumerate(_lines(content), 1) if (words := text.split("#", 1)[0].split())]
-    if not rows or rows[0][1][0] not in ("OFF", "COFF"):
-        raise _Bad("it does not begin with 'OFF' or 'COFF'")
-    rows = [(rows[0][0], rows[0][1][1:]), *rows[1:]] if len(rows[0][1]) > 1 else rows[1:]
-    corners, faces = (_number(word, rows[0][0], int) for word in rows[0][1][:2])
-    if corners < 0 or faces < 0 or len(rows) != 1 + corners + faces:
-        raise _Bad(f"its header announces {corners} vertices and {faces} faces, and {len(rows) - 1} rows follow")
-    table = np.array([[_number(w, line, float) for w in words] for line, words in rows[1:1 + corners]], float)
-    if table.shape[1] not in (3, 6, 7):
-        raise _Bad(f"its vertices have {table.shape[1]} numbers; three, or three and a colour, are known")
-    polygons, coloured = [], table.shape[1] > 3
-    for line, words in rows[1 + corners:]:
-        count = _number(words[0], line, int)
-        if not 0 <= count < len(words):
-            raise _Bad(f"a face announces {count} corners and has {len(words) - 1}")
-        polygons.append([_number(w, line, int) for w in words[1:1 + count]])
-        coloured |= len(words) > 1 + count
-    return Facets(table[:, :3], _triangles(table, polygons), (_COLOURS,) * coloured)
+    return Facets(points, np.arange(len(points)).reshape(-1, 3))
 
 
 # ---------------------------------------------------------------------------------------------- polygons

@@ -72,8 +72,8 @@ def content(shape: MeshFile) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY, STL or "
-                        "OFF file, relative to the scene file.") from error
+        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY or "
+                        "STL file, relative to the scene file.") from error
 
 
 def extents(shape: MeshFile) -> np.ndarray:
@@ -102,7 +102,7 @@ def read_surface(shape: MeshFile) -> Surface:
     """
     path = Path(shape.path)
     file = _finite(parse(content(shape), path), path)
-    notes = list(file.notes)
+    notes: list[str] = []
     vertices = file.vertices @ _UP[shape.up].T
     if shape.up != "z":
         notes.append(f"Turned upright: the file's {shape.up} axis became z, as given.")
@@ -141,7 +141,7 @@ def _finite(file: Facets, path: Path) -> Facets:
     if bad:
         raise MeshError(f"mesh file '{path}': {bad} of {len(vertices)} vertices are not finite numbers (NaN or "
                         "infinite); export the mesh again.")
-    return Facets(vertices, faces.reshape(-1, 3), file.notes)
+    return Facets(vertices, faces.reshape(-1, 3))
 
 
 def _metres_per_unit(shape: MeshFile, longest: float) -> float:
