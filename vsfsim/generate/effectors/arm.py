@@ -44,8 +44,7 @@ class ArmEffector:
             SceneError: another tier was asked for, or the scene has gravity.
         """
         if any(scene.gravity):
-            raise SceneError(f"{scene.source}: gravity is {list(scene.gravity)}, but a plant has no weight: its shape "
-                             "is that at rest. Give gravity = [0, 0, 0].")
+            raise SceneError(f"{scene.source}: a plant has no weight; gravity must be [0, 0, 0] with an [arm].")
         if (tier or "rod") not in ("rod", "auto"):
             raise SceneError(f"{scene.source}: --tier is '{tier}', but what an arm touches is made "
                              "of beams, tier 'rod'.")

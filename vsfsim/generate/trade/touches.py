@@ -159,8 +159,7 @@ class DatasetTouches:
         touches = (effector.touch if alone else effector.touch_near)(own, aims, device=self._device)
         cpu = time.process_time() - built
         soft = probe_stiffness(own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
-        curves = tuple(of_touch(touch, a, soft[k:k + 1])
-                       for k, (touch, a) in enumerate(zip(touches, aims, strict=True)))
+        curves = tuple(map(of_touch, touches, aims, soft[:, None]))
         edge = (own.model.element_size if setting.level is None
                 else effector.contact_edge(subject.scene, a, setting.level)[1] for a in aims)
         return Run(curves, built - began, cpu, sum(len(t.time) for t in touches), tuple(edge))
