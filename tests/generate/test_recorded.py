@@ -19,10 +19,9 @@ from vsfsim.data.formats.openvsf import pcd_bytes
 from vsfsim.data.verify import summary_rows, verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
-from vsfsim.generate.recorded.openvsf import GAUGE, Options, _mount, import_openvsf
+from vsfsim.generate.recorded.openvsf import GAUGE, Options, _on_arm, import_openvsf
 from vsfsim.physics.bubble.sensor import HEIGHT, POWER
 from vsfsim.physics.mesh.membrane import READ_OUT, closed, ellipse
-from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, body_torque
 from vsfsim.vsf.observe import normal_force_rows
 from vsfsim.vsf.sticking import stick
@@ -47,10 +46,9 @@ def punyo(mount):
     flat, faces, rim = ellipse(a, b, READ_OUT[0], rim=READ_OUT[1])
     height = HEIGHT * np.clip(1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2, 0.0, None) ** POWER
     height[rim] = 0.0
-    z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
-    x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
-    x /= np.linalg.norm(x)
-    vertices = gen3.PUNYO_RIM_CENTRE + np.column_stack([flat, height]) @ np.stack([x, np.cross(z, x), z])
+    z = np.array([-0.39394, 0.0, 0.91914])  # openvsf's figures, see vsfsim/robot/gen3.xml
+    x = np.array([0.91914, 0.0, 0.39394])
+    vertices = [0.0157, 0.0, 0.0655] + np.column_stack([flat, height]) @ np.stack([x, np.cross(z, x), z])
     p = vertices[faces][:, :, :2]
     e, f = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     area = 0.5 * (e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]).sum()
@@ -111,7 +109,7 @@ def plants(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shoes(tmp_path_factory):
-    place, rng, bubble = tmp_path_factory.mktemp("rec") / "real", np.random.default_rng(1), punyo(_mount())
+    place, rng, bubble = tmp_path_factory.mktemp("rec") / "real", np.random.default_rng(1), punyo(_on_arm()[0])
     felt = {f"shoe{k}": write_object(place / f"shoe{k}", rng, bubble=bubble) for k in range(4)}
     mesh = place.parent / "punyo.obj"
     mesh.write_text("".join([*(f"v {x!r} {y!r} {z!r}\n" for x, y, z in bubble.vertices.tolist()),

@@ -14,10 +14,9 @@ a . (m + (p - o) x f); on the links before it they give none.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vsfsim.core.chain import Chain, ChainCapsule, capsule_pose
 from vsfsim.core.shape import Capsule
@@ -49,15 +48,16 @@ class Arm:
 
     Args:
         punyo: whether it carries a Punyo.
-        tool: what `Postures.tool` follows, "punyo" or "flange"; by default the Punyo, without one the flange.
+        tool: what `Postures.tool` follows, "punyo", "punyo_rim" or "flange"; by default the Punyo, without one the
+            flange.
         base: pose of the base in the world (4, 4) [m], by default the origin.
     """
 
     punyo: bool
     """Whether the arm carries a Punyo."""
     tool: str
-    """What `Postures.tool` follows: "flange", with its z outwards, or "punyo", the apex of the dome with its z along
-    the dome's axis."""
+    """What `Postures.tool` follows: "flange", with its z outwards, "punyo", the apex of the dome with its z along the
+    dome's axis, or "punyo_rim", the same at the middle of the rim."""
     base: np.ndarray
     """Pose of the base in the world (4, 4) [m]."""
     model: mujoco.MjModel
@@ -91,8 +91,8 @@ class Arm:
 
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
         spec = mujoco.MjSpec.from_file(str(gen3.MODEL))
-        if punyo:
-            add_punyo(spec)
+        if not punyo:
+            spec.delete(spec.body("punyo"))
         self.base = np.eye(4) if base is None else np.asarray(base, float)
         self.links = tuple(body.name for body in spec.bodies[1:])  # a chain, after the world
         root = spec.body(self.links[0])
@@ -192,41 +192,11 @@ def chain_of(arm: Arm) -> Chain:
                  tuple(positions), tuple(quaternions), joints, arm.capsules)  # type: ignore[arg-type]
 
 
-def add_punyo(spec: mujoco.MjSpec) -> None:
-    """Fixes the Punyo to the flange of a Gen3: body ``punyo``, its capsules and mass, and the site ``punyo`` at the
-    apex of the dome.
-
-    The site's z is the dome's axis, outwards; its x is along the long axis of the rim.
-    """
-    import mujoco
-
-    site = spec.site("flange")
-    flange = _pose(site.pos, Rotation.from_quat(np.roll(site.quat, -1)).as_matrix())
-    pose = flange @ _pose(gen3.PUNYO_POSITION, np.array(gen3.PUNYO_ROTATION))
-    body = site.parent.add_body(name="punyo", pos=pose[:3, 3], quat=quaternion(pose[:3, :3]), mass=gen3.PUNYO_MASS,
-                                ipos=gen3.PUNYO_COM, inertia=gen3.PUNYO_INERTIA, explicitinertial=True)
-    for k, (start, stop, radius) in enumerate(gen3.PUNYO_CAPSULES):
-        body.add_geom(name=f"punyo_{k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*start, *stop],
-                      size=[radius, 0.0, 0.0], contype=0, conaffinity=0, mass=0.0, rgba=[0.95, 0.95, 0.9, 1.0])
-    z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
-    x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
-    x /= np.linalg.norm(x)
-    apex = np.array(gen3.PUNYO_RIM_CENTRE) + gen3.PUNYO_HEIGHT * z
-    body.add_site(name="punyo", pos=apex, quat=quaternion(np.stack([x, np.cross(z, x), z], axis=1)))
-
-
 def quaternion(rotation: np.ndarray) -> np.ndarray:
     """w x y z (4,) of a rotation (3, 3), of the nearest one if it is rounded."""
     import mujoco
 
-    # The published rows are orthogonal to five digits only; scipy takes another rotation than the nearest, 2e-6 away.
     u, _, v = np.linalg.svd(rotation)
     out = np.zeros(4)
     mujoco.mju_mat2Quat(out, np.ascontiguousarray(u @ v).ravel())
-    return out
-
-
-def _pose(position: Any, rotation: np.ndarray) -> np.ndarray:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = rotation, position
     return out

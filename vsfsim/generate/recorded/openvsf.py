@@ -246,11 +246,12 @@ class _Bubble:
             found = parse(mesh.read_bytes(), mesh)
         except (OSError, MeshError) as error:
             raise DatasetError(f"the mesh of the bubble cannot be read: {error}. Give it by --bubble.") from error
-        turn = np.array(said.get("parent_relative_transform", _mount()), float)
+        mount, rim = _on_arm()
+        turn = np.array(said.get("parent_relative_transform", mount), float)
         if turn.shape != (4, 4):
             raise DatasetError(f"{place / WORLD}: parent_relative_transform of punyo has the shape "
                                f"{turn.shape}; (4, 4) is needed.")
-        inward = np.linalg.inv(_rim())
+        inward = np.linalg.inv(rim)
         points = found.vertices @ inward[:3, :3].T + inward[:3, 3]
         kept = found.faces[~(np.abs(points[found.faces][:, :, 2]) < 1e-3).all(axis=1)]  # a closed mesh has a base
         if not len(kept) or not 0.01 < points[:, 2].max() < 0.1:
@@ -283,21 +284,11 @@ class _Bubble:
         return out, met
 
 
-def _mount() -> np.ndarray:
-    u, _, v = np.linalg.svd(gen3.PUNYO_ROTATION)  # published to five digits
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = u @ v, gen3.PUNYO_POSITION
-    return out
-
-
-def _rim() -> np.ndarray:
-    """Pose of the mount's frame in the bubble's body: middle of the rim, x along its long axis, z along the dome's."""
-    z = np.array(gen3.PUNYO_AXIS) / np.linalg.norm(gen3.PUNYO_AXIS)
-    x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
-    x /= np.linalg.norm(x)
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), gen3.PUNYO_RIM_CENTRE
-    return out
+def _on_arm() -> tuple[np.ndarray, np.ndarray]:
+    """Poses (4, 4) [m] of the sensor's body in the flange's frame, and of the mount's frame in the body: middle of the
+    rim, x along its long axis, z along the dome's."""
+    flange, rim = (Arm(punyo=True, tool=tool).postures(np.zeros((1, gen3.JOINTS))) for tool in ("flange", "punyo_rim"))
+    return np.linalg.inv(flange.tool[0]) @ flange.links[0, -1], np.linalg.inv(rim.links[0, -1]) @ rim.tool[0]
 
 
 def _picture(place: Path, options: Options) -> View:
