@@ -36,8 +36,7 @@ class Sbml(PosteriorAnswers, LearnedArrays):
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
-        features: local, local-thick, place, local-full, xyzrgb, dinov2-s or dinov2-b, see
-            `vsfsim.vsf.features.registry`.
+        features: local, place, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.registry`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.

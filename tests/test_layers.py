@@ -44,7 +44,7 @@ HEAVY = {
     "physics": {"numpy", "scipy", "filelock", "warp", "torch", "trimesh", "pytetwild"},
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "trimesh", "pyrender", "matplotlib"},
-    "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
+    "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn"},
     "generate": {"numpy", "scipy", "warp", "matplotlib", "msgspec"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy"},

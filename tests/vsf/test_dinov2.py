@@ -4,12 +4,10 @@ checkpoint; and the transformer against timm's."""
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 
 from references import dinov2_timm, load
 from vsfsim.bench.mock import camera_view, particles
 from vsfsim.core.errors import VsfError
-from vsfsim.data.disk import file_sha256
 from vsfsim.vsf.features import dinov2
 from vsfsim.vsf.features.dinov2 import Architecture, VisionTransformer
 from vsfsim.vsf.features.interface import projection
@@ -44,7 +42,7 @@ def test_the_tokens_are_timms():
 def test_end_to_end_from_a_file(checkpoint):
     model, path = checkpoint
     view, points = camera_view(), particles()
-    features = particle_features("dinov2-s", view, points, spacing=0.005, weights=f"{path}@{file_sha256(path)}")
+    features = particle_features("dinov2-s", view, points, spacing=0.005, weights=str(path))
     assert features.shape == (len(points), 24) and np.isfinite(features).all()
     image = dinov2.Dinov2(model).image(view)
     # 64 px are padded to 5 patches
@@ -59,16 +57,13 @@ def test_end_to_end_from_a_file(checkpoint):
 
 
 def test_refusals_say_what_to_do(checkpoint, tmp_path, monkeypatch):
-    model, path = checkpoint
+    model, _ = checkpoint
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "none"))
-    monkeypatch.setenv("HF_HOME", str(tmp_path / "none"))
     monkeypatch.delenv("VSFSIM_DINOV2", raising=False)
     with pytest.raises(VsfError,
                        match=r"curl -L -o .*dinov2_vits14_pretrain.pth "
                              r"https://dl.fbaipublicfiles.com/dinov2/dinov2_vits14/dinov2_vits14_pretrain.pth"):
         particle_features("dinov2-s", camera_view(), particles(), spacing=0.005)
-    with pytest.raises(VsfError, match=r"have the sha256 .* not 00ff"):
-        dinov2.Dinov2.load("small", f"{path}@00ff")
     (tmp_path / "text.pth").write_text("hello")
     with pytest.raises(VsfError, match="cannot be read"):
         dinov2.Dinov2.load("small", str(tmp_path / "text.pth"))
@@ -77,19 +72,10 @@ def test_refusals_say_what_to_do(checkpoint, tmp_path, monkeypatch):
         dinov2.Dinov2.load("small", str(tmp_path / "reg.pth"))
 
 
-def test_timms_checkpoint_is_read_with_and_without_its_mask_token(checkpoint, tmp_path, monkeypatch):
+def test_weights_are_found_in_the_folder_and_read_without_the_mask_token(checkpoint, tmp_path, monkeypatch):
     model, _ = checkpoint
     monkeypatch.setenv("VSFSIM_DINOV2", str(tmp_path))
-    monkeypatch.setenv("HF_HOME", str(tmp_path / "hf"))
-    snapshot = tmp_path / "hf" / "hub" / "models--timm--vit_small_patch14_dinov2.lvd142m" / "snapshots" / "1a"
-    snapshot.mkdir(parents=True)
-    save_file({**model.state_dict(), "mask_token": torch.zeros(1, 24)}, snapshot / "model.safetensors")
-    assert dinov2.find_weights("small") == snapshot / "model.safetensors"
-    save_file(model.state_dict(), tmp_path / "vit_small_patch14_dinov2.lvd142m.safetensors")
-    assert dinov2.find_weights("small") == tmp_path / "vit_small_patch14_dinov2.lvd142m.safetensors"
-    for path in (snapshot / "model.safetensors", tmp_path / "vit_small_patch14_dinov2.lvd142m.safetensors"):
-        loaded = dinov2.Dinov2.load("small", str(path)).model.state_dict()
-        assert all(torch.equal(value, model.state_dict()[name]) for name, value in loaded.items())
-    (tmp_path / "cut.safetensors").write_bytes(b"no")
-    with pytest.raises(VsfError, match="cannot be read"):
-        dinov2.Dinov2.load("small", str(tmp_path / "cut.safetensors"))
+    torch.save({**model.state_dict(), "mask_token": torch.zeros(1, 24)}, tmp_path / "dinov2_vits14_pretrain.pth")
+    assert dinov2.find_weights("small") == tmp_path / "dinov2_vits14_pretrain.pth"
+    loaded = dinov2.Dinov2.load("small").model.state_dict()
+    assert all(torch.equal(value, model.state_dict()[name]) for name, value in loaded.items())

@@ -12,7 +12,7 @@ from vsfsim.core.errors import VsfsimError
 
 EXTRA_OF = {
     "warp": "sim", "mujoco": "sim", "trimesh": "sim", "pytetwild": "sim", "pyvista": "sim",
-    "torch": "methods", "sklearn": "methods", "safetensors": "methods",
+    "torch": "methods", "sklearn": "methods",
     "s3fs": "cloud", "ray": "ray", "pyarrow": "export", "yaml": "export",
     "gymnasium": "active",
     "matplotlib": "render", "PIL": "render", "pyrender": "render",

@@ -1,11 +1,9 @@
 """DINOv2 features of a view (SBML appendix B.2): patch tokens of a pretrained vision transformer, from weights on this
 machine.
 
-Nothing is downloaded here. Weights are searched for where the user says, in the folder $VSFSIM_DINOV2, and in the
-caches of torch.hub and of the Hugging Face hub. The error about missing weights prints the command that fetches them.
-Both published forms are read: the authors' `dinov2_vits14_pretrain.pth`, and timm's
-`vit_small_patch14_dinov2.lvd142m` (.safetensors or .pth). They are read as plain tensors (no code in them is run) and
-must fit the architecture name for name; the sha256 of the file can be demanded.
+Nothing is downloaded here. The authors' `dinov2_vits14_pretrain.pth` is searched for where the user says, in the folder
+$VSFSIM_DINOV2, and in torch.hub's cache. The error about missing weights prints the command that fetches it. It is read
+as plain tensors (no code in it is run) and must fit the architecture name for name.
 
 The transformer is DINOv2's, forward pass only (Oquab et al. 2023; code of facebookresearch/dinov2). Patches of 14 x 14
 pixels become tokens by a linear map. A class token is put before them and learned positions are added. The blocks are
@@ -117,8 +115,6 @@ class _Block(nn.Module):
 ARCHITECTURES: dict[str, Architecture] = {"small": SMALL, "base": BASE}
 FILES = {"small": "dinov2_vits14_pretrain.pth", "base": "dinov2_vitb14_pretrain.pth"}
 """File names of the authors' weights."""
-TIMM_NAMES = {"small": "vit_small_patch14_dinov2.lvd142m", "base": "vit_base_patch14_dinov2.lvd142m"}
-"""Names of the same weights in timm and on the Hugging Face hub."""
 FOLDER_VARIABLE = "VSFSIM_DINOV2"
 
 _ADDRESS = "https://dl.fbaipublicfiles.com/dinov2/{folder}/{file}"
@@ -140,17 +136,14 @@ class Dinov2:
 
         Args:
             size: "small" or "base".
-            weights: a .pth or .safetensors file, optionally followed by ``@`` and the sha256 it must have; "" searches
-                as `find_weights` does.
+            weights: the file; "" searches as `find_weights` does.
             device: torch device.
 
         Raises:
-            VsfError: no weights, a wrong checksum, or a file that is not of this architecture.
+            VsfError: no weights, or a file that is not of this architecture.
         """
-        name, _, wanted = str(weights).partition("@")
-        path = find_weights(size, name)
-        model = _loaded(size, str(path), file_sha256(path), wanted.lower())
-        return cls(model, device=device)
+        path = find_weights(size, weights)
+        return cls(_loaded(size, str(path), file_sha256(path)), device=device)
 
     @torch.no_grad()
     def image(self, view: View) -> FeatureImage:
@@ -173,30 +166,22 @@ class Dinov2:
 
 
 def find_weights(size: str, given: str = "") -> Path:
-    """The file of weights: ``given``, or the first found in $VSFSIM_DINOV2 and the caches of the two hubs.
+    """The file of weights: ``given``, or the first found in $VSFSIM_DINOV2 and torch.hub's cache.
 
     Raises:
         VsfError: there is none; the message has the command that fetches it.
     """
-    file, timm = FILES[size], TIMM_NAMES[size]
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    hub = Path(os.environ.get("TORCH_HOME", cache / "torch")) / "hub" / "checkpoints"
-    snapshots = Path(os.environ.get("HF_HOME", cache / "huggingface")) / "hub" / f"models--timm--{timm}" / "snapshots"
-    if given:
-        places = [Path(given)]
-    else:
-        folder = os.environ.get(FOLDER_VARIABLE)
-        own = [] if folder is None else [Path(folder) / name for name in (file, f"{timm}.safetensors", f"{timm}.pth")]
-        places = [*own, hub / file, *sorted(snapshots.glob("*/model.safetensors"))]
+    file, folder = FILES[size], os.environ.get(FOLDER_VARIABLE)
+    hub = Path(torch.hub.get_dir()) / "checkpoints"
+    places = [Path(given)] if given else [*([] if folder is None else [Path(folder) / file]), hub / file]
     for place in places:
         if place.is_file():
             return place
     url = _ADDRESS.format(folder=file.removesuffix("_pretrain.pth"), file=file)
     raise VsfError(f"features dinov2-{size[0]} need the published weights, which are not in "
                    f"{' or '.join(str(p) for p in places)}. This fetches them:\n\n"
-                   f"  mkdir -p {hub} && curl -L -o {hub / file} {url}\n\nOr give a file, {file} or timm's {timm} "
-                   f"(.safetensors, .pth): --set weights=PATH, or its folder in ${FOLDER_VARIABLE}. "
-                   f"--set features=local needs no download.")
+                   f"  mkdir -p {hub} && curl -L -o {hub / file} {url}\n\nOr give the file: --set weights=PATH, or its "
+                   f"folder in ${FOLDER_VARIABLE}. --set features=local needs no download.")
 
 
 def _state(path: str) -> Mapping[str, torch.Tensor]:
@@ -206,12 +191,8 @@ def _state(path: str) -> Mapping[str, torch.Tensor]:
         VsfError: the file cannot be read, or holds something else.
     """
     try:
-        if path.endswith(".safetensors"):
-            from safetensors.torch import load_file
-
-            return load_file(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # both readers raise whatever their parsers meet
+    except Exception as error:  # torch raises whatever its parser meets
         raise VsfError(f"weights {path} cannot be read as a torch state dict: {type(error).__name__}: "
                        f"{str(error)[:200]} Fetch the file again.") from error
     if not isinstance(state, dict):
@@ -221,15 +202,13 @@ def _state(path: str) -> Mapping[str, torch.Tensor]:
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(size: str, path: str, sha256: str, wanted: str) -> VisionTransformer:
-    if wanted and sha256 != wanted:
-        raise VsfError(f"weights {path} have the sha256 {sha256}, not {wanted}. The file is another one or was cut "
-                       f"short; fetch it again.")
+def _loaded(size: str, path: str, sha256: str) -> VisionTransformer:
+    """The model of a file, once for each content of it."""
     state = {name: value for name, value in _state(path).items() if name not in _UNUSED}
     model = VisionTransformer(ARCHITECTURES[size])
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
-        raise VsfError(f"weights {path} are not of DINOv2 {size} ({plain(error, longest=400)}). Give {FILES[size]} or "
-                       f"timm's {TIMM_NAMES[size]}, without registers.") from error
+        raise VsfError(f"weights {path} are not of DINOv2 {size} ({plain(error, longest=400)}). Give {FILES[size]}, "
+                       f"without registers.") from error
     return model.eval().requires_grad_(False)

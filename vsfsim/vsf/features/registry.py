@@ -2,10 +2,8 @@
 
     xyzrgb      normalised position and colour (SBML appendix C.6), 6 numbers
     local       the default: colour, texture and position relative to the visible surface, see `descriptor`, 11 numbers
-    local-thick the same with the thickness of the visible part and its place relative to the foot, see `thickness`, 15
-                numbers
-    place       thickness and place alone, as logarithms, for branching objects, 6 numbers
-    local-full  those of local at more scales, with normals, curvature and the distance to the outline, 32 numbers
+    place       thickness of the visible part, its place relative to the foot and how deep a particle lies, as
+                logarithms, for branching objects, see `thickness`, 6 numbers
     dinov2-s    DINOv2 ViT-S/14 patch features (SBML's default), 384 numbers; needs weights, see `dinov2`
     dinov2-b    DINOv2 ViT-B/14, 768 numbers
 """
@@ -20,7 +18,7 @@ from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.descriptor import LocalDescriptor
 from vsfsim.vsf.features.interface import Extractor, XyzRgb, project, projection
-from vsfsim.vsf.features.thickness import PlaceDescriptor, ThicknessDescriptor
+from vsfsim.vsf.features.thickness import PlaceDescriptor
 
 
 def particle_features(name: str, view: View, particles: np.ndarray, *, spacing: float, weights: str = "",
@@ -82,9 +80,7 @@ def _dinov2(size: str) -> Callable[[str, str], Extractor]:
 
 NAMES: Mapping[str, Callable[[str, str], Extractor]] = {
     "local": lambda _weights, _device: LocalDescriptor(),
-    "local-thick": lambda _weights, _device: ThicknessDescriptor(),
     "place": lambda _weights, _device: PlaceDescriptor(),
-    "local-full": lambda _weights, _device: LocalDescriptor(full=True),
     "xyzrgb": lambda _weights, _device: XyzRgb(),
     "dinov2-s": _dinov2("small"),
     "dinov2-b": _dinov2("base"),

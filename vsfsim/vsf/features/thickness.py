@@ -1,8 +1,7 @@
 """Thickness and place: the features that tell the stiffness of a branching object.
 
 A cantilever's stiffness goes with the fourth power of its thickness and with the inverse cube of its length, so what
-vision must tell of a plant is how thick a part is, and how far it is from the stem. `local-thick` adds four numbers to
-those of `local`:
+vision must tell of a plant is how thick a part is, and how far it is from the stem. `place` has four numbers:
 
     thickness   diameter of the largest disc in the image that holds the pixel and neither leaves the mask nor crosses
                 an edge of the depth (local thickness, Hildebrand and Ruegsegger 1997), as a logarithm of metres
@@ -10,8 +9,8 @@ those of `local`:
     axis        horizontal distance from the foot of the stem [m]
     height      above the lowest visible point [m]
 
-`place` has these four alone, as logarithms, with how deep a particle lies behind the surface: a cantilever's stiffness
-is a product of powers of them, and a dozen plants do not teach a network to ignore the other columns of `local`.
+They are logarithms, since a cantilever's stiffness is a product of powers of them. How deep a particle lies behind the
+surface stands beside them.
 
 The foot is the mean of the lowest visible points. The way is the shortest path in a graph of voxels of 10 mm; voxels
 that a gap separates are joined at ten times their distance, since a part that hides behind another is not far away.
@@ -25,7 +24,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from vsfsim.data.records import View
-from vsfsim.vsf.features.descriptor import LocalDescriptor, depth_and_distance
+from vsfsim.vsf.features.descriptor import depth_and_distance
 from vsfsim.vsf.features.interface import FeatureImage, Projection
 
 DEPTH_EDGE = 0.008
@@ -41,28 +40,6 @@ _REACH = 0.025  # voxels further apart are not neighbours on a surface [m]
 _GAP = 10.0  # factor on the length of an edge across a gap
 _LEAST = 0.02  # of such a length: heights count from the lowest points but 0.2 %, and a leaf may hang far below [m]
 _FOOT = 0.03  # points within this height of the lowest one are the foot [m]
-
-
-class ThicknessDescriptor:
-    """The features of `local`, thickness and place."""
-
-    def __init__(self) -> None:
-        self._local = LocalDescriptor()
-
-    def image(self, view: View) -> FeatureImage:
-        """Dense features, one cell a pixel (H, W, C)."""
-        base = self._local.image(view)
-        mask = np.asarray(view.mask, bool)
-        more = np.zeros((*mask.shape, 4), np.float32)
-        more[mask, 0] = np.log(local_thickness(view)[mask])
-        more[mask, 1:] = place(view)
-        visible = more[mask].astype(np.float64)
-        token = np.concatenate([base.token, visible.mean(axis=0), visible.std(axis=0)]).astype(np.float32)
-        return FeatureImage(np.concatenate([base.values, more], axis=2), mask, token)
-
-    def of_particles(self, view: View, projected: Projection) -> np.ndarray:
-        """As of `local` (n, c)."""
-        return self._local.of_particles(view, projected)
 
 
 class PlaceDescriptor:
