@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from vsfsim.cli.console import Progress, report, step
-from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Several, Workers, check_choice, command
-from vsfsim.core.errors import TaskError, VsfsimError
+from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Several, Workers, command
+from vsfsim.core.errors import TaskError, VsfsimError, one_of
 
 app = typer.Typer(rich_markup_mode=None)
 Number = Annotated[int, typer.Option(min=0)]
@@ -42,7 +42,7 @@ def solver(tier: Names = None, without: Names = None, against: Path | None = Non
     from measurements.solver import TIERS, measure
 
     for name in tier or []:
-        check_choice("--tier", name, TIERS)
+        one_of(name, TIERS, "--tier")
     _report(measure(tier or TIERS, progress=step), out)
 
 
@@ -123,10 +123,10 @@ def peers(peer: Names = None, case: Names = None, tier: str = "fem", out: Path =
     from measurements.indent import CASES, PEERS, measure
 
     for name in peer or []:
-        check_choice("--peer", name, PEERS)
+        one_of(name, PEERS, "--peer")
     for name in case or []:
-        check_choice("--case", name, CASES)
-    check_choice("--tier", tier, ("fem-coarse", "fem"))
+        one_of(name, CASES, "--case")
+    one_of(tier, ("fem-coarse", "fem"), "--tier")
     found = measure(peer or (), case or (), tier=tier, folder=out, here=here, progress=step)
     _report(found, json)
 
@@ -157,10 +157,10 @@ def stability(out: Path = Path("stability"), budget: float | None = None,
 
     cells = design.design(seed)
     for name in kind or []:
-        check_choice("--kind", name, design.KINDS)
+        one_of(name, design.KINDS, "--kind")
     cells = [c for c in cells if not kind or c.kind in kind]
     for key in cell or []:
-        check_choice("--cell", key, [c.key for c in cells])
+        one_of(key, [c.key for c in cells], "--cell")
     if cell:
         cells = [c for c in cells if c.key in cell]
     try:

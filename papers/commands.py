@@ -8,8 +8,8 @@ import typer
 
 from vsfsim.cli import cluster
 from vsfsim.cli.console import Progress, report
-from vsfsim.cli.options import AtLeastOne, JsonFile, check_choice, command
-from vsfsim.core.errors import TaskError
+from vsfsim.cli.options import AtLeastOne, JsonFile, command
+from vsfsim.core.errors import TaskError, one_of
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -41,7 +41,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     from papers.results import make_missing, stored
     from papers.study import SIZES, load_study, studies
 
-    check_choice("--size", size, SIZES)
+    one_of(size, SIZES, "--size")
     fan = cluster.asked()
     known = [load_study(name) for name in (studies() if every else names or [])]
     if not known:
@@ -89,7 +89,7 @@ def claims(preset: str = "tuned", size: str = "", json: JsonFile = None) -> None
     from papers.study import SIZES
     from vsfsim.bench.commands.catalogue import PRESETS
 
-    check_choice("--preset", preset, PRESETS)
-    check_choice("--size", size or "mini", SIZES)
+    one_of(preset, PRESETS, "--preset")
+    one_of(size or "mini", SIZES, "--size")
     verdicts = judged.all_verdicts(size, preset=preset)
     report(judged.text(verdicts), judged.table(verdicts), json)

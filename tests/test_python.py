@@ -134,7 +134,7 @@ def test_a_torch_view_gives_the_readings_and_no_truth(dataset):
     assert len(objects) == 3 and objects[2]["rgb"].shape[0] == 3 and whole["force"].shape[:1] == (12,)
     np.testing.assert_allclose(whole["normal_force"][5][good], touch.normal_force()[good], rtol=1e-6)
     assert [len(one["force"]) for one in objects.collate([objects[0], objects[1]])["touches"]] == [12, 12]
-    with pytest.raises(DatasetError, match="have no 'pressure'"):
+    with pytest.raises(DatasetError, match="is 'pressure'"):
         dataset.torch(fields=("pressure",))
 
 

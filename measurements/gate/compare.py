@@ -12,8 +12,7 @@ import numpy as np
 from measurements.gate.cells import CELLS, SMALL, GateCell, Run, press
 from measurements.gate.mechanisms import MECHANISMS, without
 from measurements.measurement import Column, Measurement, Progress, Table
-from vsfsim.cli.options import check_choice
-from vsfsim.core.errors import VsfsimError
+from vsfsim.core.errors import VsfsimError, one_of
 from vsfsim.core.plain_text import from_json
 
 _LEAST = 0.05  # of the largest force: the differences of smaller forces are told relative to this part of it [-]
@@ -69,9 +68,9 @@ def measure(cells: Sequence[str] = ("all",), *, names: Sequence[str] = (), again
         VsfsimError: a cell or mechanism has no such name, or the record is none.
     """
     for name in names:
-        check_choice("--without", name, MECHANISMS)
+        one_of(name, MECHANISMS, "--without")
     for name in cells:
-        check_choice("--cell", name, [*(c.name for c in CELLS), "small", "all"])
+        one_of(name, [*(c.name for c in CELLS), "small", "all"], "--cell")
     chosen = [c for c in CELLS if "all" in cells or c.name in cells or ("small" in cells and c.name in SMALL)]
     press(next(c for c in CELLS if c.name == "ball"))  # kernels are loaded
     rows: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""The environment of active touch: Gymnasium's own checker, rewards that add up, and choosers."""
+"""The environment of active touch: Gymnasium's own checker, and rewards that add up."""
 
 import numpy as np
 import pytest
@@ -82,28 +82,14 @@ def test_the_objects_of_the_episodes_teach_the_estimator_nothing(env):
         assert not one.method.names & {o.specimen.name for o in one._objects}
 
 
-def test_the_most_uncertain_touch_is_chosen_by_the_estimators_own_deviations(env):
-    from vsfsim.active.choosers import episode, most_uncertain
-    from vsfsim.core.errors import MethodError
-
-    one = env(method=Zero(), touches=2, objects="test").unwrapped
-    observation, info = one.reset(seed=0)
-    x = observation["places"][:, 0]
-    order = []
-    for _ in range(2):
-        order.append(most_uncertain(observation, info, np.random.default_rng(0)))
-        observation, _, _, _, info = one.step(np.int64(order[-1]))
-    assert order == np.argsort(-x)[:2].tolist()
-    with pytest.raises(MethodError, match="no predict_std"):
-        episode(env().unwrapped, most_uncertain, seed=0)
-
-
-def test_the_example_of_the_page_runs(env, monkeypatch, capsys):
+def test_the_example_of_the_page_makes_the_least_certain_touches_first(env, monkeypatch, capsys):
     (code,) = [b for b in blocks((ROOT / "docs" / "methods.md").read_text(), "py") if "gymnasium.make" in b]
-    monkeypatch.setattr(gymnasium, "make", lambda name, *, task, **given: env(**given | {"method": Zero()}))
-    exec(code)
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
-        "at_random", "farthest", "most_uncertain"]
+    made = env(method=Zero(), touches=2, objects="test")
+    monkeypatch.setattr(gymnasium, "make", lambda name, **given: made)
+    exec(code, {})
+    order = [int(line.split()[1][:-1]) for line in capsys.readouterr().out.splitlines()]
+    x = made.reset(seed=0)[0]["places"][:, 0]
+    assert order == np.argsort(-x)[:2].tolist()
 
 
 @pytest.mark.parametrize(("given", "message"),

@@ -15,14 +15,14 @@ import msgspec
 from vsfsim.bench.metrics import METRICS, Metric
 from vsfsim.bench.noise import NOISE_KINDS, Noise
 from vsfsim.bench.observations import Observation, observation
-from vsfsim.core import table
+from vsfsim.core import errors, table
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean
 from vsfsim.core.shelf import datasets, find_task
 from vsfsim.core.table import Count, Positive, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
 
-typed, one_of = partial(table.typed, error=TaskError), partial(table.one_of, error=TaskError)
+typed, one_of = partial(table.typed, error=TaskError), partial(errors.one_of, error=TaskError)
 """Of a task or a study: what is wrong with its file is a `TaskError`."""
 
 ALL = "all"

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli.options import Several, check_choice
-from vsfsim.core.errors import VsfsimError
+from vsfsim.cli.options import Several
+from vsfsim.core.errors import VsfsimError, one_of
 from vsfsim.core.system.engines import Fan, shard_of
 
 ENGINES = ("ray", "slurm", "k8s")
@@ -40,7 +40,7 @@ class Machines:
             VsfsimError: no such engine or shard, or options that do not go together.
         """
         if self.on is not None:
-            check_choice("--on", self.on, ENGINES)
+            one_of(self.on, ENGINES, "--on")
         part = shard_of(self.shard) if self.shard is not None else None
         if part and self.on:
             raise VsfsimError("--shard and --on do not go together. Each machine of a cluster makes a --shard; --on "

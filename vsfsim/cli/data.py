@@ -9,8 +9,8 @@ import typer
 
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.lab import lab
-from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Seed, Shown, check_choice, command
-from vsfsim.core.errors import TaskError
+from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Seed, Shown, command
+from vsfsim.core.errors import TaskError, one_of
 
 if TYPE_CHECKING:
     from vsfsim.bench.commands.catalogue import Catalogue
@@ -67,7 +67,7 @@ def list_(what: Annotated[str, typer.Argument(autocompletion=lambda: list(KINDS)
     Args:
         what (KIND): scenes, families, tasks, methods or formats.
     """
-    check_choice("KIND", what, KINDS)
+    one_of(what, KINDS, "KIND")
     found = _catalogue(what)
     report(str(found), found.table(), json)
 
@@ -162,10 +162,7 @@ def import_(folder: Path, origin: Annotated[str, typer.Option("--from")], out: P
         tare: Frames without contact at the start of a sequence; default: 20 of torques, 10 of pressures.
         every: Keep each so many-th frame.
     """
-    from vsfsim.core.errors import VsfsimError, did_you_mean
-
-    if origin != "openvsf":
-        raise VsfsimError(f"--from is '{origin}'. {did_you_mean(origin, ('openvsf',))}")
+    one_of(origin, ("openvsf",), "--from")
     from vsfsim.generate.recorded.openvsf import Options, import_openvsf
 
     made = import_openvsf(folder, out or Path(f"{folder.resolve().name}-dataset"),

@@ -20,8 +20,8 @@ from vsfsim.cli import bench, data, info, lab, simulate
 from vsfsim.cli.cluster import ASKED, DIVIDED, Machines
 from vsfsim.cli.console import note
 from vsfsim.cli.lab import WholeSentences
-from vsfsim.cli.options import check_choice, command
-from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean
+from vsfsim.cli.options import command
+from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean, one_of
 from vsfsim.core.extras import missing
 
 app = typer.Typer(name="vsfsim", cls=WholeSentences, no_args_is_help=True, rich_markup_mode=None,
@@ -50,7 +50,7 @@ def cluster(machines: Machines, words: Annotated[list[str], typer.Argument(metav
     Args:
         words: The command and its options.
     """
-    check_choice("The command of `vsfsim cluster`", words[0], DIVIDED)
+    one_of(words[0], DIVIDED, "The command of `vsfsim cluster`")
     machines.fan()
     before = ASKED.set((machines, words))
     try:

@@ -11,13 +11,13 @@ import inspect
 import itertools
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 
-from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
+from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.plain_text import file_stem
 from vsfsim.core.scene_tables.request import Request
 
@@ -25,15 +25,6 @@ PICTURES = (".png", ".jpg", ".jpeg", ".pdf", ".svg", "")
 """Endings of a picture to write; without one it is a PNG."""
 LONGEST_NAME = 200
 """Bytes of a name of a result: what is kept beside it has a longer one, and file systems allow 255."""
-
-
-def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
-    """Raises:
-        VsfsimError: the value of an option is not among the allowed ones.
-    """
-    allowed = tuple(allowed)
-    if value not in allowed:
-        raise VsfsimError(f"{option} is '{value}'. {did_you_mean(value, allowed)}")
 
 
 def _checked_device(device: str) -> str:

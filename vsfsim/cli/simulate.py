@@ -23,10 +23,9 @@ from vsfsim.cli.options import (
     Picture,
     SceneName,
     Seed,
-    check_choice,
     command,
 )
-from vsfsim.core.errors import Interrupted, Terminated
+from vsfsim.core.errors import Interrupted, Terminated, one_of
 from vsfsim.core.scene_tables.request import Request
 
 app = typer.Typer()
@@ -159,7 +158,7 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
     from vsfsim.physics.tiers import TIERS
 
     for name in tier or []:
-        check_choice("--tier", name, TIERS)
+        one_of(name, TIERS, "--tier")
     folder = out or Path("tradeoff") / loaded.name
     with Progress("tradeoff") as progress:
         found = command.tradeoff(loaded, folder, touches=touches, objects=objects, seed=seed, device=device,

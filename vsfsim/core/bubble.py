@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import msgspec
 
-from vsfsim.core.errors import SceneError
+from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.shelf import effectors
-from vsfsim.core.table import Finite, Friction, between, one_of, typed
+from vsfsim.core.table import Finite, Friction, between, typed
 
 NODES = 1493  # the read-out mesh of 390 nodes with every triangle cut in four
 ATMOSPHERE = 101325.0  # [Pa]
@@ -89,7 +89,8 @@ def sensor_kind(node: Any, path: Path) -> str:
     """
     kind = node.get("kind", "bubble") if isinstance(node, Mapping) else "bubble"
     # probe and arm have tables of their own
-    return one_of(kind, [name for name in effectors() if name not in ("probe", "arm")], f"{path} [sensor]: kind")
+    return one_of(kind, [name for name in effectors() if name not in ("probe", "arm")], f"{path} [sensor]: kind",
+                  SceneError)
 
 
 def parse_sensor(node: Any, path: Path) -> Bubble:

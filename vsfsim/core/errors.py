@@ -63,6 +63,18 @@ def did_you_mean(given: str, allowed: Iterable[str]) -> str:
     return (f"Did you mean '{near[0]}'? " if near else "") + f"Allowed: {', '.join(names) or '(none)'}."
 
 
+def one_of(given: str, allowed: Iterable[str], what: str, error: type[VsfsimError] = VsfsimError) -> str:
+    """``given`` if it is one of ``allowed``; ``what`` begins the message.
+
+    Raises:
+        VsfsimError: of class ``error``; it is not.
+    """
+    names = tuple(allowed)
+    if given not in names:
+        raise error(f"{what} is {given!r}. {did_you_mean(str(given), names)}")
+    return given
+
+
 def no_such_file(kind: str, given: str | Path) -> str:
     """The message for a path that leads nowhere: where it stops, and the nearest name there.
 

@@ -29,11 +29,10 @@ def missing(error: ModuleNotFoundError) -> MissingPackage | None:
     if isinstance(error, MissingPackage):
         return error
     package = (error.name or "").partition(".")[0]
-    return missing_package(package, EXTRA_OF[package]) if package in EXTRA_OF else None
+    return _missing(package, EXTRA_OF[package]) if package in EXTRA_OF else None
 
 
-def missing_package(package: str, extra: str) -> MissingPackage:
-    """The error for a package (by the name that is imported) that ``extra`` brings."""
+def _missing(package: str, extra: str) -> MissingPackage:
     return MissingPackage(f"this needs the package '{package}', which is not installed. Install the extra '{extra}': "
                           f"{install_command(extra)} (\"[all]\" for everything).", name=package)
 
@@ -48,11 +47,11 @@ def install_command(extra: str) -> str:
 
 
 def require(extra: str, *packages: str) -> None:
-    """Called by a layer that cannot be imported without ``packages``.
+    """Called before ``packages`` are imported, by their names there.
 
     Raises:
         MissingPackage: one of them is not installed.
     """
     for package in packages:
         if importlib.util.find_spec(package) is None:
-            raise missing_package(package, extra)
+            raise _missing(package, extra)

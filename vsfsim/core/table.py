@@ -179,17 +179,6 @@ def _items(given: Any, kind: Any) -> Iterator[tuple[str, Any, Any]]:
             yield f".{key}", item, asked[1]
 
 
-def one_of(given: str, allowed: Any, what: str, error: type[VsfsimError] = SceneError) -> str:
-    """``given`` if it is one of ``allowed``; ``what`` begins the message.
-
-    Raises:
-        VsfsimError: of class ``error``; it is not.
-    """
-    if given not in allowed:
-        raise error(f"{what} is {given!r}. {did_you_mean(str(given), allowed)}")
-    return given
-
-
 _DISTRIBUTIONS = ("uniform", "loguniform", "choice", "each")
 
 

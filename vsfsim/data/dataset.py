@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
+from vsfsim.core.errors import DatasetError, no_such_file, one_of
 from vsfsim.core.system.interactive import html_table
 from vsfsim.data.disk import Store, is_url, write_atomic
 from vsfsim.data.hdf5 import fault_of, read_shown, read_view
@@ -112,9 +112,8 @@ class Dataset:
         Raises:
             DatasetError: no such split.
         """
-        if split is not None and split not in self.splits:
-            raise DatasetError(f"the dataset in {self.path} has no split '{split}'. "
-                               f"{did_you_mean(split, self.splits)}")
+        if split is not None:
+            one_of(split, self.splits, f"the split of {self.path}", DatasetError)
         return tuple(entry.name for entry in self.entries if split in (None, entry.split))
 
     def load(self, name: str) -> ObjectView:
@@ -141,10 +140,8 @@ class Dataset:
 
     def _checked_file(self, name: str) -> tuple[Entry, Path]:
         """An entry and its file, after its bytes were compared with the sha256."""
-        entry = next((entry for entry in self.entries if entry.name == name), None)
-        if entry is None:
-            raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. "
-                               f"{did_you_mean(name, self.names())}")
+        names = self.names()
+        entry = self.entries[names.index(one_of(name, names, f"the object view of {self.path}", DatasetError))]
         path = self.path / entry.file
         if self.origin and not path.is_file():
             content = Store(self.origin).get(entry.file)

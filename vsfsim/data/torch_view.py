@@ -24,7 +24,7 @@ import numpy as np
 import torch
 import torch.utils.data
 
-from vsfsim.core.errors import DatasetError, did_you_mean
+from vsfsim.core.errors import DatasetError, one_of
 from vsfsim.data.records import ObjectView, Touch
 
 ITEMS = ("touch", "view", "object")
@@ -59,8 +59,7 @@ class TorchView(torch.utils.data.Dataset):
 
     def __init__(self, dataset: Any, item: str = "touch", *, images: bool = False, fields: Sequence[str] = (),
                  transform: Callable[[dict[str, Any]], Any] | None = None):
-        if item not in ITEMS:
-            raise DatasetError(f"torch(item={item!r}): {did_you_mean(str(item), ITEMS)}")
+        one_of(item, ITEMS, "torch: item", DatasetError)
         self.dataset, self.item, self.images = dataset.blind(), item, images
         self.fields, self.transform = tuple(fields), transform
         self._views: OrderedDict[str, ObjectView] = OrderedDict()
@@ -70,8 +69,7 @@ class TorchView(torch.utils.data.Dataset):
             first = self._view(self._index[0][0]).touches[0]
             known = [name for name in (*OPTIONAL, *first.channels) if first.channel(name) is not None]
             for name in self.fields:
-                if name not in known:
-                    raise DatasetError(f"the touches in {dataset.path} have no '{name}'. {did_you_mean(name, known)}")
+                one_of(name, known, f"a field of the touches in {dataset.path}", DatasetError)
 
     def __len__(self) -> int:
         return len(self._index)

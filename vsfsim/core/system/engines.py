@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.extras import missing_package
+from vsfsim.core.extras import require
 
 MOST = 100_000
 """Shards of one work."""
@@ -121,10 +121,9 @@ def on_ray(function: Callable[[Any], None], items: Sequence[Any], *, address: st
     Raises:
         VsfsimError: no such cluster, no such GPU, or it was lost. MissingPackage: Ray is not installed.
     """
-    try:
-        import ray
-    except ModuleNotFoundError:
-        raise missing_package("ray", "ray") from None
+    require("ray", "ray")
+    import ray
+
     try:
         head = _connect(ray, address)
         if gpus and (there := ray.cluster_resources().get("GPU", 0.0)) < gpus:

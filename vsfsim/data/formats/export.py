@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import VsfsimError, did_you_mean
-from vsfsim.core.extras import missing_package
+from vsfsim.core.errors import one_of
+from vsfsim.core.extras import require
 from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.disk import whole_folder
 from vsfsim.data.records import ObjectView, values_of
@@ -37,8 +37,7 @@ def export(folder: str | Path, to: str, out: str | Path, progress: Progress | No
     Raises:
         VsfsimError: no finished dataset, no such format, the folder exists, a package is missing, or the disk refuses.
     """
-    if to not in FORMATS:
-        raise VsfsimError(f"--to is '{to}'. {did_you_mean(to, FORMATS)}")
+    one_of(to, FORMATS, "--to")
     dataset, path = Dataset.open(folder, progress=progress), Path(out)
     with whole_folder(path) as part:
         importlib.import_module(f"vsfsim.data.formats.{to}").export(dataset, part)
@@ -51,11 +50,10 @@ def arrow() -> Any:
     Raises:
         MissingPackage: it is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise missing_package("pyarrow", "export") from None
+    require("export", "pyarrow")
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow
 
 
@@ -65,10 +63,9 @@ def png(image: np.ndarray) -> bytes:
     Raises:
         MissingPackage: Pillow is not installed.
     """
-    try:
-        from PIL import Image
-    except ModuleNotFoundError:
-        raise missing_package("PIL", "render") from None
+    require("render", "PIL")
+    from PIL import Image
+
     out = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(out, format="PNG")
     return out.getvalue()

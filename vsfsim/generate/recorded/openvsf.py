@@ -25,7 +25,7 @@ import numpy as np
 
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import DatasetError, MeshError, did_you_mean
-from vsfsim.core.extras import missing_package
+from vsfsim.core.extras import require
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.dataset import Dataset
@@ -315,10 +315,8 @@ def _picture(place: Path, options: Options) -> View:
 
 
 def _yaml(path: Path) -> dict[str, Any]:
-    try:
-        import yaml
-    except ModuleNotFoundError:
-        raise missing_package("yaml", "export") from None
+    require("export", "yaml")
+    import yaml
 
     class Loader(yaml.SafeLoader):
         """Their paths have tags of openvsf's own."""
