@@ -117,7 +117,7 @@ def test_two_evaluations_do_not_write_one_result(task, toy_dataset, tmp_path):
     out = tmp_path / "results" / "mine.json"
     options = {"out": out, "parameters": {"value": 2.0}, "seeds": 1, "check": False}
     with own(out):
-        with pytest.raises(MethodError, match=rf"mine\.json is being written by process {os.getpid()}\. Wait for it"):
+        with pytest.raises(MethodError, match=rf"mine\.json' is being written by process {os.getpid()}\. Wait for it"):
             evaluate("toy_methods:Constant", task, toy_dataset, **options)
         assert evaluate("toy_methods:Constant", task, toy_dataset, **{**options, "out": out.with_name("other.json")})
         assert not out.exists()

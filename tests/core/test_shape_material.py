@@ -80,33 +80,23 @@ def test_distance_to_inclusions():
 
 
 def test_the_last_inclusion_wins_and_regions_lie_under_them():
-    field = parse_material({"base": 1e5, "regions": {"sole": 2e6}, "inclusions": [
-        {"sphere": [0, 0, 0, 0.02], "value": 1e6}, {"box": [0, -1, -1, 1, 1, 1], "value": 1e7}]}, "x")
+    parts = [{"sphere": [0, 0, 0, 0.02], "value": 1e6}, {"box": [0, -1, -1, 1, 1, 1], "value": 1e7}]
+    field = parse_material({"base": 1e5, "inclusions": parts}, "x")
     at = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0], [-0.5, 0.0, 0.0]])
     assert field.evaluate(at).tolist() == [1e6, 1e7, 1e5]
-    modulus = field.by_region(["upper", "sole"], None, "x")
+    assert field.of_regions(np.array([3.0]), "x") is None, "the scene's base counts in all regions"
+    modulus = parse_material(None, "x").of_regions(np.array([1e5, 2e6]), "x")
     assert modulus.tolist() == [1e5, 2e6]
     assert field.evaluate(at, np.array([1, 1, 1]), modulus).tolist() == [1e6, 1e7, 2e6]
-
-
-def test_a_region_takes_the_scenes_value_then_the_familys():
-    field = parse_material({"regions": {"sole": 2e6}}, "x")
-    assert field.by_region(["upper", "sole"], np.array([3.0, 4.0]), "x").tolist() == [3.0, 2e6]
-    assert parse_material(None, "x").by_region(["upper"], np.array([3.0]), "x").tolist() == [3.0]
-    with pytest.raises(SceneError,
-                       match=r"x: young_modulus names region 'sole', which this object does not have\. "
-                             r"Allowed: body\."):
-        field.by_region(["body"], None, "x")
-    with pytest.raises(SceneError, match="no value for region 'upper'; add it under regions, or give base"):
-        field.by_region(["upper", "sole"], None, "x")
+    with pytest.raises(SceneError, match="x: young_modulus is missing, and the family gives none; give base = pascals"):
+        parse_material(None, "x").of_regions(None, "x")
 
 
 @pytest.mark.parametrize(("given", "message"), [
     (-1e5, "x: young_modulus is -100000.0; it must be a Young's modulus, a positive number of pascals, 1 to 1e13"),
     ("1e5", "young_modulus is '1e5'"), (float("nan"), "young_modulus is nan"), (1e14, "young_modulus is 1"),
     ({"bse": 1e5}, "x young_modulus: unknown key 'bse'. Did you mean 'base'?"),
-    ({"regions": 3.0}, "regions is 3.0; it must be a table"), ({"regions": {"sole": -1.0}},
-                                                         "young_modulus: regions.sole is -1.0"),
+    ({"regions": {"sole": 1e6}}, "x young_modulus: unknown key 'regions'. Allowed: base, inclusions."),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1]}]},
      "inclusions[0] is {'sphere': [0, 0, 0, 1]}; give `value` and one of sphere, box, capsule, e.g. "),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 1], "value": 1e5}]},

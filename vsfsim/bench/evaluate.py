@@ -41,7 +41,7 @@ from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
 from vsfsim.core.shelf import ceilings
 from vsfsim.core.system import engines
 from vsfsim.core.system.engines import HERE, Fan
-from vsfsim.core.system.file_lock import Held, release, take
+from vsfsim.core.system.file_lock import release, take
 from vsfsim.data.dataset import Dataset
 
 
@@ -199,14 +199,7 @@ def own(result: Path) -> Iterator[None]:
     """
     path = result.with_name(f".{result.name}.lock")
     made = [folder for folder in (result.parent, *result.parent.parents) if not folder.exists()]
-    try:
-        result.parent.mkdir(parents=True, exist_ok=True)
-        lock, _ = take(path, unlocked=True)
-    except Held as held:
-        raise MethodError(f"{result} is being written by process {held}. Wait for it, stop it, or choose another "
-                          f"--out.") from None
-    except OSError as error:
-        raise MethodError(f"{result} cannot be written: {error.strerror}. Choose another --out.") from error
+    lock, _ = take(path, result, MethodError)
     try:
         yield
     finally:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
 from vsfsim.core import shape as shapes
-from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.table import Finite, Rows, typed, value
+from vsfsim.core.errors import SceneError
+from vsfsim.core.table import Finite, Rows, shipped_rows, typed, value
 
 Modulus = Annotated[float, msgspec.Meta(ge=1.0, le=1e13, description=(
     "a Young's modulus, a positive number of pascals, 1 to 1e13 (rubber is about 1e6)"))]
@@ -59,12 +59,10 @@ class Inclusion:
 
 @dataclass(frozen=True)
 class MaterialField:
-    """Truth of a scene: E(x) [Pa], from a base value, named regions and inclusions (the last one wins)."""
+    """Truth of a scene: E(x) [Pa], from a base value and inclusions (the last one wins)."""
 
     base: Modulus | None = None
-    """Modulus outside regions and inclusions [Pa], or None if the regions give it."""
-    regions: Mapping[str, Modulus] = field(default_factory=dict)
-    """Modulus by region name [Pa]."""
+    """Modulus outside the inclusions [Pa], or None for that of each region of a family."""
     inclusions: tuple[Inclusion, ...] = ()
     """In order."""
 
@@ -75,7 +73,7 @@ class MaterialField:
         Args:
             points: where.
             region: region index of each point (...,), needed when ``region_modulus`` is given.
-            region_modulus: modulus of each region (R,) [Pa]; see `by_region`.
+            region_modulus: modulus of each region (R,) [Pa]; see `of_regions`.
         """
         if region_modulus is not None:
             value = np.asarray(region_modulus, float)[region]
@@ -86,28 +84,19 @@ class MaterialField:
             value = np.where(part.distance(points) <= 0.0, part.young_modulus, value)
         return value
 
-    def by_region(self, names: Sequence[str], defaults: np.ndarray | None, where: str) -> np.ndarray:
-        """Modulus of each region (R,) [Pa]: the scene's own value, else the base, else the family's.
+    def of_regions(self, modulus: np.ndarray | None, where: str) -> np.ndarray | None:
+        """Modulus of each region (R,) [Pa] that a family gives, None where the scene's own base counts in all.
 
         Raises:
-            SceneError: the scene names a region that the object does not have, or leaves one without a value.
+            SceneError: neither gives one.
         """
-        for name in self.regions:
-            if name not in names:
-                raise SceneError(f"{where}: young_modulus names region '{name}', which this object does not have. "
-                                 f"{did_you_mean(name, names)}")
-        out = np.empty(len(names))
-        for i, name in enumerate(names):
-            given = self.regions.get(name, self.base) or (None if defaults is None else float(defaults[i]))
-            if given is None:
-                raise SceneError(f"{where}: young_modulus gives no value for region '{name}'; add it under regions, "
-                                 f"or give base.")
-            out[i] = given
-        return out
+        if self.base is None and modulus is None:
+            raise SceneError(f"{where}: young_modulus is missing, and the family gives none; give base = pascals.")
+        return None if self.base is not None else modulus
 
 
 def parse_material(table: Any, where: str) -> MaterialField:
-    """The field from ``young_modulus`` of a scene: a number, or base / regions / inclusions.
+    """The field from ``young_modulus`` of a scene: a number, or base and inclusions.
 
     Raises:
         SceneError: an unknown key, a modulus that is not positive, or an inclusion of the wrong form.
@@ -120,7 +109,7 @@ def parse_material(table: Any, where: str) -> MaterialField:
     parts = tuple(_inclusion(part, f"{place} inclusions[{k}]")
                   for k, part in enumerate(value(table.get("inclusions", []), Rows, f"{place}: inclusions")))
     found = typed(table, MaterialField, place, also=("inclusions",), inclusions=parts)
-    if found.base is None and not found.regions and parts:
+    if found.base is None and parts:
         raise SceneError(f"{where}: young_modulus has inclusions but no base; give base = pascals.")
     return found
 
@@ -168,17 +157,5 @@ class Foam:
         return 0.5 * lam / (lam + mu)
 
 
-# [N]: McCulloch, Delp and Kuhl 2026 (arXiv 2602.12694), fitted in the repository jkuzmeski/newton.
-# [C]: LivingMatterLab/CANN, folder FOAM: fit to its compression curve up to a strain of 0.6.
-# [K]: Kossa and Berezvai 2016 (chauminhvu/fitting-model-parameters): fit to its uniaxial, biaxial and lateral data.
-FOAMS: dict[str, Foam] = {
-    "ff-leap": Foam((171.8e3, 18.2e3), (8.39, -1.04), (0.0, 0.0)),  # [N]
-    "ff-turbo": Foam((169.0e3, 12.0e3), (5.65, -2.0), (0.0, 0.0)),  # [N]
-    "midsole-heel": Foam((162.1e3, 6.4e3), (6.15, -2.44), (0.0, 0.0)),  # [C]
-    "midsole": Foam((75.4e3,), (1.62,), (0.0,)),  # [C]
-    "midsole-worn": Foam((185.3e3, 1.6e3), (4.83, -4.4), (0.0, 0.0)),  # [C]
-    "pe-foam": Foam((87.2e3, 14.3e3), (7.71, 0.465), (0.076, 0.423)),  # [K]
-    "poron-125": Foam((24.4e3, 4.18e3), (8.31, 1.39), (0.154, 7.71)),  # Landauer et al. 2019
-    "eva": Foam((1050e3,), (4.0,), (0.0,)),  # Verdejo and Mills 2004, J. Biomech.; beta is assumed
-}
+FOAMS = shipped_rows("foams.toml", Foam)
 """Foams that ``material`` in ``[object]`` of a scene may name."""

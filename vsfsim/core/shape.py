@@ -116,18 +116,27 @@ OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 
 
-def extent(shape: Box | Sphere | Cylinder | Rod) -> tuple[float, float, float]:
-    """Edge lengths of an object's bounding box (3,) [m]."""
+def skeleton(shape: Box | Sphere | Cylinder | Capsule) -> tuple[np.ndarray, float]:
+    """What a shape surrounds, and how far it reaches beyond: half-sizes (3,) [m] of a box, of a ball that of a point, of
+    a capsule that of a segment, and a radius [m]; a cylinder is that box turned about z."""
     match shape:
         case Box(size):
-            return size
+            return 0.5 * np.array(size), 0.0
         case Sphere(radius):
-            return (2 * radius,) * 3
+            return np.zeros(3), radius
+        case Capsule(radius, length):
+            return np.array([0.0, 0.0, 0.5 * length]), radius
         case Cylinder(radius, height):
-            return (2 * radius, 2 * radius, height)
-        case Rod(length, radius):
-            return (length, 2 * radius, 2 * radius)
+            return np.array([radius, radius, 0.5 * height]), 0.0
     raise AssertionError(shape)
+
+
+def extent(shape: Box | Sphere | Cylinder | Rod) -> np.ndarray:
+    """Edge lengths (3,) [m] of an object's bounding box."""
+    if isinstance(shape, Rod):
+        return np.array([shape.length, 2 * shape.radius, 2 * shape.radius])
+    half, radius = skeleton(shape)
+    return 2.0 * (half + radius)
 
 
 def parse_object_shape(table: Any, where: str) -> ObjectShape:
@@ -214,21 +223,18 @@ def distance(shape: Analytic, points: np.ndarray, *, fillet: float = 0.0) -> np.
         fillet: radius of the rounded edges of a cylinder or a box [m].
     """
     x = np.asarray(points, float)
-    match shape:
-        case Plane():
-            return x[..., 2]
-        case Sphere(radius):
-            return np.linalg.norm(x, axis=-1) - radius
-        case Capsule(radius, length):
-            axial = x[..., 2] - np.clip(x[..., 2], -0.5 * length, 0.5 * length)
-            return np.sqrt(x[..., 0] ** 2 + x[..., 1] ** 2 + axial**2) - radius
-        case Cylinder(radius, height):
-            q = np.stack([np.hypot(x[..., 0], x[..., 1]) - radius, np.abs(x[..., 2]) - 0.5 * height], axis=-1) + fillet
-        case Box(size):
-            q = np.abs(x) - 0.5 * np.asarray(size) + fillet
-        case _:
-            raise AssertionError(shape)
-    return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0) - fillet
+    if isinstance(shape, Plane):
+        return x[..., 2]
+    half, radius = skeleton(shape)
+    q = np.abs(_turned(shape, x)) - half + fillet
+    return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0) - fillet - radius
+
+
+def _turned(shape: Analytic, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3), in the plane of x and z if the shape is round about z."""
+    if not isinstance(shape, Cylinder):
+        return vectors
+    return np.stack([np.hypot(vectors[..., 0], vectors[..., 1]), np.zeros(vectors.shape[:-1]), vectors[..., 2]], axis=-1)
 
 
 def segment_distance(points: np.ndarray, start: np.ndarray, stop: np.ndarray) -> np.ndarray:
@@ -240,34 +246,17 @@ def segment_distance(points: np.ndarray, start: np.ndarray, stop: np.ndarray) ->
 
 def reach(shape: Analytic | Dome) -> float:
     """Radius of the smallest ball about the origin that holds a shape [m]; infinite for a plane."""
-    match shape:
-        case Sphere(radius):
-            return radius
-        case Capsule(radius, length):
-            return radius + 0.5 * length
-        case Cylinder(radius, height):
-            return float(np.hypot(radius, 0.5 * height))
-        case Box(size):
-            return 0.5 * float(np.linalg.norm(size))
-        case Dome():
-            return shape.reach
-        case Plane():
-            return float("inf")
-    raise AssertionError(shape)
+    if isinstance(shape, Plane):
+        return float("inf")
+    if isinstance(shape, Dome):
+        return shape.reach
+    half, radius = skeleton(shape)
+    return radius + float(np.hypot(half[0], half[2]) if isinstance(shape, Cylinder) else np.linalg.norm(half))
 
 
 def support(shape: Analytic, direction: np.ndarray) -> float:
     """How far a shape extends from its origin along a unit ``direction`` (3,) of its own frame [m]."""
-    d = np.abs(np.asarray(direction, float))
-    match shape:
-        case Sphere(radius):
-            return radius
-        case Capsule(radius, length):
-            return radius + 0.5 * length * float(d[2])
-        case Cylinder(radius, height):
-            return radius * float(np.hypot(d[0], d[1])) + 0.5 * height * float(d[2])
-        case Box(size):
-            return 0.5 * float(np.dot(size, d))
-        case Plane():
-            return 0.0
-    raise AssertionError(shape)
+    if isinstance(shape, Plane):
+        return 0.0
+    half, radius = skeleton(shape)
+    return radius + float((half * np.abs(_turned(shape, np.asarray(direction, float)))).sum())

@@ -33,6 +33,7 @@ from vsfsim.core.plain_text import plain
 
 LARGEST_FILE = 4 << 20
 """A TOML file with more bytes is not read."""
+T = TypeVar("T")
 DEEPEST = 50
 """Levels of tables and lists that a TOML file may have."""
 
@@ -75,13 +76,17 @@ def _deeper(tree: Any, levels: int) -> bool:
     return bool(row)
 
 
+def shipped_rows(file: str, kind: type[T]) -> dict[str, T]:
+    """The records of a TOML file beside this module, by the names of their tables."""
+    return msgspec.toml.decode(Path(__file__).with_name(file).read_bytes(), type=dict[str, kind])  # type: ignore[valid-type]
+
+
 def between(low: float, high: float, unit: str = "", *, whole: bool = False) -> msgspec.Meta:
     """Of a field: a number from ``low`` to ``high``."""
     return msgspec.Meta(ge=low, le=high, description=f"a {'whole ' * whole}number from {low:{'' if whole else 'g'}} "
                                                      f"to {high:{'' if whole else 'g'}}{' ' * bool(unit)}{unit}")
 
 
-T = TypeVar("T")
 Count = Annotated[int, msgspec.Meta(ge=0)]
 Positive = Annotated[int, msgspec.Meta(ge=1)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]

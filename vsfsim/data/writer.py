@@ -10,7 +10,7 @@ from typing import Any
 from filelock import FileLock
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.system.file_lock import Held, release, sync_folder, take
+from vsfsim.core.system.file_lock import release, sync_folder, take
 from vsfsim.data import lines
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import Store, file_sha256, is_url
@@ -70,12 +70,6 @@ class DatasetWriter:
         for name in self.names:
             check_name(name, "a name")
         self._made_folder = self.path is not None and not self.path.exists()
-        if self.path is not None:
-            try:
-                self.path.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise DatasetError(f"folder {self.path} cannot be made: {error.strerror}. Choose another "
-                                   f"--out.") from error
         # Refused before the lock is made, so that a folder of something else is left without a trace of us.
         self._refuse_other()
         self._lock = self._take_lock()
@@ -184,7 +178,7 @@ class DatasetWriter:
             table = parse_manifest(self.store.get(PART_MANIFEST) or b"", where / PART_MANIFEST)
             there, code = Recipe.read(table["recipe"], str(where / PART_MANIFEST)), table["made_by"]
         else:
-            names = files if self.path is None else [p.name for p in self.path.iterdir()]
+            names = files if self.path is None else [p.name for p in self.path.glob("*")]
             strangers = sorted(name for name in names if name not in (LOCK, lines.FOLDER)
                                and not _OUR_PART.search(name) and not _SHARD_LOCK.fullmatch(name))
             if strangers:
@@ -260,19 +254,12 @@ class DatasetWriter:
         if self.path is None:
             return None
         if self.shard is None:
-            name, others = LOCK, [p for p in self.path.iterdir() if _SHARD_LOCK.fullmatch(p.name)]
+            name, others = LOCK, [p for p in self.path.glob("*") if _SHARD_LOCK.fullmatch(p.name)]
         else:
             name, others = f"shard-{self.shard[0]}-of-{self.shard[1]}.lock", [*self.path.glob(LOCK)]
-        try:
-            for other in others:
-                release(take(other, unlocked=True)[0])
-            lock, before = take(self.path / name, unlocked=self.shard is not None)
-        except Held as held:
-            raise DatasetError(f"folder {self.path} is being written by process {held}. Wait for it, stop it, or "
-                               f"choose another --out.") from None
-        except OSError as error:
-            raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Free some space or choose "
-                               f"another --out.") from error
+        for other in others:
+            release(take(other, self.path, DatasetError)[0])
+        lock, before = take(self.path / name, self.path, DatasetError)
         if before:
             self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
         return lock

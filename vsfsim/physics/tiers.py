@@ -193,9 +193,7 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
                         parts=np.array(boxes) if boxes else None)
     if edges is not None:
         solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
-    modulus = None
-    if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
-        modulus = field.by_region(solid.region_names, solid.young_modulus, where)
+    modulus = field.of_regions(solid.young_modulus, where)
     if not field.inclusions:
         region = np.repeat(np.asarray(solid.region)[:, None], 4, axis=1)
         return solid, field.evaluate(gauss_points(solid), region, modulus)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import FOAMS, Foam, MaterialField, parse_material
 from vsfsim.core.rigid import beside
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
-from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, typed, value
+from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, shipped_rows, typed, value
 
 Tier = Literal["auto", "linear", "fem-coarse", "fem", "fem-fine", "rod"]
 """Fidelities that a scene may name."""
@@ -130,18 +129,8 @@ class DepthCamera:
     lost: float
     """Share of the pixels at depth edges without a depth [-]."""
 
-DEPTH_CAMERAS: dict[str, DepthCamera] = {
-    # Toelgyessy et al. 2021 (Sensors 21:413): 0.6 mm at 1 m, 1 to 1.4 mm at 2 m on a white wall; systematic error under
-    # 11 mm. Narrow field of view, unbinned. Its driver removes pixels at depth edges; their share is an estimate.
-    "azure-kinect": DepthCamera(
-        640, 576, math.radians(65.0), ((0.0, 0.0005), (1.0, 0.0006), (2.0, 0.0012)), 0.010, 0.001, 0.5),
-    # Intel's data sheet as quoted in librealsense #5808, #7040 and #15308: mean error under 5 mm and 2.5 mm of standard
-    # deviation at 1 m, 15.5 mm at 9 m; in practice 0.5 to 1 mm at 0.5 to 0.8 m. The share of lost pixels is an
-    # estimate.
-    "l515": DepthCamera(
-        640, 480, math.radians(55.0), ((0.0, 0.0003), (0.5, 0.0006), (1.0, 0.0025), (9.0, 0.0155)), 0.005, 0.00025,
-        0.35),
-}
+
+DEPTH_CAMERAS = shipped_rows("cameras.toml", DepthCamera)
 """Cameras that ``model`` in ``[camera]`` may name."""
 
 

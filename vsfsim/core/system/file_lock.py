@@ -9,40 +9,42 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-
-class Held(Exception):
-    """Another process holds the lock; the message is its process id, or "unknown"."""
+from vsfsim.core.errors import VsfsimError
 
 
-def take(path: Path, *, unlocked: bool) -> tuple[FileLock, str]:
-    """Lock the file ``path``, which is made if it is missing, and write our process id into it.
+def take(path: Path, target: Path, error: type[VsfsimError]) -> tuple[FileLock, str]:
+    """Lock the file ``path``, which is made if it is missing, its folder too, and write our process id into it.
 
     Args:
         path: of the lock; `release` removes it.
-        unlocked: whether to go on on a file system without locks, else that counts as held by somebody unknown.
+        target: what is written under the lock, for messages.
+        error: the class of the errors.
 
     Returns:
         The lock, and the process id that was in the file: of a process that died while it held it, or "".
 
-    A process that is forked does not hold it.
+    A process that is forked does not hold it. On a file system without locks nobody does, and everybody goes on.
 
     Raises:
-        Held: another process holds it.
-        OSError: the file cannot be written.
+        VsfsimError: of class ``error``; another process holds it, or the file cannot be written.
     """
     lock = FileLock(path, timeout=0, thread_local=False)
     try:
-        lock.acquire()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire()
+        except OSError as problem:
+            # a file that can be made and not locked lies on a file system without locks
+            if isinstance(problem, Timeout) or not os.access(path, os.W_OK):
+                raise
+        before = _content(path)
+        path.write_text(f"{os.getpid()}\n")
     except Timeout:
-        raise Held(_content(path) or "unknown") from None
-    except OSError:
-        # a file that can be made and not locked lies on a file system without locks
-        if not os.access(path, os.W_OK):
-            raise
-        if not unlocked:
-            raise Held("unknown") from None
-    before = _content(path)
-    path.write_text(f"{os.getpid()}\n")
+        raise error(f"'{target}' is being written by process {_content(path) or 'unknown'}. Wait for it, stop it, or "
+                    f"choose another --out.") from None
+    except OSError as problem:
+        raise error(f"'{target}' cannot be written: {problem.strerror}. Free some space or choose another "
+                    f"--out.") from problem
     return lock, before
 
 
