@@ -27,13 +27,8 @@ finally:
     assert len(re.findall(r"^  [a-z]", commands.partition("Exit codes")[0], re.M)) <= 14
 
 
-def test_an_old_name_works_and_names_the_new_one(vsfsim, tmp_path):
-    page = vsfsim("view", "pad", cwd=tmp_path)
-    assert page.returncode == 0 and "is now `vsfsim show --out page.html`" in page.stderr
-    assert (tmp_path / "page.html").read_text().startswith("<!")
-
-
 @pytest.mark.parametrize(("words", "message"), [
+    (("view", "pad"), "`vsfsim view` is now `vsfsim show --out page.html`."),
     (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
     (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-v3-mini-v1"),
      "unknown method 'gausian'. Did you mean 'gaussian'?"),

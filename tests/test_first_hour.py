@@ -40,12 +40,11 @@ def test_info_says_what_is_there_and_what_to_do(vsfsim, tmp_path, monkeypatch):
     (tmp_path / "data" / "bag-punyo-mini-v2" / "dataset.json").write_bytes(bytes(1000))
     facts = json.loads(vsfsim("info", "--json", "-", cwd=tmp_path).stdout)
     by_name = {(fact["group"], fact["name"]): fact for fact in facts}
-    assert {group for group, _ in by_name} == {"versions", "devices", "renderers", "caches", "weights", "datasets"}
+    assert {group for group, _ in by_name} == {"versions", "devices", "datasets"}
     assert by_name["versions", "numpy"]["value"] == np.__version__
     assert by_name["datasets", "bag-punyo-mini-v2"]["value"].endswith("0.0 MB")
     missing = by_name["datasets", "rope-punyo-v1"]
     assert missing["todo"].startswith("vsfsim generate rope-punyo --objects") and str(tmp_path) in missing["todo"]
-    assert by_name["renderers", "warp"]["value"].startswith("works")
     text = vsfsim("info", cwd=tmp_path).stdout
     assert all(fact["name"] in text and fact["todo"] in text for fact in facts)
 
@@ -189,8 +188,8 @@ from vsfsim.cli.main import main
 data = written("toy")
 asked = [(key, action) for q in questions(load_task("toy-v1.toml"), data) for key, action in zip(q.keys, q.actions)]
 np.savez("p.npz", **{key: np.zeros((len(action.time), action.size)) for key, action in asked})
-for words in (["verify", "toy"], ["score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros"],
-              ["leaderboard", "--task", "toy-v1.toml"]):
+score = ["lab", "score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros"]
+for words in (["verify", "toy"], score, ["leaderboard", "--task", "toy-v1.toml"]):
     sys.argv = ["vsfsim", *words]
     try:
         main()

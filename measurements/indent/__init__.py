@@ -115,8 +115,8 @@ def ours(name: str, tier: str, depths: np.ndarray, files: Sequence[Path]) -> dic
     eight = mesh.tets[:, EIGHT].reshape(-1, 4)
     sides = mesh.points[eight[:, 1:]] - mesh.points[eight[:, :1]]
     eight[np.linalg.det(sides) < 0.0] = eight[np.linalg.det(sides) < 0.0][:, [0, 2, 1, 3]]
-    law = scene.required_object.foam
-    foam: dict[str, Any] = {} if law is None else {"foam": np.column_stack([law.mu, law.alpha, law.beta])}
+    law = scene.required_object.law
+    foam = {} if law is None else {"foam": np.column_stack([law[1][row] for row in ("mu", "alpha", "beta")])}
     young, own = model.young_modulus.mean(axis=1), (mesh.points[:corners], mesh.tets[:, :4], 1)
     for file, (points, tets, parts) in zip(files, (own, (mesh.points, eight, 8)), strict=True):
         np.savez(file, points=points, tets=tets, young=np.repeat(young, parts), radius=scene.probe.radius,

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import references
 from vsfsim.core.errors import SceneError
-from vsfsim.core.material import FOAMS
+from vsfsim.core.material import FOAMS, Foam
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Plane
 from vsfsim.physics import tiers
@@ -90,7 +90,7 @@ def scene(tmp_path, text):
 
 def test_a_scene_names_its_foam(tmp_path):
     spec = scene(tmp_path, 'material = "ff-leap"').sample(0)
-    assert spec.object.foam is FOAMS["ff-leap"] and spec.object.poisson_ratio == 0.0
+    assert Foam(**spec.object.law[1]) == FOAMS["ff-leap"] and spec.object.poisson_ratio == 0.0
     assert spec.object.young_modulus.base == pytest.approx(380e3)
     assert tiers.choose(spec) == "fem-coarse", "the cheapest tier that has the law"
     assert [b.law for b in tiers.build(spec, "fem-coarse").blocks] == ["hyperfoam"]
@@ -103,7 +103,7 @@ def test_a_scene_names_its_foam(tmp_path):
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    ('material = "ff-leep"', "ff-leap"), ("material = 3", "no foam"),
+    ('material = "ff-leep"', "ff-leap"), ("material = 3", "material is 3. Allowed: eva, ff-leap"),
     ('material = "eva"\npoisson_ratio = 0.3', "leave poisson_ratio = 0.3 out")])
 def test_a_foam_that_cannot_be_is_refused(tmp_path, text, said):
     with pytest.raises(SceneError, match=said):

@@ -23,7 +23,7 @@ Found = tuple[str, str]
 
 @app.command()
 def info(json: JsonFile = None) -> None:
-    """Show versions, devices, renderers, caches, weights and datasets of this machine, and what to do about each."""
+    """Show versions, devices and datasets of this machine, and what to do about each."""
     facts, lines = [], []
     with Progress("info") as progress:
         for number, group in enumerate(GROUPS):
@@ -78,50 +78,6 @@ def devices() -> Group:
     yield "torch", torch
 
 
-def renderers() -> Group:
-    """The ray caster, and pyrender with its GL library."""
-    def warp() -> Found:
-        from vsfsim.sensing import render_warp  # noqa: F401  (its import is the test)
-
-        return "works; needs no GL library (--renderer warp, the default)", ""
-
-    def pyrender() -> Found:
-        from vsfsim.sensing.render_pyrender import load_pyrender
-
-        load_pyrender()
-        return f"works, by {os.environ.get('PYOPENGL_PLATFORM', 'the default platform')}", ""
-
-    yield "warp", warp
-    yield "pyrender", pyrender
-
-
-def caches() -> Group:
-    """Folders that may be deleted: compiled kernels and meshes."""
-    def meshes() -> Found:
-        from vsfsim.physics.disk_cache import folder
-
-        return _size(folder()), "may be deleted; $XDG_CACHE_HOME moves it"
-
-    def kernels() -> Found:
-        from vsfsim.physics.runtime import kernel_cache
-
-        return _size(kernel_cache()), "may be deleted (the next run compiles, for minutes); $WARP_CACHE_PATH moves it"
-
-    yield "meshes", meshes
-    yield "kernels", kernels
-
-
-def weights() -> Group:
-    """DINOv2's, for the features of SBML; only --set features=dinov2-... needs them."""
-    def found(size: str) -> Found:
-        from vsfsim.vsf.features.dinov2 import find_weights
-
-        return str(find_weights(size)), ""
-
-    for size in ("small", "base"):
-        yield f"dinov2 {size}", lambda size=size: found(size)  # type: ignore[misc]
-
-
 def datasets() -> Group:
     """The datasets of the tasks."""
     from vsfsim.bench.commands.catalogue import tasks
@@ -132,7 +88,7 @@ def datasets() -> Group:
                        (f"not in {path.parent}", task.dataset.command()))
 
 
-GROUPS = (versions, devices, renderers, caches, weights, datasets)
+GROUPS = (versions, devices, datasets)
 
 
 def _size(path: Path) -> str:

@@ -14,16 +14,16 @@ from typer.core import TyperGroup
 
 from vsfsim.core.shelf import checkout
 
-OLD_NAMES = {"bench": "measure", "stability": "measure stability", "study": "papers study", "claims": "papers claims",
-             "scenes": "list scenes", "tasks": "list tasks", "methods": "list methods", "inspect": "show",
-             "view": "show --out page.html", **{name: f"lab {name}" for name in (
-                 "tradeoff", "export", "import", "score", "new-method", "audit", "seal")}}
-"""Commands up to version 0.1; they work, with a note, until the release after this one."""
+OLD = {"bench": "measure", "stability": "measure stability", "study": "papers study", "claims": "papers claims",
+       **{name: f"list {name}" for name in ("scenes", "tasks", "methods")},
+       "inspect": "show", "view": "show --out page.html", **{name: f"lab {name}" for name in (
+           "tradeoff", "export", "import", "score", "new-method", "audit", "seal")}}
+"""Commands up to version 0.1, and what they are now."""
 OLD_OPTIONS = {**dict.fromkeys(("--on", "--address", "--gpus-per-task", "--shard", "--shards"),
                                "an option of `vsfsim cluster`, before the command"),
                "--finish": "the same command without it", "--print": "what `vsfsim cluster --on k8s` does",
                "--mixed": "--allow mixed", "--poison": "--allow poison"}
-"""Their options, which are told."""
+"""Their options."""
 
 
 class WholeSentences(TyperGroup):

@@ -6,7 +6,6 @@ stderr and exit code 2; any other exception is a bug and keeps its traceback, ex
 
 from __future__ import annotations
 
-import codecs
 import errno
 import io
 import os
@@ -18,7 +17,6 @@ import typer
 
 from vsfsim.cli import bench, data, info, lab, simulate
 from vsfsim.cli.cluster import ASKED, DIVIDED, Machines
-from vsfsim.cli.console import note
 from vsfsim.cli.lab import WholeSentences
 from vsfsim.cli.options import command
 from vsfsim.core.errors import Interrupted, Terminated, VsfsimError, did_you_mean, one_of
@@ -59,31 +57,19 @@ def cluster(machines: Machines, words: Annotated[list[str], typer.Argument(metav
         ASKED.reset(before)
 
 
-_ASCII = {"±": "+-", "²": "2", "³": "3", "×": "x", "µ": "u", "°": "deg", "→": "->", "–": "-", "…": "..."}
-"""What a terminal without Unicode shows; a question mark for anything else."""
-
-
-def _as_ascii(error: UnicodeError) -> tuple[str, int]:
-    assert isinstance(error, UnicodeEncodeError)
-    return "".join(_ASCII.get(letter, "?") for letter in error.object[error.start:error.end]), error.end
-
-
 def main() -> None:
     """Entry point of the `vsfsim` command."""
-    codecs.register_error("vsfsim", _as_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="vsfsim")
+            stream.reconfigure(errors="replace")  # a terminal without Unicode shows a question mark
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
     command: Any = typer.main.get_command(app)  # a group; get_group leaves out the options of completion
     word = sys.argv[1] if len(sys.argv) > 1 else "-"
-    if word in lab.OLD_NAMES:
-        note(f"`vsfsim {word}` is now `vsfsim {lab.OLD_NAMES[word]}`")
-        sys.argv[1:2] = lab.OLD_NAMES[word].split()
-        word = sys.argv[1]
     try:
+        if word in lab.OLD:
+            raise VsfsimError(f"`vsfsim {word}` is now `vsfsim {lab.OLD[word]}`.")
         for option in [one.partition("=")[0] for one in sys.argv[2:]]:
             if word in DIVIDED and option in lab.OLD_OPTIONS:
                 raise VsfsimError(f"{option} is now {lab.OLD_OPTIONS[option]}.")

@@ -7,21 +7,17 @@ hexahedra into tetrahedra"). The ranking is the caller's: it decides where the d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-# Corners of a hexahedron: 0-3 around the bottom, counter-clockwise seen from above, 4-7 above them.
-# The three faces that do not touch corner v, each in order around the face and starting at its corner
-# farthest from v in the face's own sense (any order around the face will do).
-_OPPOSITE = {
-    0: ((6, 7, 4, 5), (6, 5, 1, 2), (6, 2, 3, 7)),
-    1: ((7, 4, 5, 6), (7, 6, 2, 3), (7, 3, 0, 4)),
-    2: ((4, 5, 6, 7), (4, 7, 3, 0), (4, 0, 1, 5)),
-    3: ((5, 6, 7, 4), (5, 4, 0, 1), (5, 1, 2, 6)),
-    4: ((2, 1, 0, 3), (2, 3, 7, 6), (2, 6, 5, 1)),
-    5: ((3, 2, 1, 0), (3, 0, 4, 7), (3, 7, 6, 2)),
-    6: ((0, 3, 2, 1), (0, 1, 5, 4), (0, 4, 7, 3)),
-    7: ((1, 0, 3, 2), (1, 2, 6, 5), (1, 5, 4, 0)),
-}
+# Rotations of a cell that bring corner v (row v) to the place of corner 0. Corners of a hexahedron: 0-3 around the
+# bottom, counter-clockwise seen from above, 4-7 above them; those of a prism are 0-2 and 3-5.
+_HEX_TURNS = np.array([[0, 1, 2, 3, 4, 5, 6, 7], [1, 2, 3, 0, 5, 6, 7, 4], [2, 3, 0, 1, 6, 7, 4, 5],
+                       [3, 0, 1, 2, 7, 4, 5, 6], [4, 7, 6, 5, 0, 3, 2, 1], [5, 4, 7, 6, 1, 0, 3, 2],
+                       [6, 5, 4, 7, 2, 1, 0, 3], [7, 6, 5, 4, 3, 2, 1, 0]])
+_PRISM_TURNS = np.array([[0, 1, 2, 3, 4, 5], [1, 2, 0, 4, 5, 3], [2, 0, 1, 5, 3, 4], [3, 5, 4, 0, 2, 1],
+                         [4, 3, 5, 1, 0, 2], [5, 4, 3, 2, 1, 0]])
 
 
 def split_hexes(hexes: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -35,32 +31,16 @@ def split_hexes(hexes: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.nda
         Corner indices of the tetrahedra (m, 4), positively oriented for a right-handed cell, and the
         hexahedron each came from (m,).
     """
-    cells: list[np.ndarray] = []
-    owners: list[np.ndarray] = []
-    order = rank[hexes]
-    apex = order.argmin(axis=1)
-    for v, faces in _OPPOSITE.items():
-        mine = np.flatnonzero(apex == v)
-        if not len(mine):
-            continue
-        h = hexes[mine]
-        # A face (far, a, b, c) is cut far-b or a-c; "far" is the corner opposite the apex in the hexahedron.
-        through_far = []
-        for far, a, b, c in faces:
-            r = rank[h[:, [far, a, b, c]]].argmin(axis=1)
-            through_far.append((r == 0) | (r == 2))
-        # No diagonal at the far corner: cut that corner off, and a regular tetrahedron remains (five in all).
-        five = ~(through_far[0] | through_far[1] | through_far[2])
-        far = faces[0][0]
-        neighbours = [faces[0][1], faces[1][1], faces[2][1]]
-        for (_, a, b, c), cut in zip(faces, through_far):
-            _emit(cells, owners, h, mine, cut, (v, far, a, b))
-            _emit(cells, owners, h, mine, cut, (v, far, b, c))
-            _emit(cells, owners, h, mine, ~cut, (v, a, b, c))
-            _emit(cells, owners, h, mine, ~cut & ~five, (v, far, a, c))
-        _emit(cells, owners, h, mine, five, (v, *neighbours))
-        _emit(cells, owners, h, mine, five, (far, *neighbours[::-1]))
-    return _in_order(cells, owners)
+    cells = _turned(hexes, rank, _HEX_TURNS)
+    # The faces that do not touch the lowest corner, each from the corner opposite to it, 6.
+    faces = ((6, 7, 4, 5), (6, 5, 1, 2), (6, 2, 3, 7))
+    cuts = [_through_first(cells[:, face], rank) for face in faces]
+    # No diagonal at the far corner: cut that corner off, and a regular tetrahedron remains (five in all).
+    five = ~np.logical_or.reduce(cuts)
+    rows = []
+    for (far, a, b, c), cut in zip(faces, cuts):
+        rows += [(cut, (0, far, a, b)), (cut, (0, far, b, c)), (~cut, (0, a, b, c)), (~cut & ~five, (0, far, a, c))]
+    return _chosen(cells, [*rows, (five, (0, 7, 5, 2)), (five, (6, 2, 5, 7))])
 
 
 def split_prisms(prisms: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,33 +50,26 @@ def split_prisms(prisms: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.n
         prisms: corner indices (c, 6), 0-2 around the bottom (counter-clockwise from above), 3-5 above them.
         rank: one distinct number per vertex (n,).
     """
-    cells: list[np.ndarray] = []
-    owners: list[np.ndarray] = []
-    apex = rank[prisms].argmin(axis=1)
-    turns = {0: (0, 1, 2, 3, 4, 5), 1: (1, 2, 0, 4, 5, 3), 2: (2, 0, 1, 5, 3, 4),
-             3: (3, 5, 4, 0, 2, 1), 4: (4, 3, 5, 1, 0, 2), 5: (5, 4, 3, 2, 1, 0)}
-    for v, turn in turns.items():
-        mine = np.flatnonzero(apex == v)
-        p = prisms[mine][:, turn]
-        # The apex is corner 0 now; only the face 1-2-5-4 is left to choose.
-        low = rank[p[:, [1, 2, 5, 4]]].argmin(axis=1) if len(mine) else np.zeros(0, int)
-        cut = (low == 0) | (low == 2)
-        every = np.ones(len(mine), bool)
-        _emit(cells, owners, p, mine, every, (0, 4, 5, 3))
-        _emit(cells, owners, p, mine, cut, (0, 1, 2, 5))
-        _emit(cells, owners, p, mine, cut, (0, 1, 5, 4))
-        _emit(cells, owners, p, mine, ~cut, (0, 1, 2, 4))
-        _emit(cells, owners, p, mine, ~cut, (0, 2, 5, 4))
-    return _in_order(cells, owners)
+    cells = _turned(prisms, rank, _PRISM_TURNS)
+    # Only the face 1-2-5-4 does not touch the lowest corner.
+    cut = _through_first(cells[:, (1, 2, 5, 4)], rank)
+    return _chosen(cells, [(np.ones(len(cells), bool), (0, 4, 5, 3)), (cut, (0, 1, 2, 5)), (cut, (0, 1, 5, 4)),
+                           (~cut, (0, 1, 2, 4)), (~cut, (0, 2, 5, 4))])
 
 
-def _emit(cells: list[np.ndarray], owners: list[np.ndarray], corners: np.ndarray, owner: np.ndarray,
-          keep: np.ndarray, pick: tuple[int, ...]) -> None:
-    cells.append(corners[keep][:, pick])
-    owners.append(owner[keep])
+def _turned(cells: np.ndarray, rank: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """The cells turned so that their lowest-ranked corner is corner 0."""
+    return np.take_along_axis(cells, turns[rank[cells].argmin(axis=1)], axis=1)
 
 
-def _in_order(cells: list[np.ndarray], owners: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    tets, owner = np.concatenate(cells), np.concatenate(owners)
-    by_owner = np.argsort(owner, kind="stable")
-    return tets[by_owner], owner[by_owner]
+def _through_first(faces: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """Whether the diagonal of each face (c, 4) goes through its first corner (c,)."""
+    return rank[faces].argmin(axis=1) % 2 == 0
+
+
+def _chosen(cells: np.ndarray, rows: Sequence[tuple[np.ndarray, tuple[int, ...]]]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of some of the cells (c,), row by row, and the cell of each, in the order of the cells."""
+    owner = np.concatenate([np.flatnonzero(mine) for mine, _ in rows])
+    tets = np.concatenate([cells[mine][:, pick] for mine, pick in rows])
+    order = np.argsort(owner, kind="stable")
+    return tets[order], owner[order]

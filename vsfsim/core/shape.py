@@ -117,8 +117,8 @@ PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 
 
 def skeleton(shape: Box | Sphere | Cylinder | Capsule) -> tuple[np.ndarray, float]:
-    """What a shape surrounds, and how far it reaches beyond: half-sizes (3,) [m] of a box, of a ball that of a point, of
-    a capsule that of a segment, and a radius [m]; a cylinder is that box turned about z."""
+    """What a shape surrounds, and how far it reaches beyond: half-sizes (3,) [m] of a box, which of a ball is a point
+    and of a capsule a segment, and a radius [m]; a cylinder is that box turned about z."""
     match shape:
         case Box(size):
             return 0.5 * np.array(size), 0.0
@@ -226,6 +226,7 @@ def distance(shape: Analytic, points: np.ndarray, *, fillet: float = 0.0) -> np.
     if isinstance(shape, Plane):
         return x[..., 2]
     half, radius = skeleton(shape)
+    fillet = 0.0 if radius else fillet  # a ball and a capsule have no edges
     q = np.abs(_turned(shape, x)) - half + fillet
     return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0) - fillet - radius
 
@@ -234,7 +235,8 @@ def _turned(shape: Analytic, vectors: np.ndarray) -> np.ndarray:
     """Vectors (..., 3), in the plane of x and z if the shape is round about z."""
     if not isinstance(shape, Cylinder):
         return vectors
-    return np.stack([np.hypot(vectors[..., 0], vectors[..., 1]), np.zeros(vectors.shape[:-1]), vectors[..., 2]], axis=-1)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([np.hypot(x, y), np.zeros_like(x), z], axis=-1)
 
 
 def segment_distance(points: np.ndarray, start: np.ndarray, stop: np.ndarray) -> np.ndarray:

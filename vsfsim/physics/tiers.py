@@ -247,8 +247,8 @@ def model_of(scene: Scene, tier: str, solid: Solid, values: np.ndarray) -> Model
         elements = functools.partial(tetrahedra, law=law[0], settings=law[1])
     elif law is not None:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
-            f"Tier '{tier}' takes the {'law' if spec.foam is None else 'foam'} at small strain, with the modulus at "
-            f"rest; use '{_LAW}' or above for its law.")))
+            f"Tier '{tier}' takes the law at small strain, with the modulus at rest; use '{_LAW}' or above for it "
+            f"whole.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
                        where=where, density=density, gravity=scene.gravity, rotation=turn, translation=shift,
                        elements=elements)

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.material import FOAMS, Foam, MaterialField, parse_material
+from vsfsim.core.errors import SceneError, one_of
+from vsfsim.core.material import FOAMS, MaterialField, parse_material
 from vsfsim.core.rigid import beside
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
 from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, shipped_rows, typed, value
@@ -44,8 +44,6 @@ class ObjectSpec:
     """Coulomb coefficient against rigid bodies [-]."""
     young_modulus: MaterialField
     """The field E(x) [Pa]."""
-    foam: Foam | None
-    """The foam that `material` names, whose moduli are scaled to `young_modulus`; None for another law."""
     law: tuple[str, Mapping[str, tuple[float, ...]]] | None
     """Name and rows of numbers of the law that ``law`` gives, see `vsfsim.physics.laws.law`; None for the neo-Hookean
     one."""
@@ -54,59 +52,50 @@ class ObjectSpec:
 
 
 def parse_object(node: Any, path: Path) -> ObjectSpec:
-    """The table ``[object]`` of the scene file ``path``.
+    """The table ``[object]`` of the scene file ``path``. A foam that ``material`` names is a law with its numbers,
+    Poisson's ratio and, where the scene gives none, Young's modulus.
 
     Raises:
-        SceneError: an unknown key, or a value that is not allowed.
+        SceneError: an unknown key, a value that is not allowed, or two things that say the law.
     """
     where, own = f"{path} [object]", ("shape", "young_modulus", "material", "law")
-    table = check_keys(node, where, {"material", *(one.name for one in fields(ObjectSpec))} - {"foam"})
+    table = check_keys(node, where, {"material", *(one.name for one in fields(ObjectSpec))})
     shape = beside(parse_object_shape(table.get("shape"), where), path)  # type: ignore[arg-type]
-    material, family = parse_material(table.get("young_modulus"), where), isinstance(shape, Family)
-    foam, law = _law(table, where, family)
-    if foam is not None and "young_modulus" not in table:
-        material = MaterialField(foam.young_modulus)
-    if material.base is None and not family:
-        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
-                         f"{{ base = 1e5, inclusions = [..] }}.")
-    found = typed(table, ObjectSpec, where, also=own, shape=shape, young_modulus=material, foam=foam,
-                  law=law)
-    return found if foam is None else replace(found, poisson_ratio=foam.poisson_ratio)
-
-
-def _law(table: Mapping[str, Any], where: str, family: bool) -> tuple[
-        Foam | None, tuple[str, dict[str, tuple[float, ...]]] | None]:
-    """The foam that ``material`` names, and the law that ``law`` names, with its rows of numbers.
-
-    Raises:
-        SceneError: there is no such foam, it has a Poisson's ratio of its own, a law is no name or table of numbers, or
-            the object has its laws from elsewhere.
-    """
+    family = isinstance(shape, Family)
     given = [key for key in ("material", "law") if key in table]
     if given and (family or len(given) > 1):
         raise SceneError(f"{where}: {given[-1]} = {table[given[-1]]!r} beside "
                          f"{'a family, whose parts have laws' if family else 'material, which has a law'} of its own. "
                          f"Leave one of them out.")
     if "material" in table:
-        name = table["material"]
-        if not isinstance(name, str) or name not in FOAMS:
-            raise SceneError(f"{where}: material is {name!r}, which is no foam with known parameters. "
-                             f"{did_you_mean(str(name), FOAMS)} Without material the law is neo-Hookean, with "
-                             f"young_modulus and poisson_ratio.")
+        foam = FOAMS[one_of(table["material"], FOAMS, f"{where}: material", SceneError)]
         if "poisson_ratio" in table:
-            raise SceneError(f"{where}: material = {name!r} has a Poisson's ratio of its own, "
-                             f"{FOAMS[name].poisson_ratio:.3g}; leave poisson_ratio = {table['poisson_ratio']!r} out.")
-        return FOAMS[name], None
-    if "law" not in table:
-        return None, None
-    said = value(table["law"], Annotated[str | dict[str, str | Finite | list[Finite]], msgspec.Meta(
+            raise SceneError(f"{where}: material = {table['material']!r} has a Poisson's ratio of its own, "
+                             f"{foam.poisson_ratio:.3g}; leave poisson_ratio = {table['poisson_ratio']!r} out.")
+        table = {"young_modulus": foam.young_modulus, **table, "poisson_ratio": foam.poisson_ratio,
+                 "law": {"name": "hyperfoam", **msgspec.to_builtins(foam)}}
+    material = parse_material(table.get("young_modulus"), where)
+    if material.base is None and not family:
+        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
+                         f"{{ base = 1e5, inclusions = [..] }}.")
+    return typed(table, ObjectSpec, where, also=own, shape=shape, young_modulus=material,
+                 law=_law(table["law"], where) if "law" in table else None)
+
+
+def _law(given: Any, where: str) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """The name of the law that ``law`` gives, and its rows of numbers.
+
+    Raises:
+        SceneError: it is no name or table of numbers.
+    """
+    said = value(given, Annotated[str | dict[str, str | Finite | list[Finite]], msgspec.Meta(
         description='a name, or a table of a name and numbers, e.g. law = { name = "hyperfoam", mu = [2e5, 2e4], '
                     'alpha = [8.0, -2.0], beta = [0.0, 0.0] }')], f"{where}: law")
     rows = {"name": said} if isinstance(said, str) else said
     if [key for key, row in rows.items() if isinstance(row, str)] != ["name"]:
         raise SceneError(f"{where}: law is {said!r}; it must have a name, and numbers besides.")
-    return None, (rows["name"], {key: tuple(row) if isinstance(row, list) else (row,)
-                                 for key, row in rows.items() if key != "name"})
+    return rows["name"], {key: tuple(row) if isinstance(row, list) else (row,)
+                          for key, row in rows.items() if key != "name"}
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,12 @@ LAWS: Registry[SolidLaw] = Registry(LAW_GROUP, {law.name: law for law in (neo_ho
 
 
 def law_of(scene: Scene) -> tuple[SolidLaw, Settings] | None:
-    """The law of the foam that ``[object] material`` names or of ``[object] law``, with its rows of numbers; None where
-    neither is given.
+    """The law of ``[object]``, which ``material`` or ``law`` says, with its rows of numbers; None where neither does.
 
     Raises:
         SceneError: there is no such law, it takes other numbers than the scene gives, or it cannot be that of a body
             with this Poisson's ratio.
     """
-    if scene.object.foam is not None:
-        return hyperfoam.LAW, hyperfoam.settings_of(scene.object.foam)
     if scene.object.law is None:
         return None
     name, rows = scene.object.law
