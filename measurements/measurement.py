@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import math
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +11,7 @@ from itertools import takewhile
 from typing import Any
 
 import vsfsim
+from vsfsim.cli.console import without_nan
 from vsfsim.core.text_table import text_table
 from vsfsim.data.provenance import commit
 
@@ -123,7 +123,7 @@ class Measurement:
         run = {"command": f"vsfsim measure {self.command}", "settings": dict(self.settings),
                "notes": list(self.notes), "machine": self.machine, "version": self.version, "commit": self.commit,
                "date": self.date, "units": units}
-        return _without_nan({**run, **self.numbers, **rows})
+        return without_nan({**run, **self.numbers, **rows})
 
 
 def machine(device: str = "cpu") -> str:
@@ -134,12 +134,3 @@ def machine(device: str = "cpu") -> str:
     import torch
 
     return f"{out}, {torch.cuda.get_device_name(device)}"
-
-
-def _without_nan(value: Any) -> Any:
-    """The same with None for numbers that are not finite, which JSON does not have."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -9,11 +9,11 @@ bounds.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, one_of
+from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
 from vsfsim.core.table import check_keys, value
 from vsfsim.scenes import shoe
@@ -47,7 +47,7 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     if not 0.004 <= resolution <= 0.030:
         raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
     check_keys(parameters, where, (*_OWN, *RANGES))
-    name = one_of(parameters.get("model", "random"), (*MODELS, "random"), f"{where}: model", SceneError)
+    name = value(parameters.get("model", "random"), Literal[*MODELS, "random"], f"{where}: model")
     lined = value(parameters.get("lined", False), bool, f"{where}: lined")
     if name != "random" and "style" in parameters:
         raise SceneError(f"{where}: model is {name!r}, whose style is '{MODELS[name].style}'; take "

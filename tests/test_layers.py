@@ -47,7 +47,7 @@ HEAVY = {
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn"},
     "generate": {"numpy", "scipy", "warp", "matplotlib", "msgspec"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
-    "view": {"numpy", "scipy"},
+    "view": {"numpy", "scipy", "jinja2"},
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
                    "newton", "embreex", "open3d", "OpenGL", "pyrender"},
     "references": {"numpy", "scipy", "torch", "timm", "skfem"},

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from vsfsim.core.bubble import Bubble
-from vsfsim.core.dome import Dome, read_dome
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import parse_probe_shapes, probe_table
@@ -154,7 +154,7 @@ def test_a_dome_is_read_back_and_knows_its_heights(made):
     assert again.heights(at) == pytest.approx(again.points[:, 2], abs=1e-9)
     assert again.heights(np.array([[0.0, 0.05], [0.06, 0.0]])).tolist() == [-np.inf, -np.inf]
     with pytest.raises(SceneError, match="unknown key 'vertixes'"):
-        read_dome({"vertixes": []}, "here")
+        parse_probe_shapes({"dome": {"vertixes": []}}, "here")
 
 
 # ------------------------------------------------------------------------------------------ aims

@@ -82,7 +82,7 @@ def seen(name, place=None, **view):
     (lambda: train(prior(), [], []), "no touch of a training object"),
     (lambda: Level.of([Held(np.ones(3), np.zeros((3, 3)))]), "that a touched particle explains"),
     (lambda: Width.of([Missed(np.zeros(3), np.ones(3), np.ones(3))]), "no reading of a training object is missed"),
-    (lambda: seen("locul"), "no features called 'locul'.*Did you mean 'local'"),
+    (lambda: seen("locul"), "the name is 'locul'.*Did you mean 'local'"),
     (lambda: seen("local", np.zeros((0, 3))), "at least one world position"),
     (lambda: seen("local", mask=np.zeros_like(camera_view().mask)), "mask is empty"),
     (lambda: fit("nerf", [], BOX), "no touch with contact forces"), (lambda: fit("hash", [SILENT], BOX), "no field"),

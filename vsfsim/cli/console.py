@@ -64,12 +64,12 @@ def note(sentence: str) -> None:
     print(f"note: {sentence}", file=sys.stderr)
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """The same with null for what is no finite number, which JSON does not know."""
     if isinstance(value, dict):
-        return {key: _without_nan(v) for key, v in value.items()}
+        return {key: without_nan(v) for key, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_without_nan(v) for v in value]
+        return [without_nan(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -90,7 +90,7 @@ def write_json(numbers: Any, path: Path | None, *, indent: int | None = None) ->
     Raises:
         DatasetError: the file cannot be written.
     """
-    text = json.dumps(_without_nan(numbers), indent=indent, allow_nan=False)
+    text = json.dumps(without_nan(numbers), indent=indent, allow_nan=False)
     if str(path) == "-":
         print(text)
     elif path is not None:

@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import inspect
 import itertools
-import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -208,7 +207,7 @@ def result_path(out: Path | None, task: str, method: str) -> Path:
     """The file of a result; default: results/TASK/METHOD.json.
 
     Raises:
-        VsfsimError: it is a folder, lies below a file, has the ending of a file that is read, or cannot be written.
+        VsfsimError: it is a folder, lies below a file, or has the ending of a file that is read.
     """
     path = out or Path("results") / task / f"{file_stem(method)}.json"
     _check_unlike_input("--out", path)
@@ -220,6 +219,4 @@ def result_path(out: Path | None, task: str, method: str) -> Path:
     if path.is_dir() or not there.is_dir():
         raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is "
                           f"{'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
-    if not os.access(path if path.exists() else there, os.W_OK) or (path.exists() and not os.access(there, os.W_OK)):
-        raise VsfsimError(f"--out is '{path}', but '{there}' cannot be written. Choose another place.")
     return path

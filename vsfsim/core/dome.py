@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.table import Count, Vector, typed
+from vsfsim.core.table import Count, Vector
 
 _DIGITS = 9  # of a stored coordinate in metres: a nanometre
 _CELLS = 8  # along each side, in which triangles are looked up
@@ -109,16 +109,3 @@ class Dome:
         """From places of the rim plane to coordinates along two edges of each triangle (F, 2, 2) [1/m]."""
         corners = self.points[self.faces][:, :, :2]
         return np.linalg.inv(np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2))
-
-    def table(self) -> dict[str, Any]:
-        """As JSON values; `read_dome` takes them back."""
-        return {"vertices": [list(v) for v in self.vertices], "triangles": [list(t) for t in self.triangles]}
-
-
-def read_dome(table: Any, where: str) -> Dome:
-    """The dome of `Dome.table`.
-
-    Raises:
-        SceneError: a key is missing or unknown, or a list has another form.
-    """
-    return typed(table, Dome, f"{where} dome")

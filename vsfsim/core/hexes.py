@@ -31,10 +31,10 @@ def split_hexes(hexes: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.nda
         Corner indices of the tetrahedra (m, 4), positively oriented for a right-handed cell, and the
         hexahedron each came from (m,).
     """
-    cells = _turned(hexes, rank, _HEX_TURNS)
-    # The faces that do not touch the lowest corner, each from the corner opposite to it, 6.
+    cells = np.take_along_axis(hexes, _HEX_TURNS[rank[hexes].argmin(axis=1)], axis=1)
+    # The faces that do not touch the lowest corner, each from the corner opposite to it, 6; cuts through that corner.
     faces = ((6, 7, 4, 5), (6, 5, 1, 2), (6, 2, 3, 7))
-    cuts = [_through_first(cells[:, face], rank) for face in faces]
+    cuts = [rank[cells[:, face]].argmin(axis=1) % 2 == 0 for face in faces]
     # No diagonal at the far corner: cut that corner off, and a regular tetrahedron remains (five in all).
     five = ~np.logical_or.reduce(cuts)
     rows = []
@@ -50,21 +50,11 @@ def split_prisms(prisms: np.ndarray, rank: np.ndarray) -> tuple[np.ndarray, np.n
         prisms: corner indices (c, 6), 0-2 around the bottom (counter-clockwise from above), 3-5 above them.
         rank: one distinct number per vertex (n,).
     """
-    cells = _turned(prisms, rank, _PRISM_TURNS)
-    # Only the face 1-2-5-4 does not touch the lowest corner.
-    cut = _through_first(cells[:, (1, 2, 5, 4)], rank)
+    cells = np.take_along_axis(prisms, _PRISM_TURNS[rank[prisms].argmin(axis=1)], axis=1)
+    # Only the face 1-2-5-4 does not touch the lowest corner; is its diagonal at corner 1?
+    cut = rank[cells[:, (1, 2, 5, 4)]].argmin(axis=1) % 2 == 0
     return _chosen(cells, [(np.ones(len(cells), bool), (0, 4, 5, 3)), (cut, (0, 1, 2, 5)), (cut, (0, 1, 5, 4)),
                            (~cut, (0, 1, 2, 4)), (~cut, (0, 2, 5, 4))])
-
-
-def _turned(cells: np.ndarray, rank: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """The cells turned so that their lowest-ranked corner is corner 0."""
-    return np.take_along_axis(cells, turns[rank[cells].argmin(axis=1)], axis=1)
-
-
-def _through_first(faces: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """Whether the diagonal of each face (c, 4) goes through its first corner (c,)."""
-    return rank[faces].argmin(axis=1) % 2 == 0
 
 
 def _chosen(cells: np.ndarray, rows: Sequence[tuple[np.ndarray, tuple[int, ...]]]) -> tuple[np.ndarray, np.ndarray]:

@@ -67,22 +67,20 @@ class Plant:
         n = len(self.nodes)
         shapes: dict[str, tuple[int, ...]] = {"nodes": (n, 3), "blade_normal": (n, 3), **dict.fromkeys(
             ("parent", "radius", "half_width", "young_modulus", "region"), (n,))}
+        if self.yielding is not None:
+            shapes["yielding"] = (n, 2)
         for name, shape in shapes.items():
             if n < 2 or getattr(self, name).shape != shape or not np.isfinite(self.nodes).all():
                 raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; give finite values of the "
                                  f"shape {shape}, for two nodes or more.")
-        if not 0.0 <= self.poisson_ratio < 0.5:
-            raise SceneError(f"plant: Poisson's ratio is {self.poisson_ratio}; it must be from 0 to under 0.5.")
         second = np.where(self.half_width > 0.0, 4.0 / 3.0 * self.half_width * self.radius**3,
                           0.25 * np.pi * self.radius**4)
         core = np.zeros((n, 2)) if self.yielding is None else self.yielding
-        if core.shape != (n, 2):
-            raise SceneError(f"plant: yielding has the shape {core.shape}; give the bending stiffness of each core and "
-                             f"its yield moment, ({n}, 2).")
         for name, values, low, high in (
                 ("parent", self.parent, 0, np.arange(n) - 1), ("radius", self.radius, 1e-5, 1.0),
                 ("young_modulus", self.young_modulus, 1.0, 1e13), ("half_width", self.half_width, 0.0, np.inf),
                 ("length", self.lengths(), 1e-5, 10.0),
+                ("Poisson's ratio", np.full(n, self.poisson_ratio), 0.0, 0.4999),
                 ("bending stiffness of the core", core[:, 0], 0.0, (1.0 + 1e-9) * self.young_modulus * second),
                 ("yield moment of the core", core[:, 1], 0.0, 1e300)):
             most = np.broadcast_to(high, n)

@@ -108,25 +108,6 @@ class Scene:
         """The touches of ``[touches]``. Raises a `SceneError` without the table."""
         return self._required(self.touches, "touches")
 
-    def varied(self, options: Mapping[str, Any]) -> Scene:
-        """The scene with what a recipe's options say of it: resolution = edge of the elements [m], frames = readings on
-        the way in, nodes = of a bubble; other options are left alone.
-
-        Raises:
-            SceneError: the scene has nothing that one of them could change.
-        """
-        out = self
-        if "resolution" in options:
-            body = self._required(self.object, "object")
-            out = dataclasses.replace(out, object=dataclasses.replace(body, resolution=options["resolution"]))
-        if "frames" in options:
-            free, _, hold, back = self.required_touches.frames
-            out = dataclasses.replace(out, touches=dataclasses.replace(
-                self.required_touches, frames=(free, options["frames"], hold, back)))
-        if "nodes" in options:
-            out = dataclasses.replace(out, sensor=dataclasses.replace(self.required_sensor, nodes=options["nodes"]))
-        return out
-
     def _required(self, found: Any, table: str) -> Any:
         if found is None:
             raise SceneError(f"{self.source}: there is no [{table}]; what was asked for needs one.")

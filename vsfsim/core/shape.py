@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from vsfsim.core.chain import Chain, read_chain
-from vsfsim.core.dome import Dome, read_dome
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.table import check_keys, typed
 
@@ -187,7 +187,8 @@ def parse_probe_shapes(tables: Any, where: str) -> tuple[ProbeShape, ...]:
     Raises:
         SceneError: as `parse_probe_shape`.
     """
-    readers: dict[str, Callable[[Any, str], ProbeShape]] = {"chain": read_chain, "dome": read_dome}
+    readers: dict[str, Callable[[Any, str], ProbeShape]] = {
+        "chain": read_chain, "dome": lambda table, where: typed(table, Dome, f"{where} dome")}
     return tuple(readers[key](table[key], where) if (key := next(iter(table), "")) in readers
                  else parse_probe_shape(table, where)
                  for table in (tables if isinstance(tables, list) and tables else [tables]))
@@ -204,8 +205,10 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
     match shape:
         case Plane():
             return {"plane": True}
-        case Chain() | Dome():
-            return {type(shape).__name__.lower(): shape.table()}
+        case Chain():
+            return {"chain": shape.table()}
+        case Dome():
+            return {"dome": msgspec.to_builtins(shape)}
         case MeshFile(path, scale, up):
             return {"mesh": path, **({} if scale is None else {"scale": scale}), **({} if up == "z" else {"up": up})}
         case Box(size):

@@ -17,12 +17,13 @@ from vsfsim.core.system.interactive import html_table
 from vsfsim.data.disk import Store, is_url, write_atomic
 from vsfsim.data.hdf5 import fault_of, read_shown, read_view
 from vsfsim.data.manifest import (
+    LARGEST_MANIFEST,
     MANIFEST,
     PART_MANIFEST,
     Entry,
     content_sha256,
     entries_of,
-    read_manifest,
+    parse_manifest,
 )
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
@@ -69,17 +70,22 @@ class Dataset:
             DatasetError: no dataset there, an unfinished or a damaged one, or one of another schema version.
         """
         origin = str(path) if is_url(path) else ""
-        path = _fetched_manifest(origin) if origin else Path(path)
-        manifest = path / MANIFEST
-        if not manifest.is_file():
-            if (path / PART_MANIFEST).is_file():
+        if not origin and not Path(path).is_dir():
+            raise DatasetError(f"{no_such_file('folder of a dataset', path)} `vsfsim generate` makes one.")
+        store = Store(path)
+        if (content := store.get(MANIFEST, most=LARGEST_MANIFEST + 1)) is None:
+            if PART_MANIFEST in store.sizes():
                 raise DatasetError(f"the dataset in {path} is unfinished. Run the same `vsfsim generate` again; it "
                                    f"makes only what is missing.")
-            if not path.is_dir():
-                raise DatasetError(f"{no_such_file('folder of a dataset', path)} `vsfsim generate` makes one.")
             raise DatasetError(f"{path} holds no dataset (there is no {MANIFEST}). Give the folder that `vsfsim "
                                f"generate --out` made.")
-        table = read_manifest(manifest)
+        path = Path(path)
+        if origin:
+            root = Path(os.environ.get("VSFSIM_FETCHED") or Path.home() / ".cache" / "vsfsim" / "fetched")
+            path = root / hashlib.sha256(content).hexdigest()[:32]
+            write_atomic(path / MANIFEST, content)
+        manifest = path / MANIFEST
+        table = parse_manifest(content, manifest)
         return cls(path, Recipe.read(table["recipe"], str(manifest)), table["made_by"],
                    entries_of(table["files"], manifest), blind, table["left_out"], origin, progress)
 
@@ -245,17 +251,3 @@ def _as_listed(view: ObjectView, path: Path, entry: Entry) -> ObjectView:
             raise DatasetError(f"{path} says {key} = {getattr(view, key)!r}, and {MANIFEST} says "
                                f"{getattr(entry, key)!r}. Delete the folder and generate the dataset again.")
     return view
-
-
-def _fetched_manifest(origin: str) -> Path:
-    """Copy dataset.json of an object store into the folder that its content names, which is returned."""
-    store = Store(origin)
-    content = store.get(MANIFEST)
-    if content is None:
-        unfinished = store.get(PART_MANIFEST) is not None
-        raise DatasetError(f"the dataset at {origin} is unfinished. Run `vsfsim generate` when all shards are "
-                           f"done." if unfinished else f"{origin} holds no dataset (there is no {MANIFEST}).")
-    root = Path(os.environ.get("VSFSIM_FETCHED") or Path.home() / ".cache" / "vsfsim" / "fetched")
-    path = root / hashlib.sha256(content).hexdigest()[:32]
-    write_atomic(path / MANIFEST, content)
-    return path

@@ -168,10 +168,10 @@ class Store:
                 self.remove(whole)
         return False
 
-    def get(self, name: str) -> bytes | None:
-        """The content of a file, None if it is not there."""
+    def get(self, name: str, *, most: int | None = None) -> bytes | None:
+        """The content of a file, its first ``most`` bytes if they are given; None if it is not there."""
         with self._named(name, "read"), contextlib.suppress(FileNotFoundError):
-            return self._files.cat_file(f"{self._root}/{name}")
+            return self._files.cat_file(f"{self._root}/{name}", end=most)
         return None
 
     def sizes(self, folder: str = "") -> dict[str, int]:

@@ -118,28 +118,18 @@ def make_manifest(recipe: Recipe, made_by: Mapping[str, str | None], entries: tu
                            "files": [entry.table() for entry in entries]})
 
 
-def read_manifest(path: Path) -> dict[str, Any]:
-    """Read a dataset.json and check that it is whole.
+def parse_manifest(content: bytes, path: Path) -> dict[str, Any]:
+    """The table of a dataset.json, after a check that it is whole.
+
+    Args:
+        content: of the file. path: for messages; one named `PART_MANIFEST` has no files yet.
 
     Raises:
         DatasetError: not readable, changed since it was written, or of another schema version.
     """
     try:
-        if path.stat().st_size > LARGEST_MANIFEST:
+        if len(content) > LARGEST_MANIFEST:
             raise ValueError(f"it has more than {LARGEST_MANIFEST} bytes")
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{path} cannot be read as a dataset's manifest: {plain(repr(error))}.") from error
-    return parse_manifest(content, path)
-
-
-def parse_manifest(content: bytes, path: Path) -> dict[str, Any]:
-    """Check that the content of a dataset.json is whole; see `read_manifest`.
-
-    Args:
-        content: of the file. path: for messages; one named `PART_MANIFEST` has no files yet.
-    """
-    try:
         table = from_json(content)
         format_, version = table["format"], table.get("schema_version")
         whole = manifest_bytes(table) == content

@@ -28,7 +28,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import EFFECTOR_GROUP, effectors, loaded
@@ -145,8 +145,7 @@ def find_effector(name: str) -> Effector:
     Raises:
         SceneError: there is none.
     """
-    if name not in effectors():
-        raise SceneError(f"there is no effector '{name}'. {did_you_mean(name, effectors())}")
+    one_of(name, effectors(), "the effector", SceneError)
     for entry in importlib.metadata.entry_points(group=EFFECTOR_GROUP, name=name):
         return loaded(entry, "the effector", SceneError)
     return importlib.import_module(f"vsfsim.generate.effectors.{name}").EFFECTOR

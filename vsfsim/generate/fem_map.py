@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.errors import SceneError, one_of
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
 from vsfsim.data.streams import Stream
@@ -52,8 +52,7 @@ def fitted(recipe: Recipe, name: str, plans: Sequence[Planned], *, support: Sequ
         SceneError: the effector cannot repeat a plan, has not this tier, or rubs against the object; or the tier has no
             tetrahedra or no large strain.
     """
-    if field not in FIELDS:
-        raise SceneError(f"field is '{field}'. {did_you_mean(field, FIELDS)}")
+    one_of(field, FIELDS, "field", SceneError)
     job = job_of(recipe, name, tier)
     subject = prepare(job, device=device)
     scene = subject.scene

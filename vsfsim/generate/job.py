@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,10 +44,15 @@ class Job:
     def scene(self) -> Scene:
         """The scene of this object, with the recipe's own number of touches, and its own element size, readings on the
         way in and nodes of a bubble where its options name them."""
-        written = parse_scene(self.recipe.scene_text, self.path)
-        scene = written.sample(self.stream(Stream.SCENE), number=self.object_index)
-        touches = dataclasses.replace(scene.required_touches, count=self.recipe.touches)
-        return dataclasses.replace(scene, touches=touches).varied(self.recipe.options)
+        written, options = parse_scene(self.recipe.scene_text, self.path), self.recipe.options
+        written = written.varied("touches", count=self.recipe.touches)
+        for table, key in (("object", "resolution"), ("sensor", "nodes")):
+            if key in options:
+                written = written.varied(table, **{key: options[key]})
+        if "frames" in options:
+            phases = {**written.tree["touches"].get("frames", {}), "in": options["frames"]}
+            written = written.varied("touches", frames=phases)
+        return written.sample(self.stream(Stream.SCENE), number=self.object_index)
 
     def stream(self, kind: Stream, touch: int | None = None) -> np.random.SeedSequence:
         """The random stream of a kind for this object, view, or touch of it."""

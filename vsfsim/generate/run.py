@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import DatasetError, VsfsimError, did_you_mean
+from vsfsim.core.errors import DatasetError, one_of
 from vsfsim.core.scene import SceneFile, load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import dataset_folder, datasets, find_scene
@@ -69,8 +69,7 @@ def planned(scene: str | Path | SceneFile, out: str | Path | None = None,
     check_device(asked.device)
     for option, word, known in (("--renderer", asked.renderer, RENDERERS),
                                 *(("--allow", word, ALLOWED) for word in asked.allow)):
-        if word not in known:
-            raise VsfsimError(f"{option} is '{word}'. {did_you_mean(word, known)}")
+        one_of(word, known, option)
     if asked.accuracy is not None:
         check_accuracy(asked.accuracy, asked.tier)
     recipe = make_recipe(loaded, asked)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.core.errors import VsfsimError, one_of
 from vsfsim.core.solid import TEXTURES, Appearance
 
 
@@ -134,6 +134,5 @@ def checked_surface(surface: Surface) -> Surface:
         raise RenderError(f"render: a triangle is of region {int(region.max())}, but the appearance has {regions}; "
                           f"give one entry a region.")
     for name in look.texture:
-        if name not in TEXTURES:
-            raise RenderError(f"render: unknown texture '{name}'. {did_you_mean(name, TEXTURES)}")
+        one_of(name, TEXTURES, "render: a texture", RenderError)
     return Surface(vertices, triangles.astype(np.int32), region.astype(np.int32), look, rest)

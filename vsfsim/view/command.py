@@ -9,6 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
@@ -72,9 +74,5 @@ def page(title: str, objects: Sequence[dict[str, Any]], **about: Any) -> bytes:
     # No text of a dataset may end the element that holds it.
     data = json.dumps({"title": title, "objects": list(objects), **about}, separators=(",", ":"),
                       allow_nan=False).replace("<", "\\u003c")
-    out = part["page.html"]
-    for key, text in (("TITLE", html.escape(title)), ("STYLE", part["page.css"]), ("DATA", data),
-                      ("DRAW", part["draw.js"]), ("CHARTS", part["charts.js"]), ("SCRIPT", part["page.js"])):
-        before, after = out.split(f"@{key}@", 1)
-        out = before + text + after
-    return out.encode()
+    whole = jinja2.Template(part["page.html"], keep_trailing_newline=True)
+    return whole.render(title=html.escape(title), data=data, part=part).encode()

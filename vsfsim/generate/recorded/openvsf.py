@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.dome import Dome
-from vsfsim.core.errors import DatasetError, MeshError, did_you_mean
+from vsfsim.core.errors import DatasetError, MeshError, one_of
 from vsfsim.core.extras import require
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.shape import ProbeShape
@@ -80,9 +80,7 @@ def import_openvsf(folder: Path, out: Path, options: Options = Options()) -> Dat
             exists.
         MissingPackage: mujoco or PyYAML is not installed.
     """
-    if options.pressure_unit not in UNITS:
-        raise DatasetError(f"--pressure-unit is '{options.pressure_unit}'. "
-                           f"{did_you_mean(options.pressure_unit, UNITS)}")
+    one_of(options.pressure_unit, UNITS, "--pressure-unit", DatasetError)
     objects = _objects(folder)
     kinds = {_kind(sequences[0]) for sequences in objects.values()}
     if len(kinds) > 1:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from vsfsim.core.errors import VsfError, did_you_mean
+from vsfsim.core.errors import VsfError, one_of
 from vsfsim.data.records import View
 from vsfsim.vsf.features.descriptor import LocalDescriptor
 from vsfsim.vsf.features.interface import Extractor, XyzRgb, project, projection
@@ -64,9 +64,7 @@ def _check_mask(view: View) -> None:
 
 
 def _extractor(name: str, weights: str, device: str) -> Extractor:
-    if name not in NAMES:
-        raise VsfError(f"vsf.features: there are no features called '{name}'. {did_you_mean(name, NAMES)}")
-    return NAMES[name](weights, device)
+    return NAMES[one_of(name, NAMES, "vsf.features: the name", VsfError)](weights, device)
 
 
 def _dinov2(size: str) -> Callable[[str, str], Extractor]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from vsfsim.core.errors import VsfError, did_you_mean
+from vsfsim.core.errors import VsfError, one_of
 
 STRUCTURES = ("HE", "HE+HO", "HE+SEG")
 SEGMENTS = 10
@@ -55,8 +55,7 @@ class Composition:
             VsfError: an unknown structure, no particle, or no segment.
         """
         n = len(features)
-        if structure not in STRUCTURES:
-            raise VsfError(f"vsf.composition: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
+        one_of(structure, STRUCTURES, "vsf.composition: structure", VsfError)
         if n == 0 or segments < 1:
             raise VsfError(f"vsf.composition: {n} particles and {segments} segments; both must be at least 1.")
         if structure == "HE":

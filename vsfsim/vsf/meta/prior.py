@@ -22,7 +22,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from vsfsim.core.errors import VsfError, did_you_mean
+from vsfsim.core.errors import VsfError, one_of
 from vsfsim.physics.runtime import torch_threads
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior
@@ -87,10 +87,8 @@ class MetaPrior(nn.Module):
                  dropout: float = 0.1, output: str = "softplus", second: str = "std",
                  level_std: float = 0.0):
         super().__init__()
-        if output not in OUTPUTS:
-            raise VsfError(f"vsf.meta_prior: output is '{output}'. {did_you_mean(output, OUTPUTS)}")
-        if second not in SECOND:
-            raise VsfError(f"vsf.meta_prior: second is '{second}'. {did_you_mean(second, SECOND)}")
+        one_of(output, OUTPUTS, "vsf.meta_prior: output", VsfError)
+        one_of(second, SECOND, "vsf.meta_prior: second", VsfError)
         if not 0.0 <= dropout < 1.0 or not spread.std > 0.0:
             raise VsfError(f"vsf.meta_prior: dropout is {dropout!r} (0 to under 1) and the training spread "
                            f"{spread.std!r} (greater than 0).")
