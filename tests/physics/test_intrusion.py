@@ -49,12 +49,12 @@ def test_depth_of_a_body_in_a_block_at_rest(model, device, shape):
     places = [(0.0012, 0.0007, 0.02), (0.0, 0.0, 0.2), (0.0012, 0.0007, SIZE[2] + half - sunk),
               (0.0012, 0.0007, SIZE[2] + half)]
     u = torch.zeros((model.mesh.points.size, len(places)), dtype=torch.float64, device=device)
-    found = check.check(torch.arange(len(places), device=device), at(*places), u)
-    inside = found.inside.cpu().numpy()
+    faces, near = check.check(torch.arange(len(places), device=device), at(*places), u)
+    inside = near.amax(dim=1).cpu().numpy()
     lowest = min(0.02, 0.02 + half)
     # buried: its samples reach the height of its centre, half a spacing off at most
     assert inside[0] > 0.02 - 0.6 * inner_radius(shape) and inside[0] <= lowest + 1e-9
-    assert inside[1] == 0.0 and not found.faces[1].any() and not found.near[1].any()
+    assert inside[1] == 0.0 and not faces[1].any()
     # samples are half a radius apart, so that the lowest one of a round body is a quarter from its pole at most
     assert sunk - inner_radius(shape) / 32.0 <= inside[2] <= 1.05 * sunk
     assert inside[3] < 1e-9
@@ -71,10 +71,10 @@ def test_a_curved_boundary_counts_as_it_is_deformed(model, device):
     u2 = torch.as_tensor(np.repeat(u.reshape(-1, 1), 3, axis=1), device=device)
     r = 0.017  # from the axis: the top there is 0.578 mm lower, inclined by 3.9 degrees
     top = SIZE[2] - 2.0 * r**2
-    found = check.check(torch.arange(3, device=device), at((r, 0, top + 0.0012), (r, 0, top + 0.0005),
-                                                           (r, 0, top - 0.004)), u2)
+    _, near = check.check(torch.arange(3, device=device), at((r, 0, top + 0.0012), (r, 0, top + 0.0005),
+                                                             (r, 0, top - 0.004)), u2)
     slope = np.cos(np.arctan(4.0 * r))
-    inside = found.inside.cpu().numpy()
+    inside = near.amax(dim=1).cpu().numpy()
     assert inside[0] == 0.0
     assert inside[1] == pytest.approx(0.001 - 0.0005 * slope, rel=0.1)  # of 66 samples none is the lowest point
     assert inside[2] == pytest.approx(0.001 + 0.004 * slope, rel=0.05)
@@ -132,7 +132,7 @@ def test_a_body_behind_a_sheet_is_as_deep_as_it_is_far_from_it():
     check = Intrusion(mesh, RigidBodies(Sphere(0.002)), 0.002, device="cpu")
     pose, u = np.tile(np.eye(4), (3, 1, 1, 1)), torch.zeros((ball.size, 3), dtype=torch.float64)
     pose[:, 0, 2, 3] = [0.0325, 0.0295, 0.015]
-    depth = check.check(torch.arange(3), pose, u).inside
+    depth = check.check(torch.arange(3), pose, u)[1].amax(dim=1)
     # the lowest point of the ball is 2 mm under its centre; samples are half a radius apart
     assert depth[0] == 0.0 and depth[1] == pytest.approx(0.0025, abs=4e-4)
     assert depth[2] == pytest.approx(0.017, abs=4e-4) and check.tolerance == pytest.approx(2e-4)

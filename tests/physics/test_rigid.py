@@ -17,35 +17,30 @@ from vsfsim.physics.contact.body_samples import has_edges, inner_radius
 from vsfsim.physics.contact.distance_grid import bake, baked
 from vsfsim.physics.mesh import account
 from vsfsim.physics.mesh.repair import read_surface
+from vsfsim.physics.runtime import mat33, vec3
 
 RADIUS = 0.02
 
 
 @functools.cache
 def kernel():
-    F = sdf.functions(wp.float64, "test_rigid")
-
     @wp.kernel(module="test_rigid", enable_backward=False)
-    def evaluate(bodies: F.Bodies, k: int, x_in: wp.array(dtype=F.vec3), gap_out: wp.array(dtype=wp.float64),
-                 normal_out: wp.array(dtype=F.vec3),
-                 curvature_out: wp.array(dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64))):
+    def evaluate(bodies: sdf.Bodies, k: int, x_in: wp.array(dtype=vec3), gap_out: wp.array(dtype=wp.float64),
+                 normal_out: wp.array(dtype=vec3), curvature_out: wp.array(dtype=mat33)):
         i = wp.tid()
-        gap_out[i] = F.gap(bodies, k, x_in[i])
-        normal_out[i] = F.normal(bodies, k, x_in[i])
-        curvature_out[i] = F.curvature(bodies, k, x_in[i])
+        gap_out[i] = sdf.gap(bodies, k, x_in[i])
+        normal_out[i] = sdf.normal(bodies, k, x_in[i])
+        curvature_out[i] = sdf.curvature(bodies, k, x_in[i])
 
-    return F, evaluate
+    return evaluate
 
 
 def evaluate(bodies, k, x, device):
-    F, launch = kernel()
     gap = wp.array(np.full(len(x), np.nan), dtype=wp.float64, device=device)
-    normal = wp.array(np.full((len(x), 3), np.nan), dtype=F.vec3, device=device)
-    curvature = wp.array(np.full((len(x), 3, 3), np.nan), dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64),
-                         device=device)
-    wp.launch(launch, dim=len(x), device=device, inputs=[bodies.upload(F, device), k,
-                                                         wp.array(x, dtype=F.vec3, device=device), gap, normal,
-                                                         curvature])
+    normal = wp.array(np.full((len(x), 3), np.nan), dtype=vec3, device=device)
+    curvature = wp.array(np.full((len(x), 3, 3), np.nan), dtype=mat33, device=device)
+    wp.launch(kernel(), dim=len(x), device=device, inputs=[
+        bodies.on(device), k, wp.array(x, dtype=vec3, device=device), gap, normal, curvature])
     return gap.numpy(), normal.numpy(), curvature.numpy()
 
 
@@ -115,8 +110,8 @@ def test_beyond_the_grid_the_gap_never_overestimates_and_is_right_in_size(ball, 
     assert np.abs(gap - bodies.distance(0, x)).max() < 1e-15
     exact = r - RADIUS
     assert (gap > 0.0).all() and (gap <= exact * (1 + 1e-6) + 2e-3 * RADIUS).all()
-    # the box around a ball: a corner is sqrt(3) R away
-    assert (exact - gap).max() < (np.sqrt(3.0) - 1.0) * RADIUS + 1e-4
+    # the box of the grid: a corner is sqrt(3) of half its edge away
+    assert (exact - gap).max() < np.linalg.norm(sdf.grid(ball).domain()[1]) - RADIUS
     outside = (np.abs(x) > sdf.grid(ball).domain()[1] + 1e-6).any(axis=1)
     assert np.isfinite(curvature).all() and outside.any()
     assert np.abs(np.linalg.norm(normal[outside], axis=1) - 1.0).max() < 1e-12
@@ -153,7 +148,7 @@ def broken(kind):
 def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     mesh, word = broken(kind)
     mesh.export(tmp_path / "b.ply")
-    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), spacing=2 * RADIUS / 40)
+    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0))
     assert any(word in note for note in grid.notes), grid.notes
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
     x = shell(4000, 0.0, 0.035)[0]
@@ -192,7 +187,7 @@ def test_a_tip_is_accounted_for_against_its_file(tmp_path):
     for mesh, made in ((ball, small), (trimesh.util.concatenate([ball, cavity]), ball)):
         mesh.export(tmp_path / "b.stl")
         grid = bake(made.vertices, made.faces, spacing=0.001)
-        found = account.of_tip(read_surface(MeshFile(str(tmp_path / "b.stl"), 1.0)), grid.upper - grid.lower,
+        found = account.of_tip(read_surface(MeshFile(str(tmp_path / "b.stl"), 1.0)), np.ptp(grid.vertices, axis=0),
                                grid.spacing, grid.coefficients, grid.distance)
         with pytest.raises(MeshError, match="so that it is within 10 % of the file"):
             account.refuse(found, "b.stl could not be taken as a probe", "Repair it")

@@ -18,6 +18,7 @@ from vsfsim.core.shape import MeshFile, Plane, ProbeShape
 from vsfsim.data.records import View
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.body_samples import sharp_samples
+from vsfsim.physics.contact.patch import face_grid
 from vsfsim.physics.mesh.surface_distance import crossings
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Reason, SolverOptions
@@ -59,8 +60,7 @@ class Aim:
 def surface_samples(model: Model) -> np.ndarray:
     """Points that cover the boundary of a body at rest (k, 3) [m]: every triangle at a 6 x 6 barycentric grid."""
     corners = model.mesh.points[model.mesh.faces[:, :3]]
-    steps = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0
-    return np.einsum("sk,fkc->fsc", steps, corners).reshape(-1, 3)
+    return np.einsum("sk,fkc->fsc", face_grid(6, 3), corners).reshape(-1, 3)
 
 
 def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray, *,

@@ -7,8 +7,10 @@ particle minimises |p - y|^2 / 2 over the surface under friction: it sticks whil
 
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.sdf import analytic_gap as distance
+from vsfsim.physics.contact.sdf import analytic_normal as normal
+from vsfsim.physics.contact.sdf import vec4
+from vsfsim.physics.runtime import mat33, real, vec3
 
 # The caller that shows progress reports compilation, so Warp's own messages are off.
 if wp.config.log_level == wp.LOG_INFO:
@@ -17,11 +19,6 @@ if wp.config.log_level == wp.LOG_INFO:
 
 # No unrolling: the unrolled kernel takes three times as long to compile and is not faster.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-# The nearest point of a shape's surface: its distance and normal.
-_shapes = sdf.functions(wp.float64, "vsfsim_stick_slip")
-distance, normal = _shapes.analytic_gap, _shapes.analytic_normal
-vec3, vec4, mat33, real = _shapes.vec3, _shapes.vec4, wp.mat33d, wp.float64
 
 halvings = wp.constant(48)  # they reduce a bracket to the last digits
 slack = wp.constant(wp.float64(1e-12))  # of the cone: rounding error of a tangential force that should be zero

@@ -20,7 +20,6 @@ that of the indentation that is missing down to the depth `SOFT` h, and that of 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -192,24 +191,9 @@ class BodyPoints:
         return [own[own["face"] >= 0] for own in met]
 
 
-class Padded(NamedTuple):
-    """The patches of B touches and the points of bodies that they meet, padded to s nodes and f parts."""
-
-    nodes: np.ndarray
-    """Nodes of the patches (B, s); -1 is padding."""
-    parts: np.ndarray
-    """Their parts, then those of points of bodies (B, f) of `PART`."""
-
-
-def pad(patches: Sequence[Patch], least: int, points: BodyPoints) -> Padded:
-    """The patches (B), of ``least`` parts, and the points of bodies that they meet."""
-    parts = [np.concatenate([p.parts, points.parts(b, p)]) for b, p in enumerate(patches)]
-    return Padded(_stacked([p.nodes for p in patches], 1, np.array([-1])), _stacked(parts, least, NO_PART))
-
-
-def _stacked(rows: Sequence[np.ndarray], least: int, fill: np.ndarray) -> np.ndarray:
-    """Arrays (n,) padded by ``fill`` (1,) to their longest, or to ``least``."""
-    width = max(least, *map(len, rows))
+def stacked(rows: Sequence[np.ndarray], fill: np.ndarray) -> np.ndarray:
+    """Arrays (n,) padded by ``fill`` (1,) to their longest, to one at the least."""
+    width = max(1, *map(len, rows))
     return np.stack([np.concatenate([row, np.repeat(fill, width - len(row))]) for row in rows])
 
 
@@ -224,7 +208,7 @@ def remember(tensors: Sequence[torch.Tensor], kept: Sequence[torch.Tensor], part
     Args:
         tensors, touches: see above.
         kept: such tensors of the old points.
-        parts: of the old points and of those of the tensors, see `Padded`.
+        parts: of the old points and of those of the tensors (B, f) of `PART`.
     """
     for b in touches:
         _, was, now = np.intersect1d(*(_names(own["key"][b]) for own in parts), return_indices=True)

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.patch import face_grid
 
 T = TypeVar("T")
 _MOST_POINTS = 20_000  # points of one body
@@ -19,7 +19,8 @@ _INNER = 4000  # random points for the inner radius of a mesh
 _MOST_SHARP = 2000  # points of its edges, corners and rims
 _CREASE = np.radians(30.0)  # turn of the outward side at an edge of a mesh
 _CUBE = 0.8  # edge of the cubes that hold one point each, over the spacing
-_PROJECTIONS = 3  # steps along the normal onto the rounded surface
+_APART = 1.6  # spacing over the root of the surface that one of those points stands for
+_ROUND, _SIDES = 3, 48  # subdivisions of an icosahedron that is a ball; sides of a polygon that is a circle
 
 
 def _kept(of_shape: Callable[[ProbeShape], T]) -> Callable[[ProbeShape], T]:
@@ -45,24 +46,27 @@ def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
     A body that is so large that it would have more than 20,000 of them gets a wider spacing. A plane has none: what it
     reaches of an object, it reaches of the object's surface.
     """
-    while True:
-        points = _mesh(*_surface(shape, spacing), spacing)
-        if len(points) <= _MOST_POINTS:
-            break
-        spacing *= 1.1 * np.sqrt(len(points) / _MOST_POINTS)
-    for _ in range(_PROJECTIONS if len(points) else 0):
-        gap = sdf.distance(shape, points)
-        h = 1e-4 * inner_radius(shape)
-        steps = h * np.eye(3)
-        slope = np.stack([sdf.distance(shape, points + e) - sdf.distance(shape, points - e) for e in steps], axis=1)
-        points = points - gap[:, None] * slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-12)[:, None]
-    return points
+    vertices, faces = surface(shape)
+    corner = vertices[faces]
+    side = corner - np.roll(corner, 1, axis=1)
+    area = 0.5 * float(np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1).sum())
+    spacing = max(spacing, _APART * np.sqrt(area / _MOST_POINTS))
+    # the corners, and points on a grid over every triangle that is larger, one in a cube
+    steps = np.maximum(1, np.ceil(np.linalg.norm(side, axis=2).max(axis=1, initial=0.0) / spacing)).astype(int)
+    points = np.vstack([vertices, *(np.einsum("sk,fkc->fsc", face_grid(n, 3), corner[steps == n]).reshape(-1, 3)
+                                    for n in np.unique(steps[steps > 1]))])
+    points = points[np.unique(np.round(points / (_CUBE * spacing)), axis=0, return_index=True)[1]]
+    # onto the rounded surface: one step, for the distance is exact
+    step = 1e-4 * min(inner_radius(shape), 1.0) * np.eye(3)
+    slope = np.stack([sdf.distance(shape, points + e) - sdf.distance(shape, points - e) for e in step], axis=1)
+    slope /= np.maximum(np.linalg.norm(slope, axis=1), 1e-12)[:, None]
+    return points - sdf.distance(shape, points)[:, None] * slope
 
 
 @_kept
 def has_edges(shape: ProbeShape) -> bool:
     """Whether a body has edges, corners or rims; the mesh of a smooth body has none."""
-    return len(_sharp(shape, float("inf"))[0]) > 0
+    return len(sharp_samples(shape, float("inf"))[0]) > 0
 
 
 def sharp_samples(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,25 +77,19 @@ def sharp_samples(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.nda
         The points (m, 3) [m] of the body without its fillet, the mean outward directions of the sides that meet there
         (m, 3) [-], and the length of edge that each stands for (m,) [m], 0 at a corner.
     """
-    while True:
-        points, outward, length = _sharp(shape, spacing)
-        if len(points) <= _MOST_SHARP:
-            break
-        spacing *= 1.1 * len(points) / _MOST_SHARP
-    return points, outward, length
-
-
-def _sharp(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     match shape:
         case Cylinder(radius, height):
             # between two points of a rim it bulges by less than a hundredth of their distance
             ring = _ring(radius, 0.5 * height, min(spacing, np.sqrt(0.03 * radius * spacing)))
             points = np.vstack([ring, ring * [1.0, 1.0, -1.0]])
             outward = points / np.array([radius, radius, 0.5 * height])
-            return points, outward / np.sqrt(2.0), np.full(len(points), np.pi * radius / (len(ring) / 2.0))
+            found = points, outward / np.sqrt(2.0), np.full(len(points), np.pi * radius / (len(ring) / 2.0))
         case Box() | MeshFile():
-            return _creases(*_surface(shape, spacing), spacing)
-    return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+            found = _creases(*surface(shape), spacing)
+        case _:
+            return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    many = len(found[0]) / _MOST_SHARP
+    return sharp_samples(shape, 1.1 * spacing * many) if many > 1.0 else found
 
 
 def _creases(vertices: np.ndarray, faces: np.ndarray,
@@ -125,45 +123,28 @@ def _creases(vertices: np.ndarray, faces: np.ndarray,
             np.concatenate([stands, np.where(straight, half, 0.0)]))
 
 
-def _surface(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (n, 3) [m] and triangles (f, 3), wound outwards, of a mesh, or of a polyhedron that is like the shape and
-    whose points the steps onto its surface bring there; none of a plane."""
+def surface(shape: ProbeShape) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (n, 3) [m] and triangles (f, 3), wound outwards, of a mesh, or of a polyhedron that is like the shape, in
+    the body's frame; none of a plane."""
+    from trimesh import creation  # imports much
+
     match shape:
         case MeshFile():
-            grid = sdf.grid(shape)
-            return np.asarray(grid.vertices), np.asarray(grid.faces)
-        case Sphere() | Capsule():
-            golden = 0.5 * (1.0 + np.sqrt(5.0))
-            quarter = np.array([[0.0, one, other * golden] for one in (-1.0, 1.0) for other in (-1.0, 1.0)])
-            corners = np.vstack([np.roll(quarter, k, axis=1) for k in range(3)])  # of an icosahedron
-            corners *= shape.radius / np.hypot(1.0, golden)
-            corners[:, 2] += 0.5 * getattr(shape, "length", 0.0) * np.where(corners[:, 2] < 0.0, -1.0, 1.0)
+            made = sdf.grid(shape)
+        case Sphere(radius):
+            made = creation.icosphere(_ROUND, radius)
+        case Capsule(radius, length):
+            made = creation.capsule(length, radius, count=[_SIDES // 2, _SIDES])
         case Cylinder(radius, height):
-            corners = np.vstack([_ring(radius, z, spacing) for z in (-0.5 * height, 0.5 * height)])
+            made = creation.cylinder(radius, height, sections=_SIDES)
         case Box(size):
-            corners = np.array(list(np.ndindex(2, 2, 2))) * np.array(size) - 0.5 * np.array(size)
+            made = creation.box(size)
         case _:
             return np.zeros((0, 3)), np.zeros((0, 3), int)
-    hull = ConvexHull(corners)
-    a, b, c = (corners[hull.simplices[:, k]] for k in range(3))
-    inward = np.einsum("fc,fc->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    return corners, np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return np.asarray(made.vertices), np.asarray(made.faces)
 
 
 def _ring(radius: float, z: float, spacing: float) -> np.ndarray:
     count = max(8, int(np.ceil(2.0 * np.pi * radius / spacing)))
     angle = 2.0 * np.pi * np.arange(count) / count
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(count, z)], axis=1)
-
-
-def _mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> np.ndarray:
-    """The corners, and points on a grid over every triangle that is larger than ``spacing``, one in a cube of it."""
-    corner = vertices[faces]
-    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-    steps = np.maximum(1, np.ceil(longest / spacing)).astype(int)
-    parts = [vertices]
-    for n in np.unique(steps[steps > 1]):
-        bary = np.array([(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]) / n
-        parts.append(np.einsum("sk,fkc->fsc", bary, corner[steps == n]).reshape(-1, 3))
-    points = np.vstack(parts)
-    return points[np.unique(np.round(points / (_CUBE * spacing)), axis=0, return_index=True)[1]]

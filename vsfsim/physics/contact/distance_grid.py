@@ -39,10 +39,6 @@ class DistanceGrid:
     """Node (0, 0, 0) of the grid (3,) [m]."""
     spacing: float
     """Of the grid [m]."""
-    lower: np.ndarray
-    """Lower corner of the bounding box of the mesh (3,) [m]."""
-    upper: np.ndarray
-    """Upper corner of the bounding box (3,) [m]."""
     vertices: np.ndarray
     """Corners of the mesh (n, 3) [m]."""
     faces: np.ndarray
@@ -51,7 +47,7 @@ class DistanceGrid:
     """What was repaired or decided, for people."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """phi (...,) [m] at ``points`` (..., 3) [m]; beyond the grid a lower bound of the distance, see `beyond`."""
+        """phi (...,) [m] at ``points`` (..., 3) [m]; beyond the grid a lower bound of the distance, see `domain`."""
         x = np.asarray(points, float)
         low, high = self.domain()
         inside = np.clip(x, low, high)
@@ -60,15 +56,13 @@ class DistanceGrid:
         phi = ndimage.map_coordinates(self.coefficients, at.reshape(-1, 3).T, order=3,
                                       prefilter=False).reshape(at.shape[:-1])
         away = np.linalg.norm(x - inside, axis=-1)
-        box = np.linalg.norm(x - np.clip(x, self.lower, self.upper), axis=-1)
-        return np.where(away > 0.0, np.maximum(phi - away, box), phi)
+        return np.where(away > 0.0, np.maximum(phi - away, away), phi)
 
     def domain(self) -> tuple[np.ndarray, np.ndarray]:
         """Corners (3,), (3,) [m] of the box in which phi is the spline.
 
         Beyond it the larger of two lower bounds stands for the distance: phi at the nearest point of the box less the
-        way there, and the distance to the bounding box. Both are right in sign, so a step of that length never jumps
-        over the body.
+        way there, and that way. Both are right in sign, so a step of that length never jumps over the body.
         """
         return self.origin + self.spacing, self.origin + self.spacing * (np.array(self.coefficients.shape) - 2.0)
 
@@ -81,23 +75,19 @@ def spacing_rule(size: np.ndarray) -> float:
     return wanted
 
 
-def baked(shape: MeshFile, *, spacing: float | None = None) -> DistanceGrid:
+def baked(shape: MeshFile) -> DistanceGrid:
     """The grid of a mesh file, made now or kept in this process.
-
-    Args:
-        shape: file and scale.
-        spacing: of the grid [m], or None for the rule.
 
     Raises:
         MeshError: as `vsfsim.physics.mesh.repair.read_surface`, or a surface that cannot be closed.
     """
     from vsfsim.physics.mesh.repair import content  # imports trimesh, which a sphere does not need
 
-    return _baked(shape, spacing, content(shape))
+    return _baked(shape, content(shape))
 
 
 @functools.lru_cache(maxsize=16)
-def _baked(shape: MeshFile, spacing: float | None, content: bytes) -> DistanceGrid:
+def _baked(shape: MeshFile, content: bytes) -> DistanceGrid:
     from vsfsim.physics.elements import gas
     from vsfsim.physics.mesh import account, repair
 
@@ -105,14 +95,13 @@ def _baked(shape: MeshFile, spacing: float | None, content: bytes) -> DistanceGr
     if gas.volume(surface.vertices, surface.faces) < 1e-4 * float(np.prod(surface.extents)):
         raise MeshError(f"mesh file '{shape.path}' encloses no volume: it is an open sheet; a probe is a solid. "
                         f"Close it or give it thickness.")
-    grid = bake(surface.vertices + surface.centre, surface.faces, spacing=spacing, centre=surface.centre,
-                notes=surface.notes)
-    found = account.of_tip(surface, grid.upper - grid.lower, grid.spacing, grid.coefficients, grid.distance)
+    grid = bake(surface.vertices + surface.centre, surface.faces, notes=surface.notes)
+    found = account.of_tip(surface, np.ptp(grid.vertices, axis=0), grid.spacing, grid.coefficients, grid.distance)
     account.refuse(found, f"mesh file '{shape.path}' could not be taken as a probe", "Repair the mesh by hand")
     return replace(grid, notes=(*grid.notes, found.sentence()))
 
 
-def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = None, centre: np.ndarray | None = None,
+def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = None,
          notes: tuple[str, ...] = ()) -> DistanceGrid:
     """The grid of a closed surface.
 
@@ -120,18 +109,14 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
         vertices: corners (n, 3) [m].
         faces: triangles (f, 3), wound outwards.
         spacing: of the grid [m], or None for the rule.
-        centre: becomes the origin (3,) [m]; by default that of the bounding box.
         notes: put before the notes made here.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre = 0.5 * (low + high) if centre is None else centre
+    centre = 0.5 * (low + high)
     vertices, low, high = vertices - centre, low - centre, high - centre
     h = spacing_rule(high - low) if spacing is None else spacing
     cells = np.ceil((high - low) / h).astype(int) + 2 * (PAD + 1)
     nodes = cells + 1 + 2 * _RIM
-    if np.prod(cells + 1) > 8 * MAX_NODES:
-        raise MeshError(f"a distance grid of spacing {h:g} m would have {np.prod(cells + 1):.1e} nodes; "
-                        f"{8 * MAX_NODES:.1e} are allowed. Use a coarser one.")
     first = 0.5 * (low + high) - 0.5 * h * (nodes - 1)
     axes = [first[c] + h * np.arange(nodes[c]) for c in range(3)]
     at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -140,9 +125,5 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     moved = "" if still else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
     note = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
             f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm.")
-    return DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, (*notes, note))
-
-
-def spline(distance: np.ndarray) -> np.ndarray:
-    """Coefficients of the cubic B-spline through values (nx, ny, nz), less _RIM layers on every side."""
-    return np.ascontiguousarray(ndimage.spline_filter(distance, order=3, mode="mirror")[(slice(_RIM, -_RIM),) * 3])
+    coefficients = ndimage.spline_filter(distance, order=3, mode="mirror")[(slice(_RIM, -_RIM),) * 3]
+    return DistanceGrid(np.ascontiguousarray(coefficients), first + _RIM * h, float(h), vertices, faces, (*notes, note))

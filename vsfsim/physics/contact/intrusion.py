@@ -1,18 +1,13 @@
 """Whether a rigid body lies inside a deformed object: a check by geometry that knows nothing of the contact points.
 
-Two questions are asked of every touch. How deep do points of the object lie inside a body: on a fine grid over every
-boundary face (the *penetration*), at all nodes, and at the middle of every element? And how deep do points of a body's
-surface lie inside the object: behind the nearest place of the deformed boundary, and as deep as it is away?
+Two questions are asked of every touch. How deep do points of the object's boundary lie inside a body, on a fine grid
+over every face (the *penetration*)? And how deep do points of a body's surface lie inside the object: behind the
+nearest place of the deformed boundary, and as deep as it is away?
 
 A sheet with a rim has no inside. It and a cone from its rim to a point far behind it close a volume. A body in contact
 dents the sheet, past the plane of the rim perhaps, and stays outside; one that went through between two equilibria is
 inside, where no contact point feels it.
 """
-
-import functools
-from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,8 +15,8 @@ import warp as wp
 
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, has_edges, inner_radius
-from vsfsim.physics.contact.patch import first_of, shape_values
-from vsfsim.physics.contact.reach import Gaps
+from vsfsim.physics.contact.patch import face_grid, first_of
+from vsfsim.physics.contact.sdf import vec4
 from vsfsim.physics.elements import closest_point
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.physics.model import Model
@@ -41,19 +36,6 @@ _FAR = 2.0  # way of the tip of the cone behind the rim of a sheet, over the rim
 _GRID = (6, 20)  # least and most steps of the grid on a face
 # of two soft bodies: that depth, and the spacing of the points on a face, over the smaller of both element sizes
 _DEEP_PAIR, _SPACING_PAIR, _GRID_PAIR = 0.1, 0.4, (3, 16)
-
-
-@dataclass(frozen=True)
-class Overlap:
-    """How far k touches' bodies and object lie in one another."""
-
-    inside: torch.Tensor
-    """Depth of the deepest point of a body inside the object, or of the object's inner points inside a body (k,)
-    [m]."""
-    faces: torch.Tensor
-    """Depth of the deepest point of each boundary face inside a body (k, F) [m]."""
-    near: torch.Tensor
-    """Depth of the deepest point of a body inside the object that is nearest to each face (k, F) [m]."""
 
 
 class Enclosure:
@@ -82,7 +64,7 @@ class Enclosure:
         direction ``outward`` (k, m, 3) is below ``facing``, -1 where another one is nearer to a point outside and for
         points further than ``near`` [m] outside the box about the surface; the shape values of the place on it (k, m,
         6), and its outward normal (k, m, 3)."""
-        k, count = kernels(), len(x)
+        count = len(x)
         depth, *more = (points.new_zeros((*points.shape[:2], *size)) for size in ((), (6,), (3,)))
         face = torch.full(depth.shape, -1, dtype=torch.int32, device=self.device)
         if not points.shape[1]:  # a plane has none
@@ -90,11 +72,11 @@ class Enclosure:
         own = x[:, self._nodes]
         low, high = (wp.from_torch(v.contiguous(), dtype=vec3)
                      for v in (own.amin(dim=1) - near, own.amax(dim=1) + near))
-        wp.launch(k.nearest, dim=depth.shape, device=self.device, inputs=[
+        wp.launch(nearest_faces, dim=depth.shape, device=self.device, inputs=[
             self.faces.shape[2], wp.from_torch(self.faces.expand(count, -1, -1)), self._closing, near or 1e30, facing,
             wp.from_torch(points.contiguous(), dtype=vec3), wp.from_torch(outward.contiguous(), dtype=vec3), low, high,
-            wp.from_torch(closest_point.balls(x, self.faces), dtype=k.vec4), wp.from_torch(x.contiguous(), dtype=vec3),
-            wp.from_torch(depth), wp.from_torch(face), wp.from_torch(more[0], dtype=k.vec6),
+            wp.from_torch(closest_point.balls(x, self.faces), dtype=vec4), wp.from_torch(x.contiguous(), dtype=vec3),
+            wp.from_torch(depth), wp.from_torch(face), wp.from_torch(more[0], dtype=closest_point.vec6),
             wp.from_torch(more[1], dtype=vec3)])
         return depth, face, *more
 
@@ -120,46 +102,47 @@ class Intrusion:
     def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str, sinks: float = 0.0,
                  steps: int = _GRID[0]):
         self.device, solid, radii = device, mesh.faces.shape[1] == 6, [inner_radius(s) for s in bodies.shapes]
-        self._solid, small = solid, min(radii)
+        small = min(radii)
         self.tolerance = min((DEEP if solid else _SHEET) * size + sinks * size, _SMALL * small)
         sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
         cone, tip = (np.zeros((0, 3)), np.zeros((0, 3))) if solid else rim_cone(mesh.faces, mesh.points)
-        self._gaps, self._surface = Gaps(bodies, device), Enclosure(mesh.faces, cone, device=device)
+        self._bodies, self._surface = bodies, Enclosure(mesh.faces, cone, device=device)
         # of a sheet a body that went through has most of its points behind it
         samples = [body_samples(s, _SPACING * (min(size, r) if solid else r))
                    for s, r in zip(bodies.shapes, radii, strict=True)]
         self._samples, self._owner = np.concatenate(samples), np.repeat(np.arange(len(samples)), [*map(len, samples)])
         steps = int(np.clip(np.ceil(3.0 * size / small), steps, _GRID[1])) if solid and np.isfinite(small) else steps
-        self._grid, self._faces, self._tets, self._rest, self._tip = (torch.as_tensor(a, device=device) for a in (
-            _face_grid(steps, mesh.faces.shape[1]), mesh.faces.astype(np.int64), mesh.tets.astype(np.int64),
-            mesh.points, tip))
+        self._grid, self._faces, self._rest, self._tip = (torch.as_tensor(a, device=device) for a in (
+            face_grid(steps, mesh.faces.shape[1]), mesh.faces.astype(np.int64), mesh.points, tip))
 
-    def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> Overlap:
-        """The overlap of the touches ``columns`` (k,) at poses (B, K, 4, 4) and displacements u (3 n, B) [m]."""
+    def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """How far bodies and object lie in one another.
+
+        Args:
+            columns: touches (k,).
+            pose: poses (B, K, 4, 4).
+            u: displacements (3 n, B) [m].
+
+        Returns:
+            Depth of the deepest point of each boundary face inside a body (k, F) [m], and of the deepest point of a
+            body inside the object that is nearest to each face (k, F) [m].
+        """
         count, here = len(columns), pose[columns.cpu().numpy()]
         x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         faces = x.new_zeros(count, len(self._faces))
         # the grid of those faces that a body may reach, padded to the most of any touch
         ball = closest_point.balls(x, self._surface.faces)
-        reached = self._gaps.nearest(here[None], ball[:, :, :3].transpose(0, 1)).T < ball[:, :, 3]
+        reached = self._bodies.nearest(here[None], ball[:, :, :3].transpose(0, 1)).T < ball[:, :, 3]
         if (at := first_of(reached)).shape[1]:
             corners = x[torch.arange(count, device=self.device)[:, None, None], self._faces[at]]
-            gap = self._gaps.nearest(here[None], (self._grid @ corners).flatten(1, 2).transpose(0, 1))
+            gap = self._bodies.nearest(here[None], (self._grid @ corners).flatten(1, 2).transpose(0, 1))
             faces.scatter_(1, at, (-gap.T.view(*at.shape, -1).amin(dim=2)).clamp(min=0.0))
-        inside = x.new_zeros(count)
-        if self._solid:
-            # the middle of a quadratic tetrahedron: its corners count -1/8, its edges 1/4
-            tets = x[:, self._tets]
-            middle = 0.25 * tets[:, :, 4:].sum(dim=2) - 0.125 * tets[:, :, :4].sum(dim=2)
-            gap = self._gaps.nearest(here[None], torch.cat([x, middle], dim=1).transpose(0, 1))
-            inside = (-gap.amin(dim=0)).clamp(min=0.0)
         closed = torch.cat([x, self._tip.expand(count, -1, -1)], dim=1)
         own = here[:, self._owner]
         places = np.einsum("kmij,mj->kmi", own[..., :3, :3], self._samples) + own[..., :3, 3]
         depth, face = self._surface.depth(closed, torch.as_tensor(places, device=self.device))
-        near = torch.zeros_like(faces).scatter_reduce(1, face.long(), depth, "amax")
-        return Overlap(torch.maximum(inside, near.amax(dim=1)), faces, near)
+        return faces, torch.zeros_like(faces).scatter_reduce(1, face.long(), depth, "amax")
 
 
 class PairOverlap:
@@ -185,7 +168,7 @@ class PairOverlap:
         self._surfaces = (Enclosure(model.mesh.faces, np.zeros((0, 3)), device=device),
                           Enclosure(carried, rim_disk(carried), device=device))
         steps = np.clip(np.ceil(np.array(sizes) / min(sizes) / _SPACING_PAIR), *_GRID_PAIR).astype(int)
-        self._grids = [torch.as_tensor(_face_grid(n, surface.faces.shape[2]), device=device)
+        self._grids = [torch.as_tensor(face_grid(n, surface.faces.shape[2]), device=device)
                        for n, surface in zip(steps, self._surfaces, strict=True)]
 
     def check(self, columns: torch.Tensor, turn: torch.Tensor, origin: torch.Tensor,
@@ -217,12 +200,6 @@ class PairOverlap:
         return out
 
 
-def _face_grid(steps: int, corners: int) -> np.ndarray:
-    """Shape values (s, 3 or 6) of the points of a grid on a face with that many steps along its edges."""
-    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
-    return shape_values(bary) if corners == 6 else bary
-
-
 def rim_cone(faces: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Triangles (d, 3) that close a sheet of triangles (f, 3) at ``points`` (n, 3) [m] behind its rim, none if it has
     no rim, and their common point (1, 3) [m], which has the number n."""
@@ -243,60 +220,50 @@ def rim_disk(faces: np.ndarray) -> np.ndarray:
     return np.array([(rim[0][0], b, a) for a, b in rim], np.int32).reshape(-1, 3)
 
 
-@functools.cache
-def kernels() -> Any:
-    """The kernel that finds the nearest faces of a surface, and its types."""
-    vec4 = wp.types.vector(length=4, dtype=real)
-    vec6 = wp.types.vector(length=6, dtype=real)
-    module = "vsfsim_intrusion"
-    closest = closest_point.functions(module)
-
-    @wp.kernel(module=module, enable_backward=False)
-    def nearest(
-        # model
-        nodes: int,
-        faces: wp.array3d(dtype=wp.int32),
-        closing: wp.array2d(dtype=wp.int32),
-        near: real,
-        facing: real,
-        # state in
-        point: wp.array2d(dtype=vec3),
-        outward: wp.array2d(dtype=vec3),
-        low: wp.array(dtype=vec3),
-        high: wp.array(dtype=vec3),
-        ball_in: wp.array2d(dtype=vec4),
-        x_in: wp.array2d(dtype=vec3),
-        # state out
-        depth_out: wp.array2d(dtype=real),
-        face_out: wp.array2d(dtype=wp.int32),
-        values_out: wp.array2d(dtype=vec6),
-        normal_out: wp.array2d(dtype=vec3),
-    ):
-        # the depth, the nearest face to which `outward` has a cosine below `facing`, and the place on it
-        b, s = wp.tid()
-        p = point[b, s]
-        for i in range(3):
-            if p[i] < low[b][i] or p[i] > high[b][i]:
-                return
-        least = near
-        least_facing = near
-        height = real(0.0)
-        known = int(0)  # noqa: UP018, RUF046  Warp variables, not constants: they change in a loop
-        face = int(-1)  # noqa: UP018, RUF046
-        for f in range(faces.shape[1]):
-            ball = ball_in[b, f]
-            if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least_facing:
-                v, c, n = closest.nearest(p, b, f, nodes, faces, x_in)
-                if wp.length(p - c) < least_facing and wp.dot(n, outward[b, s]) < facing:
-                    least_facing = wp.length(p - c)
-                    face = f
-                    values_out[b, s] = v
-                    normal_out[b, s] = n
-                least, height, known = closest.nearer(p, c, n, f, least, height, known)
-        if height < real(0.0) and closest.encloses(p, height, least, b, nodes, faces, closing, x_in):
-            depth_out[b, s] = least
-        elif least < least_facing:  # outside the object, beside a face that `outward` does not meet
-            face = -1
-        face_out[b, s] = face
-
-    return SimpleNamespace(nearest=nearest, vec3=vec3, vec4=vec4, vec6=vec6)
+@wp.kernel(module="vsfsim_intrusion", enable_backward=False)
+def nearest_faces(
+    # model
+    nodes: int,
+    faces: wp.array3d(dtype=wp.int32),
+    closing: wp.array2d(dtype=wp.int32),
+    near: real,
+    facing: real,
+    # state in
+    point: wp.array2d(dtype=vec3),
+    outward: wp.array2d(dtype=vec3),
+    low: wp.array(dtype=vec3),
+    high: wp.array(dtype=vec3),
+    ball_in: wp.array2d(dtype=vec4),
+    x_in: wp.array2d(dtype=vec3),
+    # state out
+    depth_out: wp.array2d(dtype=real),
+    face_out: wp.array2d(dtype=wp.int32),
+    values_out: wp.array2d(dtype=closest_point.vec6),
+    normal_out: wp.array2d(dtype=vec3),
+):
+    # the depth, the nearest face to which `outward` has a cosine below `facing`, and the place on it
+    b, s = wp.tid()
+    p = point[b, s]
+    for i in range(3):
+        if p[i] < low[b][i] or p[i] > high[b][i]:
+            return
+    least = near
+    least_facing = near
+    height = real(0.0)
+    known = int(0)  # noqa: UP018, RUF046  Warp variables, not constants: they change in a loop
+    face = int(-1)  # noqa: UP018, RUF046
+    for f in range(faces.shape[1]):
+        ball = ball_in[b, f]
+        if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least_facing:
+            v, c, n = closest_point.nearest(p, b, f, nodes, faces, x_in)
+            if wp.length(p - c) < least_facing and wp.dot(n, outward[b, s]) < facing:
+                least_facing = wp.length(p - c)
+                face = f
+                values_out[b, s] = v
+                normal_out[b, s] = n
+            least, height, known = closest_point.nearer(p, c, n, f, least, height, known)
+    if height < real(0.0) and closest_point.encloses(p, height, least, b, nodes, faces, closing, x_in):
+        depth_out[b, s] = least
+    elif least < least_facing:  # outside the object, beside a face that `outward` does not meet
+        face = -1
+    face_out[b, s] = face

@@ -20,13 +20,11 @@ what is missing is taken from the object itself (``by_place``), see `MissingComp
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 
 import numpy as np
 import torch
 
-from vsfsim.core.shape import ProbeShape
-from vsfsim.physics.contact.body_points import Padded
+from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.patch import (
     PENALTY,
     POINTS,
@@ -36,7 +34,6 @@ from vsfsim.physics.contact.patch import (
     shape_values,
     smooth_radius,
 )
-from vsfsim.physics.contact.reach import Gaps
 from vsfsim.physics.linear.rest_factor import Response
 from vsfsim.physics.model import Model
 
@@ -73,8 +70,8 @@ class LocalIndentation:
 
     Args:
         model: the object.
-        padded: the contact points, f parts a touch.
-        gaps: distances to the rigid bodies (K).
+        parts: those of the contact points (B, f) of `patch.PART`.
+        bodies: the rigid bodies (K).
         points: contact points at rest (B, 6 f, 3) [m].
         law: share of the stiffness of each (B, f, 6) [-] that acts down to a depth (B, f) [m], which are set here for
             points of faces; points of bodies have a law of their own, see `body_points`.
@@ -83,27 +80,27 @@ class LocalIndentation:
             None for the mean of places.
     """
 
-    def __init__(self, model: Model, padded: Padded, gaps: Gaps, points: torch.Tensor,
+    def __init__(self, model: Model, parts: np.ndarray, bodies: RigidBodies, points: torch.Tensor,
                  law: tuple[torch.Tensor, torch.Tensor], *, on: bool, response: Response | None = None):
-        nu, radii, faces = poisson_ratio(model), [smooth_radius(s) for s in gaps.bodies.shapes], model.mesh.faces
+        nu, radii, faces = poisson_ratio(model), [smooth_radius(s) for s in bodies.shapes], model.mesh.faces
         curvature = model.mesh.curvature() if faces.shape[1] == 6 else np.zeros(len(faces))
         self._round = [0.0 < r < np.inf or bool(r and curvature.any()) for r in radii]
         self._on = on and nu is not None and any(self._round)
-        self._gaps, self._factor = gaps, FITTED * (1.0 - (nu or 0.0) ** 2)
+        self._bodies, self._factor = bodies, FITTED * (1.0 - (nu or 0.0) ** 2)
         self._points = points.transpose(0, 1).contiguous()
-        parts = padded.parts
         face = np.where(parts["key"] < len(faces), parts["key"], -1)
         edge = np.append(np.sqrt(2.0 * model.mesh.face_area()), 0.0)[face]
         # area and curvature of each point; edge of the elements at each part, 0 at padding and points of bodies
         self._cover, self._bent, self._edge, self._of_body = (torch.as_tensor(a, device=points.device) for a in (
             (parts["area"][:, :, None] * WEIGHTS).reshape(len(face), -1),
             np.append(curvature, 0.0)[face].repeat(6, axis=1), edge, parts["host"] >= 0))
+        self._curved = torch.tensor([1.0 / max(r, 1e-15) for r in radii], dtype=torch.float64, device=points.device)
         self._deepest = _SMALL * min((r for r in radii if r > 0.0), default=0.0)
         self._share, self._soft = law
         self._set(torch.ones_like(self._share), (SATURATED * self._edge).clamp(max=self._deepest))
         self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
         self._missing = None if response is None else MissingCompliance(
-            model, response, padded, face, self._cover, self._edge, points)
+            model, response, parts, face, self._cover, self._edge, points)
 
     def _set(self, share: torch.Tensor, soft: torch.Tensor) -> None:
         """Set the share of the stiffness (B, f, 6) [-] of points of faces that acts down to the depth ``soft`` (B, f)
@@ -118,7 +115,7 @@ class LocalIndentation:
         least, radius = torch.full_like(self._cover.T, torch.inf), torch.full_like(self._cover.T, torch.inf)
         own_place = self._cover.new_zeros((2, 2, *self._cover.shape))  # compliance and weight, at two radii
         for k, is_round in enumerate(self._round):
-            gap = self._gaps.nearest(pose[None], self._points, body=k)
+            gap = self._bodies.nearest(pose[None], self._points, body=k)
             nearer = gap < least
             inside = (self._cover.T * (gap < 0.0)).sum(dim=0)
             own = (inside / (2.0 * np.pi)).sqrt() if is_round else torch.full_like(inside, torch.inf)
@@ -162,46 +159,48 @@ class LocalIndentation:
         work = 2.0 / 3.0 if self._work is None else self._work[columns]
         return (work * (0.5 * force * depth * (1.0 - share) * round_)).flatten(1).sum(dim=1)
 
-    def resolution(self, touching: torch.Tensor, held: torch.Tensor,
-                   columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """How well the contact of the touches ``columns`` (k,) is resolved, from the points that touch (k, 6 f) bool
-        and the bodies that they are at (k, 6 f, K) bool: their number (k,), the radius of a circle of their area over
-        the edge of the elements there (k,) [-], and that of the points at each body (k, K) [-]."""
-        area = self._cover[columns][:, :, None] * touching[:, :, None]
-        area = torch.cat([area, area * held], dim=2)
-        whole = area.sum(dim=1)
-        edge = (area * self._edge[columns].repeat_interleave(6, dim=1)[:, :, None]).sum(dim=1)
-        # edge is the sum of area x edge: sqrt(A / pi) / (edge / A)
-        radius = whole.sqrt() * whole / (np.sqrt(np.pi) * edge.clamp(min=1e-300))
-        return touching.sum(dim=1), radius[:, 0], radius[:, 1:]
+    def resolution(self, gap: torch.Tensor, gone: torch.Tensor, held: torch.Tensor,
+                   columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """How well the contact of the touches ``columns`` (k,) is resolved, and how much of it is local.
 
-    def share(self, gap: torch.Tensor, gone: torch.Tensor, held: torch.Tensor, shapes: Sequence[ProbeShape],
-              columns: torch.Tensor) -> torch.Tensor:
-        """Share (k, K) [-], 1 at most, of each body's way into the object that is local indentation: twice Hertz's
-        a^2 / R of the contact's radius a over how far the surface went with the body, 1 / R being the sum of the
-        curvatures of body and object.
-
-        A half-space gives way locally alone. A wall that bends goes with the body, and its local indentation, which a
-        coarse mesh has wrong, is a small part of the way. The share is 1 where neither is round.
+        The local share is that of twice Hertz's a^2 / R, of the contact's radius a, in how far the surface went with
+        the body, 1 / R being the sum of the curvatures of body and object. A half-space gives way locally alone. A wall
+        that bends goes with the body, and its local indentation, which a coarse mesh has wrong, is a small part of the
+        way. The share is 1 where neither is round.
 
         Args:
             gap: of the points (k, 6 f) [m].
             gone: how far each went along the body's normal (k, 6 f) [m].
             held: 1 at the points that are nearest to each body, 0 elsewhere (k, 6 f, K).
-            shapes: of the bodies (K).
+            columns: see above.
+
+        Returns:
+            Number of the points that touch (k,); the radius of a circle of their area over the edge of the elements
+            there (k,) [-]; that of the points at each body (k, K) [-]; and the share of each body's way into the object
+            that is local indentation (k, K) [-], 1 at most.
         """
-        held = held * (gap < 0.0)[:, :, None]
-        area, way = (self._cover[columns][:, :, None] * held).sum(dim=1), ((gone - gap)[:, :, None] * held).amax(dim=1)
-        of_body = torch.tensor([1.0 / max(smooth_radius(s), 1e-15) for s in shapes], dtype=torch.float64,
-                               device=gap.device)
-        weight = self._cover[columns][:, :, None] * held
-        curvature = of_body + (weight * self._bent[columns][:, :, None]).sum(dim=1) / area.clamp(min=1e-300)
-        local = 2.0 / np.pi * area * curvature / way.clamp(min=1e-15)
-        return torch.where(curvature > 0.0, local.clamp(max=1.0), 1.0)
+        touching = gap < 0.0
+        held, cover = held * touching[:, :, None], self._cover[columns][:, :, None]
+        area = torch.cat([cover * touching[:, :, None], cover * held], dim=2)
+        whole = area.sum(dim=1)
+        edge = (area * self._edge[columns].repeat_interleave(6, dim=1)[:, :, None]).sum(dim=1)
+        # edge is the sum of area x edge: sqrt(A / pi) / (edge / A)
+        radius = whole.sqrt() * whole / (np.sqrt(np.pi) * edge.clamp(min=1e-300))
+        way = ((gone - gap)[:, :, None] * held).amax(dim=1)
+        bent = (area[:, :, 1:] * self._bent[columns][:, :, None]).sum(dim=1)
+        curvature = self._curved + bent / whole[:, 1:].clamp(min=1e-300)
+        local = 2.0 / np.pi * whole[:, 1:] * curvature / way.clamp(min=1e-15)
+        share = torch.where(curvature > 0.0, local.clamp(max=1.0), 1.0)
+        return touching.sum(dim=1), radius[:, 0], radius[:, 1:], share
 
     def acts(self) -> np.ndarray:
         """Whether the contact with each body has this compliance (K,) bool."""
         return np.array(self._round) & self._on
+
+
+def lacks_something(model: Model, bodies: RigidBodies) -> bool:
+    """Whether an object of these elements lacks anything under these bodies."""
+    return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in bodies.shapes)
 
 
 class MissingCompliance:
@@ -222,23 +221,18 @@ class MissingCompliance:
     Args:
         model: the object, of quadratic tetrahedra.
         response: of the body at rest to forces.
-        padded: the contact points, f parts a touch.
+        parts: those of the contact points (B, f) of `patch.PART`.
         face: boundary triangle of each part (B, f), -1 for none.
         cover: area (B, 6 f) [m^2] of their points.
         edge: of their elements (B, f) [m], 0 for none.
         points: rest places of their points (B, 6 f, 3) [m].
     """
 
-    @staticmethod
-    def serves(model: Model, shapes: Sequence[ProbeShape]) -> bool:
-        """Whether an object of these elements lacks anything under bodies of these ``shapes``."""
-        return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in shapes)
-
-    def __init__(self, model: Model, response: Response, padded: Padded, face: np.ndarray, cover: torch.Tensor,
+    def __init__(self, model: Model, response: Response, parts: np.ndarray, face: np.ndarray, cover: torch.Tensor,
                  edge: torch.Tensor, points: torch.Tensor):
         tensor = functools.partial(torch.as_tensor, device=points.device)
-        self._response, self._width, self._cover, self._places = response, padded.nodes.shape[1], cover, points
-        self._parts = tuple(tensor(padded.parts[name].copy()) for name in ("local", "shape"))
+        self._response, self._width, self._cover, self._places = response, 1 + int(parts["local"].max()), cover, points
+        self._parts = tuple(tensor(parts[name].copy()) for name in ("local", "shape"))
         self._nu, mesh = poisson_ratio(model) or 0.0, model.mesh
         a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
         across = np.cross(b - a, c - a)

@@ -81,14 +81,10 @@ class Springs:
             found[name] for name in ("axis", "give", "excess", "searches", "origin"))
         self._seen = self.give.clone()  # where the bodies were when the local indentation was set
 
-    def placed(self, origin: torch.Tensor) -> torch.Tensor:
-        """Where bodies are (B, K, 3) [m] that their mounts carry to ``origin`` (B, K, 3) [m]."""
-        return origin - (self.give[:, None] * self.axis)[:, None]
-
     def poses(self, plan: np.ndarray) -> np.ndarray:
-        """The same of poses (B, K, 4, 4)."""
+        """Poses (B, K, 4, 4) of the bodies whose mounts are at ``plan`` (B, K, 4, 4)."""
         out = plan.copy()
-        out[..., :3, 3] = self.placed(torch.as_tensor(plan[..., :3, 3], device=self.axis.device)).cpu().numpy()
+        out[..., :3, 3] -= (self.give[:, None] * self.axis)[:, None].cpu().numpy()
         return out
 
     def energy(self, columns: torch.Tensor) -> torch.Tensor:

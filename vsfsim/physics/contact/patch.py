@@ -18,7 +18,8 @@ import torch
 
 from vsfsim.core.shape import Capsule, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.mesh.quadratic import QuadraticMesh
+from vsfsim.physics.elements import tet10_shape
+from vsfsim.physics.mesh.quadratic import ON_FACE, QuadraticMesh
 from vsfsim.physics.model import Model
 
 PENALTY = 1000.0
@@ -43,8 +44,14 @@ WEIGHTS = np.array([_WA] * 3 + [_WB] * 3)
 
 def shape_values(bary: np.ndarray) -> np.ndarray:
     """Quadratic shape functions of a triangle's six nodes (k, 6) at barycentric coordinates (k, 3)."""
-    return np.stack([*(bary[:, k] * (2 * bary[:, k] - 1) for k in range(3)),
-                     *(4 * bary[:, i] * bary[:, j] for i, j in ((0, 1), (1, 2), (2, 0)))], axis=1)
+    return tet10_shape.shape_values(np.pad(bary, ((0, 0), (0, 1))))[:, ON_FACE]
+
+
+def face_grid(steps: int, corners: int) -> np.ndarray:
+    """Shape values (s, corners) of the points of a grid on a face of 3 or 6 nodes with that many steps along its
+    edges."""
+    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
+    return shape_values(bary) if corners == 6 else bary
 
 
 @functools.cache
@@ -132,8 +139,6 @@ class Patch:
     """Their nodes (s,), increasing."""
     parts: np.ndarray
     """The parts of the faces (f parts,) of `PART`, those of one face together."""
-    cuts: np.ndarray
-    """Parts along the edge of each triangle (f,)."""
 
 
 def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, cuts: np.ndarray,
@@ -158,7 +163,7 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
     parts["local"][:, :corners] = local.reshape(len(faces), corners)[of]
     parts["stiffness"] = (parts["area"] * pressure_per_metre[of])[:, None] * WEIGHTS
     parts["shape"] = np.concatenate([np.zeros((0, 6, 6)), *(shape_table(corners, int(c)) for c in cuts)])
-    return Patch(faces, nodes, parts, cuts)
+    return Patch(faces, nodes, parts)
 
 
 def neighbours(mesh: QuadraticMesh, faces: np.ndarray) -> np.ndarray:

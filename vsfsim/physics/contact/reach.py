@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-import warp as wp
 
-from vsfsim.physics.contact import rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.patch import smooth_radius, solid_cuts
@@ -18,52 +16,26 @@ _BULGE = 0.15  # of the depth: margin for surface that bulges up
 _BEHIND = 0.3
 
 
-class Gaps:
-    """Distances from points to K rigid bodies, on the device.
-
-    Args:
-        bodies: the rigid bodies.
-        device: Warp device.
-    """
-
-    def __init__(self, bodies: RigidBodies, device: str):
-        self._kernels, self.device, self.bodies = rigid_kernels.kernels(), device, bodies
-        self.set = bodies.upload(self._kernels.sdf, device)
-        """The bodies as the kernels take them."""
-
-    def nearest(self, poses: np.ndarray, points: torch.Tensor, *, body: int | None = None) -> torch.Tensor:
-        """Least gap (s, B) [m] of points (s, 1 or B, 3) over the poses (T, B, K, 4, 4), to one ``body`` or to all."""
-        k = self._kernels
-        first, end = (0, len(self.bodies)) if body is None else (body, body + 1)
-        origin, turn = (torch.as_tensor(np.ascontiguousarray(a), device=self.device)
-                        for a in (poses[..., :3, 3], poses[..., :3, :3]))
-        out = torch.empty((len(points), origin.shape[1]), dtype=torch.float64, device=self.device)
-        wp.launch(k.nearest, dim=out.shape, device=self.device, inputs=[
-            self.set, first, end, wp.from_torch(origin, dtype=k.vec3),
-            wp.from_torch(turn, dtype=k.mat33), wp.from_torch(points.contiguous(), dtype=k.vec3),
-            wp.from_torch(out)])
-        return out
-
-
-def plan(gaps: Gaps, model: Model, poses: np.ndarray, cuts: int, *, local: bool, by_place: bool,
-         sprung: bool) -> tuple[np.ndarray, np.ndarray]:
+def plan(bodies: RigidBodies, model: Model, poses: np.ndarray, cuts: int, *, local: bool, by_place: bool,
+         sprung: bool, device: str) -> tuple[np.ndarray, np.ndarray]:
     """What rigid bodies can reach of an object's boundary on their way.
 
     Args:
-        gaps: distances to the bodies.
+        bodies: the rigid bodies (K).
         model: the object.
         poses: all poses to come (T, B, K, 4, 4); where springs carry the bodies (``sprung``), those of their mounts,
             and the bodies stay behind.
         cuts: least number of parts along the edge of a face.
         local: whether round bodies sink in locally, see `local_indentation`: their contact is small.
         by_place: whether by what the object lacks where it is touched.
+        device: Warp device.
 
     Returns:
         Whether each boundary face may come into contact (B, f) bool, and the number of parts along its edge (B, f).
     """
     mesh, surface = model.mesh, model.mesh.surface_nodes()
-    rest = torch.as_tensor(mesh.points[surface], device=gaps.device)[:, None]
-    each = np.stack([gaps.nearest(poses, rest, body=k).cpu().numpy() for k in range(len(gaps.bodies))])
+    rest = torch.as_tensor(mesh.points[surface], device=device)[:, None]
+    each = np.stack([bodies.nearest(poses, rest, body=k).cpu().numpy() for k in range(len(bodies))])
 
     def reachable(gap: np.ndarray) -> np.ndarray:
         """Faces (B, f) bool by the least gaps (s, B) [m], with a margin for surface that bulges up."""
@@ -77,7 +49,7 @@ def plan(gaps: Gaps, model: Model, poses: np.ndarray, cuts: int, *, local: bool,
     out = np.full(within.shape, cuts)
     if mesh.faces.shape[1] == 6:
         edge = np.sqrt(2.0 * mesh.face_area())
-        for shape, gap in zip(gaps.bodies.shapes, each, strict=True):
+        for shape, gap in zip(bodies.shapes, each, strict=True):
             radius = smooth_radius(shape)
             if radius == 0.0 and not has_edges(shape):
                 radius = np.inf  # the mesh of a smooth body: faces are cut where it is found between the points

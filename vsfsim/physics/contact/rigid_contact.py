@@ -13,20 +13,20 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import Plane
-from vsfsim.physics.contact import body_points, rigid_kernels
+from vsfsim.physics.contact import rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.body_points import BodyPoints, remember
+from vsfsim.physics.contact.body_points import BodyPoints, remember, stacked
 from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.kernels import bound
-from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
+from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, lacks_something
 from vsfsim.physics.contact.mount import TRIALS, Mount, Springs
-from vsfsim.physics.contact.patch import CUTS, Patch, at_points, make_patch, neighbours, sheet_contact
+from vsfsim.physics.contact.patch import CUTS, NO_PART, Patch, at_points, make_patch, neighbours, sheet_contact
 from vsfsim.physics.contact.points import Contact
-from vsfsim.physics.contact.reach import Gaps, plan
+from vsfsim.physics.contact.reach import plan
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
-from vsfsim.physics.runtime import real
+from vsfsim.physics.runtime import real, vec3
 
 CORE = 0.2
 """Depth over a body's inner radius at which its inner body begins [-]."""
@@ -52,6 +52,7 @@ class RigidContact(Contact):
     # measure under which a step is accepted for its residual alone, because rounding hides the potential, and the
     # factor by which the residual has to fall in it [-]
     potential_trusted_above, decrease = 0.05, 0.5
+
     _begun: np.ndarray | None = None
 
     patches: list[Patch]
@@ -68,22 +69,21 @@ class RigidContact(Contact):
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  linear: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
         self.model, self.bodies, self.device, self._linear, self._sinks = model, bodies, device, linear, local
-        self._by_place = local and by_place and MissingCompliance.serves(model, bodies.shapes)
+        self._by_place = local and by_place and lacks_something(model, bodies)
         self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
         self.has_friction = bool((friction > 0.0).any())
         self._coefficient = torch.as_tensor(friction, dtype=torch.float64, device=device)
         self.springs = None if mount is None else Springs(mount, len(bodies), device)
         self.solid = model.mesh.faces.shape[1] == 6
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self.solid else sheet_contact(bodies, model.element_size)
-        self._parts, self._finest = cuts**2, CUTS[-1] if self.solid else 0  # cuts of a linear face do not change
+        self._finest = CUTS[-1] if self.solid else 0  # cuts of a linear face do not change
         self._passage = Intrusion(model.mesh, bodies, model.element_size, device=device,
                                   sinks=SATURATED_BY_PLACE * self._by_place,
                                   **({} if self.solid else {"steps": 3 * cuts}))
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros(poses.shape[1], dtype=torch.float64, device=device)
-        self._gaps = Gaps(bodies, device)
-        reachable, self._cuts = plan(self._gaps, model, poses, cuts, local=local, by_place=self._by_place,
-                                     sprung=mount is not None)
+        reachable, self._cuts = plan(bodies, model, poses, cuts, local=local, by_place=self._by_place,
+                                     sprung=mount is not None, device=device)
         self._area = model.mesh.face_area()
         self._core = wp.array([min(CORE * inner_radius(s), 1.0) for s in bodies.shapes], dtype=real, device=device)
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
@@ -106,18 +106,20 @@ class RigidContact(Contact):
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        padded = self._padded = body_points.pad(self.patches, self._parts, self._body_points)
-        parts, faces, nodes = padded.parts, padded.parts.shape[1], padded.nodes.shape[1]
+        parts = self._parts = stacked([np.concatenate([patch.parts, self._body_points.parts(b, patch)])
+                                       for b, patch in enumerate(self.patches)], NO_PART)
+        listed = stacked([patch.nodes for patch in self.patches], np.array([-1]))
+        faces, nodes = parts.shape[1], listed.shape[1]
         tensor = functools.partial(torch.as_tensor, device=self.device)
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         known = getattr(self, "dof", None)
-        self._take(padded.nodes, self.model.free, self.model.mesh.points)
+        self._take(listed, self.model.free, self.model.mesh.points)
         self._of_body = tensor(parts["host"] >= 0)
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         self._points, found = bound(k.Points, {
             **{name: parts[name] for name in ("shape", "local", "stiffness", "host", "spot", "leave", "soft")},
             "share": np.tile(parts["share"][:, :, None], 6),
-            "bodies": self._gaps.set, "count": len(self.bodies),
+            "bodies": self.bodies.on(self.device), "count": len(self.bodies),
             "coulomb": self.coulomb, "coefficient": self._coefficient, "onset": self._onset, "x": self._x,
             "x_before": self._x_before, "origin": self._now[0], "turn": self._now[1],
             "origin_before": self._before[0], "turn_before": self._before[1]}, (batch, faces, 6), self.device)
@@ -132,7 +134,7 @@ class RigidContact(Contact):
             self.response: Response = response(self.model.factor if self._linear else self.model.preconditioner,
                                                self.dof, device=self.device)
         at_rest = at_points(self._local, self._values, self.rest.view(batch, nodes, 3))
-        self.local_indentation = LocalIndentation(self.model, padded, self._gaps, at_rest, (
+        self.local_indentation = LocalIndentation(self.model, parts, self.bodies, at_rest, (
             found["share"], found["soft"]), on=self._sinks, response=self.response if self._by_place else None)
 
     @property
@@ -171,13 +173,12 @@ class RigidContact(Contact):
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
         """Move the bodies to ``pose`` (B, K, 4, 4); ``columns`` are about to be solved there."""
         kept = self.friction_state()
-        if (self._begun is not None and columns is not None  # the first move of a step
-                and self._body_points.add(columns, (self._begun, self._held_at(pose)), self._u_before, self.patches)):
-            self._renew(pose, kept)
+        grown = (self._begun is not None and columns is not None  # the first move of a step
+                 and self._body_points.add(columns, (self._begun, self._held_at(pose)), self._u_before, self.patches))
         self._place(self._now, self._held_at(pose))
         self._begun = None
         self._plan_for(pose)
-        self._sink(pose)
+        self._renew(kept) if grown else self._sink()
         self._overlap[columns] = 0.0
 
     def _plan_for(self, pose: np.ndarray) -> None:
@@ -190,21 +191,21 @@ class RigidContact(Contact):
         """Poses (B, K, 4, 4) of the bodies whose mounts are at ``pose`` (B, K, 4, 4)."""
         return pose if self.springs is None else self.springs.poses(pose)
 
-    def _sink(self, pose: np.ndarray) -> None:
-        self.local_indentation.move(self._held_at(pose))
+    def _sink(self) -> None:
+        self.local_indentation.move(self._held_at(self._plan))
         if self.springs is not None:
             self.springs.seen()
 
     def follow(self) -> bool:
         if self.springs is None or not self._sinks or not self.springs.moved_on():
             return False
-        self._sink(self._plan)
+        self._sink()
         return True
 
-    def _renew(self, pose: np.ndarray, kept: tuple[Any, ...]) -> None:
+    def _renew(self, kept: Any) -> None:
         """Go on with other contact points than those of the friction state ``kept``."""
         self._upload()
-        self._sink(pose)
+        self._sink()
         if self.has_friction:
             self.restore_friction(torch.arange(self.batch, device=self.device), kept)
             self._stand(self._u_before)
@@ -236,16 +237,16 @@ class RigidContact(Contact):
 
     def friction_state(self) -> Any:
         """See `Contact`, with the points."""
-        return self._padded, super().friction_state()
+        return self._parts, super().friction_state()
 
     def restore_friction(self, columns: torch.Tensor, state: Any) -> None:
         """See `Contact`; points of a patch that has grown since take what they remembered."""
-        points, kept = state
-        if points is self._padded:
+        parts, kept = state
+        if parts is self._parts:
             super().restore_friction(columns, kept)
         elif self.has_friction:
             mine, theirs = ([found[name] for name in self._memory] for (found,) in (self._sets, kept))
-            remember(mine, theirs, (points.parts, self._padded.parts), columns.tolist())
+            remember(mine, theirs, (parts, self._parts), columns.tolist())
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
@@ -269,19 +270,16 @@ class RigidContact(Contact):
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
 
-    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Number of points in contact (k,), the radius of a circle of their area over the element size there (k,) [-],
-        and the same of the contact with each body (k, K) [-]."""
-        return self.local_indentation.resolution(self.gap[columns] < 0.0, self._held(columns) > 0.0, columns)
-
-    def local_share(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `LocalIndentation.share`."""
+        the same of the contact with each body (k, K) [-], and the share of local indentation in each body's way (k, K)
+        [-], see `LocalIndentation.resolution`."""
         gone = self.places(columns, (self._x - self.rest.view_as(self._x))[columns])
         gone = (gone * self.normal[columns]).sum(dim=2)
-        return self.local_indentation.share(self.gap[columns], gone, self._held(columns), self.bodies.shapes, columns)
+        return self.local_indentation.resolution(self.gap[columns], gone, self._held(columns), columns)
 
     def reach(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=self.kernels.vec3)
+        own = wp.from_torch((move * self.mask[columns]).view(len(columns), -1, 3).contiguous(), dtype=vec3)
         part = torch.ones((len(columns), self._local.shape[1]), dtype=torch.float64, device=self.device)
         wp.launch(self.kernels.reach, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
             self._points, wp.from_torch(columns.to(torch.int32)), self._core, own, wp.from_torch(part)])
@@ -290,12 +288,12 @@ class RigidContact(Contact):
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
         """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
         bodies were found between those; whether they had to."""
-        pose, mounts, kept = self._held_at(pose), pose, self.friction_state()
-        found = self._passage.check(columns, pose, u)
-        self._overlap[columns] = torch.maximum(found.faces.amax(dim=1), found.inside)
+        pose, kept = self._held_at(pose), self.friction_state()
+        faces, near = self._passage.check(columns, pose, u)
+        self._overlap[columns] = torch.maximum(faces, near).amax(dim=1)
         moved, beside = self._body_points.renew(columns, pose, u, self.patches)
-        inside = found.near > self._passage.tolerance
-        met, cut = (((found.faces > depth) | inside).cpu().numpy() for depth in (0.0, self._passage.fine))
+        inside = near > self._passage.tolerance
+        met, cut = (((faces > depth) | inside).cpu().numpy() for depth in (0.0, self._passage.fine))
         grown = bool(moved)
         for b, touched, coarse in zip(columns.tolist(), met, cut, strict=True):
             patch = self.patches[b]
@@ -306,5 +304,5 @@ class RigidContact(Contact):
                 self.patches[b] = self._patch(b, np.union1d(patch.faces, neighbours(self.model.mesh, extra)))
                 grown = True
         if grown:
-            self._renew(mounts, kept)
+            self._renew(kept)
         return grown

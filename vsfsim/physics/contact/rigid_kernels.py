@@ -21,15 +21,14 @@ _MODULE = "vsfsim_contact"
 
 @functools.cache
 def kernels() -> Any:
-    """The contact kernels, their types, and the signed distances that they use (``sdf``)."""
-    probe = sdf.functions(real, _MODULE)
+    """The contact kernels and their types."""
 
     class Rigid:
         host: wp.array2d(dtype=wp.int32)  # body whose point a part is, see `body_points`; -1 for parts of faces
         spot: wp.array2d(dtype=vec3)  # that point, in its body's frame [m]
         leave: wp.array2d(dtype=vec3)  # direction in which it leaves the object [-]
         anchor: wp.array3d(dtype=vec3)
-        bodies: probe.Bodies
+        bodies: sdf.Bodies
         count: int  # of bodies, K
         # bodies (B, K), now and when the step began
         origin: wp.array2d(dtype=vec3)
@@ -37,7 +36,7 @@ def kernels() -> Any:
         origin_before: wp.array2d(dtype=vec3)
         turn_before: wp.array2d(dtype=mat33)
 
-    found = contact_kernels(_MODULE, Rigid, functools.partial(_source, probe=probe), on_faces=False)
+    found = contact_kernels(_MODULE, Rigid, _source, on_faces=False)
     Points = found.Points
     exact, touch, trials = wp.constant(real(mount.EXACT)), wp.constant(real(mount.TOUCH)), wp.constant(mount.TRIALS)
 
@@ -95,7 +94,7 @@ def kernels() -> Any:
                     ends = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
                     while ends < _ADVANCES and t < part:
                         at = wp.transpose(c.turn[b, j]) * (p + t * d - c.origin[b, j])
-                        room = probe.gap(c.bodies, j, at) + core[j]
+                        room = sdf.gap(c.bodies, j, at) + core[j]
                         ends += 1
                         if room <= real(0.0):
                             ends = int(_ADVANCES)
@@ -105,34 +104,10 @@ def kernels() -> Any:
                         part = wp.min(part, t)
         part_out[k, f] = part
 
-    @wp.kernel(module=_MODULE, enable_backward=False)
-    def nearest(
-        # model
-        bodies: probe.Bodies,
-        first: int,
-        count: int,
-        # state in
-        origin: wp.array3d(dtype=vec3),
-        turn: wp.array3d(dtype=mat33),
-        x_in: wp.array2d(dtype=vec3),
-        # state out
-        gap_out: wp.array2d(dtype=real),
-    ):
-        # least gap of every point over all poses (T, B, K) and the bodies first to count - 1; x_in (s, 1) serves all
-        # touches, (s, B) each one
-        i, b = wp.tid()
-        p = x_in[i, wp.min(b, x_in.shape[1] - 1)]
-        least = real(1e30)
-        for t in range(origin.shape[0]):
-            for j in range(first, count):
-                least = wp.min(least, probe.gap(bodies, j, wp.transpose(turn[t, b, j]) * (p - origin[t, b, j])))
-        gap_out[i, b] = least
-
-    return SimpleNamespace(**vars(found), settle=settle, reach=reach, nearest=nearest, vec3=vec3, mat33=mat33,
-                           sdf=probe)
+    return SimpleNamespace(**vars(found), settle=settle, reach=reach)
 
 
-def _source(Points: Any, place: Any, *, probe: Any) -> Any:
+def _source(Points: Any, place: Any) -> Any:
     """The functions of rigid bodies, see `kernels.contact_kernels`."""
 
     @wp.func(module=_MODULE)
@@ -146,15 +121,15 @@ def _source(Points: Any, place: Any, *, probe: Any) -> Any:
             gap = wp.dot(n, p - (c.origin[b, near] + c.turn[b, near] * c.spot[b, f]))
             return near, gap, n, n, bend
         for j in range(c.count):
-            g = probe.gap(c.bodies, j, wp.transpose(c.turn[b, j]) * (p - c.origin[b, j]))
+            g = sdf.gap(c.bodies, j, wp.transpose(c.turn[b, j]) * (p - c.origin[b, j]))
             if g < gap:
                 gap = g
                 near = j
         if gap < real(0.0):
             r = c.turn[b, near]
             inside = wp.transpose(r) * (p - c.origin[b, near])
-            n = r * probe.normal(c.bodies, near, inside)
-            bend = -(r * probe.curvature(c.bodies, near, inside) * wp.transpose(r))
+            n = r * sdf.normal(c.bodies, near, inside)
+            bend = -(r * sdf.curvature(c.bodies, near, inside) * wp.transpose(r))
         return near, gap, n, n, bend
 
     @wp.func(module=_MODULE)
@@ -168,8 +143,8 @@ def _source(Points: Any, place: Any, *, probe: Any) -> Any:
         p0 = place(c, c.x_before, b, f, q)
         start = wp.transpose(c.turn_before[b, j]) * (p0 - c.origin_before[b, j])
         stop = wp.transpose(c.turn[b, j]) * (p0 - c.origin[b, j])
-        g0 = wp.max(probe.gap(c.bodies, j, start), real(0.0))
-        g1 = probe.gap(c.bodies, j, stop)
+        g0 = wp.max(sdf.gap(c.bodies, j, start), real(0.0))
+        g1 = sdf.gap(c.bodies, j, stop)
         if c.host[b, f] >= 0:
             c.anchor[b, f, q] = c.spot[b, f]
         elif g1 < real(0.0):

@@ -85,7 +85,7 @@ class Sensitivity(Solver):
         rest = 0.0 if springs is None else (back / (springs.stiffness + stiff))[:, None] * along
         points = (give[:, None] * along - (at * pushed).sum(dim=2) + rest).numpy()
         for b, patch in enumerate(contact.patches):
-            face = np.repeat(np.repeat(patch.faces, patch.cuts**2), 6)
+            face = np.repeat(patch.parts["key"], 6)
             np.add.at(out[b], self.model.mesh.owner[face], points[b, :len(face)])
         out[~converged | negative.numpy()] = np.nan
         self.derivative.append(out)

@@ -19,8 +19,17 @@ FACE_NODES = np.array([
      _EDGE_OF[frozenset(map(int, f[[2, 0]]))]] for f in TET_FACES
 ])
 
-_FACE_SLOPES = shape_derivatives(np.pad(1 / 6 + 0.5 * np.eye(3), ((0, 0), (0, 1))))[:, [0, 1, 2, 4, 5, 6], :2]
-"""Derivatives of a face's shape functions by its last two barycentric coordinates at three points (3, 6, 2) [-]."""
+ON_FACE = [0, 1, 2, 4, 5, 6]
+"""Nodes of a tetrahedron on the face of its first three corners: these, then the edges between them."""
+
+
+def face_slopes(bary: np.ndarray) -> np.ndarray:
+    """Derivatives of a face's shape functions by its last two barycentric coordinates (k, 6, 2) [-] at barycentric
+    coordinates (k, 3)."""
+    return shape_derivatives(np.pad(bary, ((0, 0), (0, 1))))[:, ON_FACE, :2]
+
+
+_FACE_SLOPES = face_slopes(1 / 6 + 0.5 * np.eye(3))
 _NODES = np.vstack([np.eye(4), 0.5 * (np.eye(4)[EDGES[:, 0]] + np.eye(4)[EDGES[:, 1]])])
 _STRAIGHT = 1e-18  # squared bulge of an edge over its squared length up to which it is rounding error
 _FOLDED = 0.2  # least Jacobian at a node over that of straight edges

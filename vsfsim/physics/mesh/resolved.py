@@ -64,7 +64,7 @@ def mesh_error(radius: np.ndarray, force: np.ndarray, share: np.ndarray | float 
     Args:
         radius: of the contact with each body over the edge of the elements there (B, K) [-].
         force: on each body (B, K, 3) [N]; bodies count by what they bear.
-        share: of each body's way that is local indentation (B, K) [-], see `RigidContact.local_share`. The stiffness of
+        share: of each body's way that is local indentation (B, K) [-], see `RigidContact.resolution`. The stiffness of
             the rest, of a wall that bends say, does not hang on how the contact is resolved.
         edges: whether each body has edges (K,) bool.
         small: `SHARE`, `ROUND` or `BARE` of the contact with each body (K,) [-].

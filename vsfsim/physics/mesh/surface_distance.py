@@ -1,7 +1,6 @@
 """Signed distance of points to a triangle surface: to the exact triangles, in double, its sign from the generalised
 winding number (Jacobson et al. 2013; Barill et al. 2018), so that parts that overlap count once."""
 
-import functools
 
 import numpy as np
 import warp as wp
@@ -38,7 +37,7 @@ class SurfaceDistance:
         for others (k,)."""
         found = wp.empty(len(points), dtype=wp.vec3d, device="cpu")
         sign = wp.empty(len(points), dtype=wp.float32, device="cpu")
-        wp.launch(_query(), dim=len(points), device="cpu",
+        wp.launch(_query, dim=len(points), device="cpu",
                   inputs=[self._mesh.id, self._vertices, self._faces, _array(points, wp.vec3d), found, sign])
         return found.numpy(), sign.numpy().astype(float)
 
@@ -52,29 +51,23 @@ def _array(values: np.ndarray, dtype: type) -> wp.array:
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
 
 
-@functools.cache
-def _query():
-    near = closest_point.functions("vsfsim_distance_grid")
-
-    @wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
-    def query(
-        # model
-        mesh: wp.uint64, vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=wp.vec3i),
-        # state in
-        point_in: wp.array(dtype=wp.vec3d),
-        # state out
-        found_out: wp.array(dtype=wp.vec3d), sign_out: wp.array(dtype=wp.float32),
-    ):
-        i = wp.tid()
-        x = point_in[i]
-        found = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(x), 1.0e6)
-        # the search is in single precision; the point of the triangle that it found is computed again in double
-        f = faces[found.face]
-        m = near.on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
-        found_out[i] = m[0] * vertices[f[0]] + m[1] * vertices[f[1]] + m[2] * vertices[f[2]]
-        sign_out[i] = found.sign
-
-    return query
+@wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
+def _query(
+    # model
+    mesh: wp.uint64, vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=wp.vec3i),
+    # state in
+    point_in: wp.array(dtype=wp.vec3d),
+    # state out
+    found_out: wp.array(dtype=wp.vec3d), sign_out: wp.array(dtype=wp.float32),
+):
+    i = wp.tid()
+    x = point_in[i]
+    found = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(x), 1.0e6)
+    # the search is in single precision; the point of the triangle that it found is computed again in double
+    f = faces[found.face]
+    m = closest_point.on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
+    found_out[i] = m[0] * vertices[f[0]] + m[1] * vertices[f[1]] + m[2] * vertices[f[2]]
+    sign_out[i] = found.sign
 
 
 def crossings(start: np.ndarray, way: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -43,9 +43,10 @@ def report(balance: Equilibrium, state: State) -> Rows:
         "energy": state["energy"] + contact.local_energy(every),
         "penetration": contact.penetration(every), "slipping": contact.slipping(every),
     }
-    values["contact_points"], values["contact_radius"], each = contact.resolution(every)
+    values["contact_points"], values["contact_radius"], each, share = contact.resolution(every)
     out = {key: value.cpu().numpy() for key, value in values.items()}
-    out["mesh_error"], out["corner_det_f"], out["rotation"] = resolution(balance, each.cpu().numpy(), out["body_force"])
+    out["mesh_error"], out["corner_det_f"], out["rotation"] = resolution(
+        balance, each.cpu().numpy(), share.cpu().numpy(), out["body_force"])
     reason = balance.reason.copy()
     # with friction the limit renewed last counts; without, this is the state that Newton's method left
     reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
@@ -67,13 +68,15 @@ def report(balance: Equilibrium, state: State) -> Rows:
     return out
 
 
-def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, ...]:
+def resolution(balance: Equilibrium, radius: np.ndarray, share: np.ndarray,
+               force: np.ndarray) -> tuple[np.ndarray, ...]:
     """Estimated error of the force by the mesh [-], least det F at corners of elements in contact [-], and largest
     rotation of an element [rad], (B,) each; NaN of what is no solid under rigid bodies.
 
     Args:
         balance: the batch.
         radius: of the contact with each body over the edge of the elements there (B, K) [-].
+        share: of each body's way that is local indentation (B, K) [-].
         force: on each body (B, K, 3) [N].
     """
     model, batch = balance.model, len(radius)
@@ -82,7 +85,6 @@ def resolution(balance: Equilibrium, radius: np.ndarray, force: np.ndarray) -> t
         return tuple(np.full((3, batch), np.nan))
     u = balance.u.cpu().numpy().reshape(-1, 3, batch)
     corner = [corner_det_f(model.mesh, patch.nodes, u[:, :, b]) for b, patch in enumerate(balance.contact.patches)]
-    share = balance.contact.local_share(balance.every).cpu().numpy()
     small = np.where(balance.contact.local_indentation.acts(), ROUND if model.mesh.curvature().any() else SHARE, BARE)
     edges = np.array([has_edges(shape) for shape in balance.contact.bodies.shapes])
     return mesh_error(radius, force, share, edges, small), np.array(corner), rotation(model.mesh, u)

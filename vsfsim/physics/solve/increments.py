@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
+from vsfsim.physics.mesh.surface_distance import crossings
 from vsfsim.physics.model import Model
 
 # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body. With friction
@@ -91,18 +92,11 @@ def thinnest(model: Model, faces: Sequence[np.ndarray]) -> float:
 
 def ways(points: np.ndarray, triangles: np.ndarray, axis: np.ndarray, *, least: float = -1e-9) -> np.ndarray:
     """Shortest way [m] of each of ``points`` (p, 3) along the unit ``axis`` (3,) to any of the ``triangles`` (f, 3, 3)
-    that is no shorter than ``least``; infinite where it meets none (Moeller and Trumbore 1997)."""
-    edge1, edge2 = (triangles[:, k] - triangles[:, 0] for k in (1, 2))
-    across = np.cross(axis, edge2)
-    det = np.einsum("fc,fc->f", edge1, across)
-    det[np.abs(det) < 1e-16] = np.nan  # along the axis: met nowhere
+    that is no shorter than ``least``; infinite where it meets none."""
     out = np.empty(len(points))
     for some in np.array_split(np.arange(len(points)), max(1, len(points) // 200)):
-        s = points[some, None] - triangles[:, 0]
-        q = np.cross(s, edge1)
-        u, v, way = np.einsum("pfc,fc->pf", s, across) / det, q @ axis / det, np.einsum("pfc,fc->pf", q, edge2) / det
-        met = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (way > least)
-        out[some] = np.where(met, way, np.inf).min(axis=1, initial=np.inf)
+        found = crossings(points[some], axis[None], triangles)
+        out[some] = np.where(found > least, found, np.inf).min(axis=1, initial=np.inf)
     return out
 
 
@@ -167,7 +161,6 @@ def inside(bodies: RigidBodies, model: Model, pose: np.ndarray, device: str = "c
     if solid:  # of a thin wall both faces may lie in a large body that is barely in it
         deep = min(deep, mean_thickness(model))
     check = Intrusion(model.mesh, bodies, model.element_size, device=device)
-    found = check.check(torch.arange(len(pose), device=device), pose, torch.zeros(
+    faces, near = check.check(torch.arange(len(pose), device=device), pose, torch.zeros(
         (model.mesh.points.size, len(pose)), dtype=torch.float64, device=device))
-    depth = found.faces.amax(dim=1)
-    return ((torch.maximum(depth, found.inside) if solid else depth) > deep).cpu().numpy()
+    return ((torch.maximum(faces, near) if solid else faces).amax(dim=1) > deep).cpu().numpy()

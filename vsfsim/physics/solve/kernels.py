@@ -26,4 +26,4 @@ def coupled_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
 
 def _body_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
     return [*(kernels_of(kind, law).forces for kind, law in dict.fromkeys(elements)), elasticity.kernels().gather,
-            intrusion.kernels().nearest]
+            intrusion.nearest_faces]

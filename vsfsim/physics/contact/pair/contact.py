@@ -163,10 +163,10 @@ class PairContact(Contact):
         self._launch(self.kernels.evaluate, columns)
         self._known = None
 
-    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `RigidContact`; nodes have no area, and the radius is not measured."""
         none = torch.full((len(columns),), torch.nan, dtype=torch.float64, device=self.device)
-        return self._inside(columns).sum(dim=1), none, none[:, None]
+        return self._inside(columns).sum(dim=1), none, none[:, None], none[:, None]
 
     def _found(self, columns: torch.Tensor) -> list[torch.Tensor]:
         """The points in contact of ``columns`` (k,) as they were evaluated last, p parts of one point each: a node and

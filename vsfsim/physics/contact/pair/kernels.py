@@ -26,6 +26,7 @@ import warp as wp
 from vsfsim.physics.contact import friction
 from vsfsim.physics.contact.kernels import contact_kernels
 from vsfsim.physics.elements import closest_point
+from vsfsim.physics.elements.closest_point import vec6
 from vsfsim.physics.runtime import mat33, real, vec3
 
 CANDIDATES = 12
@@ -37,9 +38,7 @@ _MODULE = "vsfsim_pair_contact"
 def kernels() -> Any:
     """The kernels of the pair and their types. ``Points`` are the f nodes of one surface, with one point each, and the
     F faces of the other one that they may meet."""
-    vec6 = wp.types.vector(length=6, dtype=real)
     vec_most = wp.types.vector(length=CANDIDATES, dtype=real)
-    near = closest_point.functions(_MODULE)
     most = wp.constant(CANDIDATES)
 
     class Surface:
@@ -53,7 +52,7 @@ def kernels() -> Any:
         there: wp.array2d(dtype=vec6)  # shape values of the nearest point, on the face `body` (B, f)
 
     # pressure acts at the nearest place of the other surface, friction at the anchor
-    found = contact_kernels(_MODULE, Surface, functools.partial(_source, near=near, vec6=vec6), on_faces=True)
+    found = contact_kernels(_MODULE, Surface, _source, on_faces=True)
     Points = found.Points
 
     @wp.kernel(module=_MODULE, enable_backward=False)
@@ -76,7 +75,7 @@ def kernels() -> Any:
             middle = (x0 + x1 + x2) / real(3.0)
             reach = wp.max(wp.length(x0 - middle), wp.max(wp.length(x1 - middle), wp.length(x2 - middle)))
             if wp.length(p - middle) - reach < worst:
-                m = near.on_triangle(p, x0, x1, x2)
+                m = closest_point.on_triangle(p, x0, x1, x2)
                 far = wp.length(p - (m[0] * x0 + m[1] * x1 + m[2] * x2))
                 if far < worst:
                     if held < most:
@@ -94,7 +93,7 @@ def kernels() -> Any:
     return SimpleNamespace(**vars(found), search=search)
 
 
-def _source(Points: Any, place: Any, *, near: Any, vec6: Any) -> Any:
+def _source(Points: Any, place: Any) -> Any:
     """The functions of a surface, see `contact.kernels.contact_kernels`; every part has one point."""
     most = wp.constant(CANDIDATES)
 
@@ -111,7 +110,7 @@ def _source(Points: Any, place: Any, *, near: Any, vec6: Any) -> Any:
         for k in range(most):
             face = c.candidates[b, f, k]
             if face >= 0:
-                n, at, out = near.nearest(p, b, face, c.corners, c.faces, x)
+                n, at, out = closest_point.nearest(p, b, face, c.corners, c.faces, x)
                 delta = p - at
                 far = wp.length(delta)
                 height = wp.dot(delta, out)

@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 
 from vsfsim.physics.contact.kernels import bound
 from vsfsim.physics.contact.pair.kernels import CANDIDATES, kernels
-from vsfsim.physics.contact.patch import PENALTY
+from vsfsim.physics.contact.patch import PENALTY, face_grid
+from vsfsim.physics.mesh.quadratic import face_slopes
 from vsfsim.physics.model import Model
 
 _BULGE = 0.25
@@ -33,12 +34,8 @@ _SECOND = 0.1
 """Factor on the stiffness of the object's nodes: the sensor's nodes bear the load, the object's only keep its edges
 from passing between them."""
 _BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
-_SLOPES = np.stack([  # derivatives of the shape functions of a quadratic face along two of its edges, at its six nodes
-    np.stack([1 - 4 * _BARY[:, 0], *((4 * _BARY[:, 1] - 1, 0 * _BARY[:, 0]) if k == 1
-                                     else (0 * _BARY[:, 0], 4 * _BARY[:, 2] - 1)),
-              4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1],
-              4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
-              -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
+_SLOPES = np.moveaxis(face_slopes(_BARY), 2, 0)
+"""Derivatives of the shape functions of a quadratic face at its six nodes (2, 6 places, 6 nodes)."""
 
 
 @dataclass
@@ -200,8 +197,7 @@ def _spots(model: Model, sensor: Model) -> np.ndarray:
     longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     parts = int(np.clip(np.ceil(2.0 * longest / float(np.ptp(sensor.mesh.points[:, :2], axis=0).min())), 2,
                         _MOST_PARTS))
-    grid = np.array([(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]) / parts
-    return np.einsum("kc,fcx->fkx", grid, corners)
+    return np.einsum("kc,fcx->fkx", face_grid(parts, 3), corners)
 
 
 def farthest(sensor: Model) -> float:
