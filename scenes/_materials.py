@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vsfsim.core.solid import Appearance
+from vsfsim.scenes import table
 
 _BRIGHTNESS_CORRELATION = 0.6
 """Correlation of a region's log brightness with its stiffness within the class [-]."""
@@ -35,29 +36,7 @@ class MaterialClass:
     """Bounds of the texture's relative amplitude, 0 to 1."""
 
 
-CLASSES: dict[str, MaterialClass] = {
-    "foam": MaterialClass((3e4, 1e5), ((0.72, 0.66, 0.12), (0.80, 0.42, 0.38), (0.55, 0.70, 0.78), (0.75, 0.73, 0.68)),
-                          "noise", (0.006, 0.012), (0.10, 0.25)),
-    "padding": MaterialClass((2e4, 1e5), ((0.30, 0.31, 0.33), (0.10, 0.11, 0.13), (0.52, 0.50, 0.46),
-                                          (0.16, 0.22, 0.34)),
-                             "weave", (0.004, 0.007), (0.15, 0.30)),
-    "mesh": MaterialClass((4e5, 1.5e6), ((0.10, 0.30, 0.62), (0.62, 0.10, 0.12), (0.14, 0.48, 0.22),
-                                         (0.36, 0.37, 0.40)),
-                          "weave", (0.003, 0.006), (0.35, 0.60)),
-    "nylon": MaterialClass((8e5, 3e6), ((0.05, 0.08, 0.22), (0.08, 0.08, 0.09), (0.42, 0.16, 0.05), (0.20, 0.22, 0.12)),
-                           "stripes", (0.004, 0.009), (0.20, 0.40)),
-    "suede": MaterialClass((6e5, 2e6), ((0.36, 0.22, 0.11), (0.26, 0.25, 0.24), (0.45, 0.32, 0.18), (0.12, 0.16, 0.26)),
-                           "noise", (0.012, 0.025), (0.20, 0.35)),
-    "leather": MaterialClass((1.5e6, 5e6), ((0.22, 0.08, 0.03), (0.05, 0.04, 0.04), (0.38, 0.17, 0.06),
-                                            (0.68, 0.66, 0.62)),
-                             "grain", (0.004, 0.010), (0.15, 0.35)),
-    "rubber": MaterialClass((1e6, 1e7), ((0.04, 0.04, 0.045), (0.12, 0.11, 0.11), (0.40, 0.20, 0.07),
-                                         (0.72, 0.71, 0.66)),
-                            "plain", (0.010, 0.020), (0.00, 0.06)),
-    "plastic": MaterialClass((3e6, 1e7), ((0.78, 0.78, 0.80), (0.70, 0.08, 0.06), (0.06, 0.20, 0.55),
-                                          (0.03, 0.03, 0.03)),
-                             "plain", (0.010, 0.020), (0.00, 0.03)),
-}
+CLASSES: dict[str, MaterialClass] = table("shoe_classes", MaterialClass)
 """Classes whose typical colours and textures both depend on the material."""
 
 COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55),

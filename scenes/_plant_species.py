@@ -1,4 +1,5 @@
-"""Species-like presets of plants, and the allowed range of every parameter. A new plant is a new row of `SPECIES`.
+"""Species-like presets of plants, and the allowed range of every parameter. A new plant is a new table of
+`tables/plant_species.toml`.
 
 Sizes and materials are chosen to differ as those of artificial and potted plants do; they are not measured on any
 species.
@@ -12,6 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from vsfsim.core.table import between
+from vsfsim.scenes import table
 
 REGIONS = ("trunk", "branch", "petiole", "leaf")
 TRUNK, BRANCH, PETIOLE, LEAF = range(4)
@@ -97,51 +99,7 @@ class Species:
     """Radius and height of the pot [m]."""
 
 
-_BROWN, _GREY, _TAN, _CANE = (0.19, 0.10, 0.05), (0.25, 0.23, 0.20), (0.38, 0.27, 0.15), (0.34, 0.36, 0.12)
-_DARK, _MID, _LIGHT = (0.04, 0.16, 0.03), (0.08, 0.28, 0.05), (0.20, 0.42, 0.08)
-_OLIVE, _BLUE = (0.22, 0.27, 0.14), (0.08, 0.22, 0.14)
-
-SPECIES: dict[str, Species] = {
-    "orange-tree": Species(0.55, 1, 0.0, 0.05, 0.009, 0.5, 0.0,
-                           (Level(6, 0.4, 1.0, 0.9, 0.45, 0.6), Level(2, 0.4, 1.0, 0.8, 0.5, 0.6)),
-                           Leaves(3, 0.3, 0.9, (0.015, 0.0010), (0.07, 0.035, 0.0004)), (2e9, 1e10), (5e8, 3e9),
-                           (1e7, 1e8), (3e6, 3e7), _BROWN, _DARK, "grain", (0.09, 0.14)),
-    "olive": Species(0.60, 1, 0.0, 0.15, 0.010, 0.4, 0.0, (Level(7, 0.35, 1.0, 0.8, 0.5, 0.45),
-                                                           Level(2, 0.3, 0.9, 0.6, 0.45, 0.6)),
-                     Leaves(4, 0.2, 0.7, (0.006, 0.0007), (0.05, 0.011, 0.0005)), (3e9, 1e10), (8e8, 5e9), (2e7, 1e8),
-                     (1e7, 5e7), _GREY, _OLIVE, "grain", (0.08, 0.12)),
-    "weeping-fig": Species(0.70, 1, 0.0, 0.05, 0.008, 0.4, 0.0, (Level(8, 0.3, 1.0, 1.0, 0.45, 0.5, 0.4, 3.0),),
-                           Leaves(5, 0.25, 0.7, (0.02, 0.0008), (0.07, 0.03, 0.0003), 5.0), (1e9, 6e9), (1e8, 1e9),
-                           (5e6, 5e7), (2e6, 2e7), _TAN, _MID, "stripes", (0.10, 0.15)),
-    "rubber-plant": Species(0.60, 1, 0.0, 0.04, 0.008, 0.6, 0.0, (),
-                            Leaves(13, 0.2, 0.9, (0.05, 0.0022), (0.19, 0.10, 0.0009), 3.0), (5e8, 3e9), (3e8, 1e9),
-                            (2e7, 1e8), (1e7, 6e7), _BROWN, _DARK, "grain", (0.10, 0.16)),
-    "monstera": Species(0.12, 1, 0.0, 0.05, 0.013, 0.8, 0.0, (Level(9, 0.2, 1.0, 0.7, 3.2, 0.36, 0.6, 2.0),),
-                        Leaves(1, 1.0, 0.7, (0.02, 0.0025), (0.20, 0.18, 0.0008), 4.0), (3e8, 1e9), (1e8, 6e8),
-                        (1e7, 6e7), (5e6, 3e7), _CANE, _MID, "plain", (0.11, 0.16)),
-    "dracaena": Species(0.50, 1, 0.0, 0.06, 0.013, 0.8, 0.0, (),
-                        Leaves(26, 0.72, 0.8, (0.0, 0.0), (0.27, 0.028, 0.0010), 4.0), (8e8, 4e9), (5e8, 2e9),
-                        (5e7, 1e8), (2e7, 9e7), _TAN, _MID, "stripes", (0.10, 0.15)),
-    "areca-palm": Species(0.20, 4, 0.03, 0.25, 0.006, 0.8, 0.0, (Level(2, 0.7, 1.0, 0.35, 2.2, 0.6, 0.4, 2.5),),
-                          Leaves(8, 0.25, 0.8, (0.004, 0.0009), (0.14, 0.016, 0.0004), 3.0), (5e8, 3e9), (2e8, 1e9),
-                          (1e7, 1e8), (5e6, 5e7), _CANE, _LIGHT, "stripes", (0.11, 0.16)),
-    "snake-plant": Species(0.02, 10, 0.045, 0.18, 0.012, 0.9, 0.0, (),
-                           Leaves(1, 1.0, 0.02, (0.0, 0.0), (0.40, 0.05, 0.0035), 0.3), (3e8, 1e9), (3e8, 1e9),
-                           (1e8, 2e8), (3e7, 2e8), _CANE, _BLUE, "stripes", (0.10, 0.14)),
-    "bamboo": Species(0.90, 4, 0.03, 0.10, 0.006, 0.6, 0.0, (Level(4, 0.35, 1.0, 0.7, 0.22, 0.4, 0.5, 1.0),),
-                      Leaves(4, 0.3, 0.6, (0.004, 0.0007), (0.09, 0.012, 0.0003), 3.0), (4e9, 1e10), (1e9, 4e9),
-                      (1e7, 1e8), (5e6, 5e7), _CANE, _LIGHT, "plain", (0.10, 0.16)),
-    "umbrella-tree": Species(0.45, 2, 0.02, 0.15, 0.008, 0.6, 0.0, (Level(6, 0.4, 1.0, 0.9, 0.5, 0.35, 0.7, 1.5),),
-                             Leaves(6, 0.98, 1.1, (0.012, 0.0009), (0.09, 0.035, 0.0005), 2.0), (5e8, 3e9), (1e8, 8e8),
-                             (1e7, 6e7), (5e6, 4e7), _GREY, _MID, "noise", (0.10, 0.14)),
-    "rosemary": Species(0.34, 10, 0.05, 0.35, 0.0032, 0.4, 0.0, (Level(2, 0.3, 0.8, 0.5, 0.5, 0.7),),
-                        Leaves(5, 0.2, 0.7, (0.0, 0.0), (0.026, 0.004, 0.0006), 0.0), (1e9, 6e9), (3e8, 2e9),
-                        (5e7, 1e8), (2e7, 9e7), _BROWN, _BLUE, "grain", (0.09, 0.12)),
-    "bonsai-pine": Species(0.28, 1, 0.0, 0.3, 0.016, 0.35, 0.0,
-                           (Level(6, 0.35, 1.0, 1.2, 0.6, 0.4, 0.5, -1.5), Level(3, 0.4, 1.0, 0.6, 0.4, 0.5)),
-                           Leaves(5, 0.6, 0.8, (0.0, 0.0), (0.035, 0.004, 0.0007), 0.0), (3e9, 1e10), (1e9, 5e9),
-                           (5e7, 1e8), (3e7, 1e8), _BROWN, _DARK, "grain", (0.12, 0.09)),
-}
+SPECIES: dict[str, Species] = table("plant_species", Species)
 
 
 @dataclass(frozen=True)

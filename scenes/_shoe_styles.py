@@ -1,4 +1,5 @@
-"""Styles of shoe, and the allowed range of every parameter. A new shoe is a new row of `STYLES`."""
+"""Styles of shoe, and the allowed range of every parameter. A new shoe is a new table of
+`tables/shoe_styles.toml`."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from vsfsim.core.table import between, typed, value
+from vsfsim.scenes import table
 
 REGIONS = ("sole", "toe_cap", "upper", "tongue", "heel_counter")
 
@@ -66,24 +68,7 @@ class Style:
     """Material classes that each region may be made of."""
 
 
-STYLES: dict[str, Style] = {
-    "sneaker": Style(
-        ShoeForm(0.265, 0.100, 0.070, 0.072, 0.098, 0.056, 0.024, 0.018, 0.0065, 0.44, 0.006, 0.000, 0.003, 0.006),
-        {"sole": ("rubber",), "toe_cap": ("rubber", "leather"), "upper": ("nylon", "leather", "suede"),
-         "tongue": ("foam", "padding"), "heel_counter": ("leather", "plastic")}),
-    "boot": Style(
-        ShoeForm(0.280, 0.102, 0.076, 0.112, 0.120, 0.062, 0.028, 0.020, 0.0075, 0.40, 0.008, 0.005, 0.002, 0.005),
-        {"sole": ("rubber",), "toe_cap": ("leather", "plastic"), "upper": ("leather", "suede"),
-         "tongue": ("foam", "padding"), "heel_counter": ("leather", "plastic")}),
-    "runner": Style(
-        ShoeForm(0.270, 0.098, 0.072, 0.070, 0.094, 0.054, 0.028, 0.020, 0.0060, 0.43, 0.013, 0.002, 0.005, 0.007),
-        {"sole": ("rubber",), "toe_cap": ("suede", "plastic"), "upper": ("mesh", "nylon"),
-         "tongue": ("foam", "padding"), "heel_counter": ("plastic",)}),
-    "slipper": Style(
-        ShoeForm(0.255, 0.096, 0.074, 0.054, 0.078, 0.053, 0.014, 0.013, 0.0070, 0.48, 0.002, 0.000, 0.001, 0.003),
-        {"sole": ("rubber", "plastic"), "toe_cap": ("suede", "nylon"), "upper": ("suede", "mesh"),
-         "tongue": ("foam", "padding"), "heel_counter": ("suede", "leather")}),
-}
+STYLES: dict[str, Style] = table("shoe_styles", Style)
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ HEAVY = {
     "active": {"numpy", "gymnasium"},
     "papers": {"numpy", "scipy", "typer"},
     "baselines": {"numpy", "scipy", "torch"},
-    "scenes": {"numpy"},
+    "scenes": {"numpy", "msgspec"},
     "tasks": set(),
     "leaderboard": set(),
     "cli": {"typer"},

@@ -22,7 +22,8 @@ from packaging.requirements import Requirement
 from vsfsim.core.extras import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml"),
+FOLDERS = {"scenes": ("*.toml", "*.py", "tables/*.toml"),
+           "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml"),
            "baselines": ("*.toml", "**/*.py"),
            "leaderboard": ("*.toml", "**/*.json", "**/*.md", "*.py")}
 METHODS = {"gaussian", "gaussian-zero", "point-vsf"}

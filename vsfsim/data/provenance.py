@@ -46,10 +46,10 @@ def commit() -> str | None:
 
 
 def code_sha256(root: Path) -> str:
-    """sha256 of the names and contents of the Python and TOML files of a checkout's code, or of an installed copy's."""
+    """sha256 of the names and contents of the .py, .toml and .xml files of a checkout's code or an installed copy."""
     places = {name: path for name in _CODE for path in (root / name, root / "vsfsim" / name) if path.is_dir()}
     files = {f"{name}/{path.relative_to(folder)}": path for name, folder in places.items()
-             for path in folder.rglob("*") if path.suffix in (".py", ".toml")
+             for path in folder.rglob("*") if path.suffix in (".py", ".toml", ".xml")
              and (name != "vsfsim" or path.relative_to(folder).parts[0] not in (*_CODE, "leaderboard"))}
     return files_sha256(files)
 
