@@ -2,19 +2,13 @@
 
 from collections import Counter
 
+from texts import text
+
 from vsfsim.bench.mock import mock_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 
-TASK = """
-name = "toy-v1"
-description = "A toy."
-dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "linear" }
-protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 2, query = 4, seed = 0 }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }
-metrics = { primary = "rmse", ranking_shot = 5 }
-"""
+TASK = text("toy-v1")
 
 
 def write(folder, views, scene_text="mock", seed=0):

@@ -11,27 +11,12 @@ from pathlib import Path
 
 import pytest
 from mock_dataset import TASK, written
-from small_scenes import CAMERA, TWO_OBJECTS
+from texts import text
 
 HERE = Path(__file__).parent
-BOX = """
-name = "box"
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.015
-young_modulus = 1e5
-tier = "linear"
-[probe]
-shape = { sphere = 0.02 }
-[press]
-from = [0.0, 0.0, 0.05]
-to = [0.0, 0.0, 0.048]
-frames = 2
-[touches]
-count = 2
-depth = 0.003
-frames = { free = 1, in = 1, hold = 0, out = 0 }
-""" + CAMERA + TWO_OBJECTS
+PATH = "[press]\npath = [[0.0, 0.0, 0.05], [0.0, 0.0, 0.048]]\nframes = 2\n"
+BOX = text("small", ("[touches]", PATH + "[touches]"), ("[probe]", 'tier = "linear"\n[probe]'), needs=None,
+           name='"box"', young_modulus="1e5", resolution=0.015)
 FLAT = "v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0\nf 1 2 3\nf 1 3 4\n"
 PRESS, GENERATE = ("press", "box.toml"), ("generate", "box.toml", "--out", "out")
 MESH = ('box = [0.06, 0.06, 0.03]', 'mesh = "flat.obj"')

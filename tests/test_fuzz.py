@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mock_dataset import TASK, written
+from mock_dataset import written
+from texts import text
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.task import parse_task
@@ -20,11 +21,9 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("fuzz")
     dataset = written(out / "toy", test=1, touches=2)
     np.savez(out / "predictions.npz", **{"a/0/0/000": np.zeros((12, 1)), "b/5/1/011": np.ones((12, 1))})
-    text = TASK
-    for old, new in (("objects = 3", "objects = 2"), ("touches = 12", "touches = 2"), ("query = 4", "query = 1"),
-                     ("[0, 1, 5]", "[0, 1]"), ("ranking_shot = 5", "ranking_shot = 1")):
-        text = text.replace(old, new)
-    task = parse_task(text, "toy-v1.toml")
+    task = parse_task(text("toy-v1", ("objects = 3", "objects = 2"), ("touches = 12", "touches = 2"),
+                           ("query = 4", "query = 1"), ("[0, 1, 5]", "[0, 1]"),
+                           ("ranking_shot = 5", "ranking_shot = 1")), "toy-v1.toml")
     evaluate("contact-points", task, dataset, check=False).save(out / "result.json")
     shipped = shelf.folder("leaderboard") / "inclusion-mini-v3.json"
     (out / "board.json").write_bytes(shipped.read_bytes())

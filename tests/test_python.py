@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 from mock_dataset import TASK, written
+from texts import text
 
 import vsfsim
 from vsfsim.core.errors import DatasetError, MethodError
@@ -17,20 +18,6 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.dataset import Dataset
 
 FILES = {"json", "plot", "picture", "gif", "save", "every"}
-SMALL = """
-[object]
-shape = { box = [0.06, 0.04, 0.03] }
-resolution = 0.02
-young_modulus = 1e4
-[probe]
-shape = { sphere = 0.01 }
-[press]
-from = [0.005, 0.0, 0.041]
-to = [0.005, 0.0, 0.039]
-frames = 2
-"""
-
-
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory):
     """The folder of a dataset of three mock objects, the first for training."""
@@ -194,7 +181,8 @@ def test_a_class_of_a_notebook_is_refused(toy, tmp_path):
 
 
 def test_a_press_gives_what_the_command_prints(tmp_path, vsfsim_command):
-    (tmp_path / "small.toml").write_text(SMALL)
+    path = "{ path = [[0.005, 0.0, 0.041], [0.005, 0.0, 0.039]], frames = 2 }"
+    (tmp_path / "small.toml").write_text(text("block", press=path, young_modulus=1e4))
     made = vsfsim.press(tmp_path / "small.toml", tier="linear", progress=lambda *_: None)
     out = vsfsim_command("press", "small.toml", "--tier", "linear", "--json", "-", cwd=tmp_path)
     told = json.loads(out.stdout)

@@ -5,6 +5,7 @@ import os
 
 import mock_dataset
 import pytest
+from texts import text
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation.process import MethodHost
@@ -13,14 +14,7 @@ from vsfsim.bench.result_file import unpack
 from vsfsim.bench.task import parse_task
 from vsfsim.bench.trials.answers import Reader, asked_of, run_trial
 
-TASK = mock_dataset.TASK.replace("seeds = 2", "seeds = 3") + """[[paper]]
-method = "somebody"
-source = "a paper"
-unit = "hPa"
-comparable = false
-values = { 0 = [1.0, 0.1], all = 0.5 }
-"""
-
+TASK = text("toy-v1", ("seeds = 2", "seeds = 3"))
 
 # Methods of these tests report into files, which a container does not show; `test_sandbox.py` has the containers.
 os.environ.setdefault("VSFSIM_SANDBOX", "process")
@@ -34,12 +28,7 @@ def task_text():
 @pytest.fixture(scope="session")
 def folded_text():
     """The text of the same task with four objects and cross-validation over them."""
-    text = TASK
-    for old, new in {'train = "train", test = "test", ': "folds = 2, draws = 2, trainings = 2, ", "seeds = 3, ": "",
-                     "objects = 3": "objects = 4", '"rmse"': '"rmse_ratio"'}.items():
-        assert old in text
-        text = text.replace(old, new)
-    return text
+    return text("folded-v1")
 
 
 @pytest.fixture(scope="session")

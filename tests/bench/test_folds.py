@@ -115,13 +115,6 @@ def test_a_standard_error_over_objects_has_n_minus_one_and_a_value_is_of_its_sho
     assert by_object(result, "mask_f1", "all") == {"a": 0.9} and by_object(result, "mask_f1", "0") == {}
 
 
-@pytest.mark.parametrize(("old", "new"), [
-    ("folds = 2, ", ""), ("folds = 2", "folds = 2, seeds = 3"), ("folds = 2", "folds = 1"), ("draws = 2, ", "")])
-def test_a_wrong_protocol_is_refused(folded_text, old, new):
-    with pytest.raises(TaskError, match="cross-validation"):
-        parse_task(folded_text.replace(old, new), "toy-v1.toml")
-
-
 def test_more_draws_than_the_task_has_are_refused(folded, dataset):
     with pytest.raises(TaskError, match="has 2 of each training"):
         evaluate("toy_methods:Constant", folded, dataset, seeds=3, check=False)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import texts
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.inclusions import Columns, Inclusions, mesh_of, reached_in
@@ -17,25 +18,11 @@ from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.material import Inclusion
 
-SCENE = """
-name = "mock"
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-pose = [0.01, 0.0, 0.0]
-yaw = { uniform = [-3.0, 3.0] }
-[object.young_modulus]
-base = 1e5
-[object.young_modulus.inclusions]
-choice = [ [
-  { capsule = [-0.01, 0.0, 0.022, 0.012, 0.0, 0.022, 0.005], value = 1e7 },
-  { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 },
-] ]
-"""
-
 
 @pytest.fixture(scope="module")
 def dataset(write_dataset):
-    return write_dataset([mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)], SCENE, 3)
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+    return write_dataset(views, texts.text("hidden"), 3)
 
 
 def of(task_text, primary):
@@ -153,8 +140,7 @@ def test_meshes_of_the_parts_are_closed_and_wound_outwards(kind, numbers, volume
 
 
 def test_a_scene_without_inclusions_is_refused(dataset):
-    text = SCENE[:SCENE.index("[object.young")].replace("[object]", "[object]\nyoung_modulus = 1e5")
-    plain = dataclasses.replace(dataset.recipe, scene_text=text)
+    plain = dataclasses.replace(dataset.recipe, scene_text=texts.text("block"))
     with pytest.raises(TaskError, match="no inclusions"):
         Inclusions.of(plain, dataset.load(dataset.names("test")[0]))
 

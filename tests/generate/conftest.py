@@ -1,5 +1,8 @@
 import pytest
+import texts
 
+from vsfsim.core.scene import load_scene
+from vsfsim.generate.run import generate
 from vsfsim.generate.workers import make_one
 
 
@@ -12,3 +15,24 @@ def here(monkeypatch):
             yield job.name
 
     monkeypatch.setattr("vsfsim.generate.on_solids.make_each", make_each)
+
+
+@pytest.fixture(scope="session")
+def loaded(tmp_path_factory):
+    """Loads a scene of `tests/texts`, changed, from a file of its own."""
+    def load(name, /, *pairs, **values):
+        path = tmp_path_factory.mktemp(name) / f"{name}.toml"
+        path.write_text(texts.text(name, *pairs, **values))
+        return load_scene(path)
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def generated(loaded):
+    """Makes the dataset of such a scene in this process."""
+    def make(*scene, **values):
+        found = loaded(*scene, **values)
+        return generate(found, found.path.parent / "data", workers=1)
+
+    return make

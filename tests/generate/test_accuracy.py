@@ -5,35 +5,21 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import BLOCK, CAMERA
 from test_tradeoff import Imagined
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
 from vsfsim.core.errors import SceneError, VsfsimError
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.manifest import audit_error, broken, observed
 from vsfsim.data.verify import verify
 from vsfsim.generate import run
 from vsfsim.generate.trade import buy
 
-SCENE = 'name = "small"' + BLOCK + """
-[touches]
-count = 2
-depth = 0.004
-approach = 0.004
-frames = { free = 1, in = 1, hold = 0, out = 0 }
-""" + CAMERA + """
-[dataset]
-objects = 2
-splits = { train = 2 }
-"""
-
 
 @pytest.fixture
-def scene(tmp_path):
-    return parse_scene(SCENE, tmp_path / "small.toml")
+def scene(loaded):
+    return loaded("small")
 
 
 def test_the_cheapest_setting_that_keeps_it_is_chosen_once(scene, tmp_path, monkeypatch):

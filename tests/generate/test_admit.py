@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from texts import changed
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
@@ -19,12 +20,8 @@ from vsfsim.generate.recipe import make_recipe
 
 @pytest.fixture
 def job(tmp_path):
-    text = find_scene("plants-v4-mini").read_text()
-    for old, new in (("wood_segments = 120", "wood_segments = 30"), ("leaf_segments = 300", "leaf_segments = 30"),
-                     ('plant = "by-object"', 'plant = "boxwood"')):
-        assert old in text
-        text = text.replace(old, new)
-    loaded = parse_scene(text, find_scene("plants-v4-mini"))
+    path = find_scene("plants-v4-mini")
+    loaded = parse_scene(changed(path.read_text(), wood_segments=30, leaf_segments=30, plant='"boxwood"'), path)
     recipe = make_recipe(loaded, seed=3, objects=1, views=2, touches=1)
     return jobs_of(recipe, loaded.path, tmp_path)[1]
 

@@ -4,34 +4,28 @@ import dataclasses
 
 import numpy as np
 import pytest
+from texts import text
 
-from tests.generate.test_resim import SCENE, TASK
 from vsfsim.bench import leaderboard
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene
 from vsfsim.generate.fem_map import fitted
 from vsfsim.generate.run import generate
 
-TRIED = parse_task(TASK, "sprung-v1.toml")
-COARSE = [text.replace('"linear"', '"fem-coarse"').replace("sprung", "sprung-coarse") for text in (SCENE, TASK)]
-
-
+TRIED = parse_task(text("sprung-v1"), "sprung-v1.toml")
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(generated):
     """Three objects at the tier linear."""
-    folder = tmp_path_factory.mktemp("sprung")
-    (folder / "sprung.toml").write_text(SCENE)
-    return generate(load_scene(folder / "sprung.toml"), folder / "data", workers=1)
+    return generated("sprung")
 
 
 @pytest.mark.slow
-def test_a_touch_tells_the_modulus(tmp_path):
-    (tmp_path / "sprung-coarse.toml").write_text(COARSE[0])
-    data = generate(load_scene(tmp_path / "sprung-coarse.toml"), tmp_path / "data", workers=1)
-    asked = parse_task(COARSE[1], "sprung-coarse-v1.toml")
+def test_a_touch_tells_the_modulus(loaded, tmp_path):
+    coarse = ('"linear"', '"fem-coarse"'), ("sprung", "sprung-coarse")
+    data = generate(loaded("sprung", coarse[0], ('"sprung"', '"sprung-coarse"')), tmp_path / "data", workers=1)
+    asked = parse_task(text("sprung-v1", *coarse), "sprung-coarse-v1.toml")
     result = evaluate("fem-map", asked, data, out=tmp_path / "fem-map.json")
     (row,) = leaderboard.collect(asked, [tmp_path / "fem-map.json"]).rows
     error = {shot: score.mean for shot, score in row.scores["rmse_ratio"].items()}

@@ -6,55 +6,30 @@ import signal
 import numpy as np
 import pytest
 from mock_dataset import contents
-from small_scenes import CAMERA, TWO_OBJECTS
 
 from vsfsim.core.errors import DatasetError, SceneError
-from vsfsim.core.scene import load_scene
 from vsfsim.data.streams import Stream, stream
 from vsfsim.data.verify import verify
 from vsfsim.generate.recipe import splits_for
 from vsfsim.generate.run import generate
 
-SCENE = """
-name = "tiny"
-needs = ["bulging"]
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.02
-pose = [0.01, -0.02, 0.0]
-yaw = 0.4
-poisson_ratio = 0.4
-[object.young_modulus]
-base = { loguniform = [2e4, 2e5] }
-inclusions = [ { box = [0.0, -0.03, 0.0, 0.03, 0.03, 0.03], value = 4e5 } ]
-[probe]
-shape = { sphere = 0.01 }
-[touches]
-count = 2
-depth = 0.004
-approach = 0.005
-frames = { free = 1, in = 2, hold = 0, out = 1 }
-""" + CAMERA + TWO_OBJECTS
+
+@pytest.fixture(scope="module")
+def scene(loaded):
+    return loaded("tiny")
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "tiny.toml"
-    path.write_text(SCENE)
-    return load_scene(path)
-
-
-@pytest.fixture(scope="module")
-def made(scene, tmp_path_factory):
+def made(generated):
     """The dataset made without a break by one worker, in this process' call."""
-    return generate(scene, tmp_path_factory.mktemp("data") / "one", workers=1)
+    return generated("tiny")
 
 
 def test_it_is_whole_and_verifies(made, scene):
     report = verify(made.path)
     assert report.ok, report.text()
     assert report.files == 2 and report.touches == 4 and report.frames == 16 and report.worst_balance <= 1e-3
-    assert made.recipe.scene_text == SCENE and made.recipe.tier == "fem-coarse" and made.recipe.seed == 0
+    assert made.recipe.scene_text == scene.text and made.recipe.tier == "fem-coarse" and made.recipe.seed == 0
     assert made.names("train") == ("tiny-0000-v0",) and made.names("test") == ("tiny-0001-v0",)
     views = list(made)
     assert [v.split for v in views] == ["train", "test"]
@@ -126,9 +101,8 @@ def test_splits_keep_their_proportions(scene):
     assert sum(splits_for(concrete, 7).values()) == 7
 
 
-def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):
-    path = tmp_path / "blocked.toml"
+def test_a_worker_that_fails_says_why_though_others_are_called_off(loaded, tmp_path):
     # from the side only the walls are seen, and a ball ten times as high as they are meets the table first
-    path.write_text(SCENE.replace("sphere = 0.01", "sphere = 0.3").replace("[camera]", "[camera]\nelevation = 0.0"))
+    blocked = loaded("tiny", ("sphere = 0.01", "sphere = 0.3"), ("[camera]", "[camera]\nelevation = 0.0"))
     with pytest.raises(SceneError, match="no target of 200 can be reached"):
-        generate(load_scene(path), tmp_path / "data", objects=5, workers=1)
+        generate(blocked, tmp_path / "data", objects=5, workers=1)

@@ -14,19 +14,17 @@ import sys
 import h5py
 import numpy as np
 import pytest
-from small_scenes import CAMERA, TWO_OBJECTS
+from texts import text
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import DatasetError, VsfsimError
-from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import Registry
 from vsfsim.data import schema
 from vsfsim.data.hdf5 import examine, read_view
 from vsfsim.data.verify import verify
-from vsfsim.generate.run import generate
 from vsfsim.press.command import press
 
 READING = '''
@@ -124,50 +122,15 @@ cell-force = cell_reading:OBSERVATION
 worst_touch = cell_reading:WORST
 """
 
-SCENE = """
-name = "weighed"
-needs = ["normal-force"]
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.03
-tier = "linear"
-young_modulus = { loguniform = [2e4, 2e5] }
-[probe]
-shape = { sphere = 0.01 }
-[sensor]
-kind = "load-cell"
-range = 2.0
-step = 0.05
-[press]
-from = [0.0, 0.0, 0.045]
-to = [0.0, 0.0, 0.037]
-frames = 3
-[touches]
-count = 6
-depth = 0.004
-frames = { free = 1, in = 3, hold = 0, out = 0 }
-""" + CAMERA + TWO_OBJECTS
-
-TASK = """
-name = "weighed-v1"
-description = "Predict what the load cell reads."
-dataset = { folder = "weighed", scene = "weighed", seed = 0, objects = 2, views = 1, touches = 6, tier = "linear" }
-protocol = { train = "train", test = "test", shots = [0, 3], seeds = 2, query = 2, seed = 0, unresolved = "scored" }
-observation = { kind = "cell-force" }
-noise = { force_std = 0.01, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
-metrics = { primary = "rmse", ranking_shot = 3 }
-"""
-
-
 @pytest.fixture(scope="module")
 def load_cell(tmp_path_factory):
     """The package, as an installer leaves it in a folder of the path, and its effector's module."""
     folder = tmp_path_factory.mktemp("site")
     (folder / "load_cell-1.0.dist-info").mkdir()
-    for name, text in (("load_cell.py", LOAD_CELL), ("cell_reading.py", READING),
+    for name, content in (("load_cell.py", LOAD_CELL), ("cell_reading.py", READING),
                        ("load_cell-1.0.dist-info/METADATA", "Name: load-cell\nVersion: 1.0\n"),
                        ("load_cell-1.0.dist-info/entry_points.txt", ENTRIES)):
-        (folder / name).write_text(text)
+        (folder / name).write_text(content)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)  # processes that are spawned have the same path
         patch.setattr(schema, "FIELDS", [*schema.FIELDS])
@@ -179,10 +142,8 @@ def load_cell(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(load_cell, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("weighed")
-    (folder / "weighed.toml").write_text(SCENE)
-    return generate(load_scene(folder / "weighed.toml"), folder / "data", workers=1)
+def made(load_cell, generated):
+    return generated("weighed")
 
 
 def test_a_dataset_has_what_the_sensor_reads(made):
@@ -202,7 +163,7 @@ def test_a_dataset_has_what_the_sensor_reads(made):
 
 
 def test_methods_are_scored_on_it(made):
-    task = parse_task(TASK, "weighed-v1.toml")
+    task = parse_task(text("weighed-v1"), "weighed-v1.toml")
     results = {name: evaluate(name, task, made, check=False) for name in ("gaussian", "point-vsf")}
     for result in results.values():
         assert result.scores["rmse_ratio"]["3"].mean < 0.9, "of predicting nothing"
@@ -216,7 +177,7 @@ def test_the_dataset_is_read_and_verified_without_the_package(made):
     code = (f"import vsfsim; from vsfsim.data.verify import verify; report = verify({str(made.path)!r});"
             f"assert report.ok, report.text(); view = vsfsim.load({str(made.path)!r})[0];"
             f"print(view.touches[0].channels['cell_force'].tolist());"
-            f"from vsfsim.bench.task import parse_task; parse_task({TASK!r}, 'weighed-v1.toml')")
+            f"from vsfsim.bench.task import parse_task; parse_task({text('weighed-v1')!r}, 'weighed-v1.toml')")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert json.loads(out.stdout) == made[0].touches[0].channels["cell_force"].tolist(), out.stderr
     assert "observation 'cell-force' is unknown" in out.stderr and "once that is installed" in out.stderr
@@ -256,7 +217,7 @@ def test_a_row_that_cannot_be_loaded_is_named(monkeypatch):
 
 
 def test_it_is_pressed_printed_drawn_and_saved(load_cell, tmp_path):
-    (tmp_path / "weighed.toml").write_text(SCENE)
+    (tmp_path / "weighed.toml").write_text(text("weighed"))
     made = press(tmp_path / "weighed.toml")
     made.plot(tmp_path / "p.png")
     made.picture(tmp_path / "q.png")

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from texts import changed
 
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
@@ -21,13 +22,9 @@ from vsfsim.generate.recipe import make_recipe
 
 @pytest.fixture(scope="module")
 def scene_file():
-    text = find_scene("plants-mini").read_text()
-    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"),
-                     ("in = 64, hold = 2, out = 14", "in = 14, hold = 1, out = 4"),
-                     ("width = 480\nheight = 432", "width = 120\nheight = 108")):
-        assert old in text
-        text = text.replace(old, new)
-    return parse_scene(text, find_scene("plants-mini"))
+    path = find_scene("plants-mini")
+    return parse_scene(changed(path.read_text(), ('species = { choice', 'species = "rubber-plant" #'), max_segments=50,
+                               frames="{ free = 5, in = 14, hold = 1, out = 4 }", width=120, height=108), path)
 
 
 @pytest.fixture(scope="module")

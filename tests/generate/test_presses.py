@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import CAMERA, SPRUNG
+from texts import text
 
 from vsfsim.baselines.near_springs import NearSprings
 from vsfsim.bench import predictions
@@ -13,69 +13,26 @@ from vsfsim.bench.commands.inspect_result import by_kind
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record, specimen
 from vsfsim.bench.task import load_task, parse_task
-from vsfsim.core.errors import DatasetError, SceneError
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.errors import DatasetError
+from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Cylinder, Sphere
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import encode_view, read_view
 from vsfsim.generate.effectors.probe import EFFECTOR
 from vsfsim.generate.job import jobs_of
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.run import generate
 
-SCENE = """
-name = "kinds"
-needs = ["normal-force"]
-[object]
-shape = { cylinder = [0.03, 0.06] }
-""" + SPRUNG + """
-[touches]
-count = 8
-depth_range = [0.003, 0.005]
-tilt = 0.3
-frames = { free = 1, in = 2, hold = 0, out = 0 }
-[[touches.other]]
-shape = { cylinder = [0.008, 0.02] }
-depth = 0.002
-tilt = 0.0
-[[touches.other]]
-level = true
-tilt = 0.0
-""" + CAMERA + """
-[dataset]
-objects = 2
-splits = { test = 2 }
-"""
-TASK = """
-name = "kinds-v1"
-description = "Predict other presses."
-dataset = { folder = "kinds", scene = "kinds", seed = 0, objects = 2, views = 1, touches = 8, tier = "linear" }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.15, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
-metrics = { primary = "rmse_ratio", ranking_shot = 1 }
-[protocol]
-folds = 2
-shots = [0, 1]
-draws = 2
-trainings = 1
-query = 3
-transfer = true
-seed = 0
-unresolved = "scored"
-"""
 PUNCH = Cylinder(0.008, 0.02)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("kinds")
-    (folder / "kinds.toml").write_text(SCENE)
-    return generate(load_scene(folder / "kinds.toml"), folder / "data", workers=1)
+def made(generated):
+    return generated("kinds")
 
 
 @pytest.fixture(scope="module")
 def task():
-    return parse_task(TASK, "kinds-v1.toml")
+    return parse_task(text("kinds-v1"), "kinds-v1.toml")
 
 
 def test_every_second_touch_is_another_press_in_turn(made):
@@ -97,8 +54,8 @@ def test_every_second_touch_is_another_press_in_turn(made):
 
 def test_the_scenes_own_touches_are_those_of_the_scene_without_others(made, tmp_path):
     """So that a transfer task has the objects and the pictures of the task that it belongs to."""
-    text = SCENE[:SCENE.index("[[touches.other]]")] + SCENE[SCENE.index("[camera]"):]
-    (tmp_path / "kinds.toml").write_text(text)
+    whole = text("kinds")
+    (tmp_path / "kinds.toml").write_text(whole[:whole.index("[[touches.other]]")] + whole[whole.index("[camera]"):])
     job = jobs_of(make_recipe(load_scene(tmp_path / "kinds.toml")), tmp_path / "kinds.toml", tmp_path)[0]
     plain = EFFECTOR.make_view(job, device="cpu")
     view = made.load("kinds-0000-v0")
@@ -133,7 +90,7 @@ def test_the_true_object_answers_other_presses_and_a_method_sees_what_presses(ma
 
 
 def test_errors_are_told_by_what_presses(made, task, tmp_path, monkeypatch):
-    (tmp_path / "kinds.toml").write_text(SCENE)
+    (tmp_path / "kinds.toml").write_text(text("kinds"))
     monkeypatch.setattr("vsfsim.core.shelf.scenes", lambda: {"kinds": tmp_path / "kinds.toml"})
     answers = {key: np.zeros((len(action.time), 1)) for q in predictions.questions(task, made)
                for key, action in zip(q.keys, q.actions)}
@@ -153,18 +110,6 @@ def test_a_file_holds_the_shapes_and_refuses_a_press_without_one(made, tmp_path)
     (tmp_path / "b.h5").write_bytes(encode_view(dataclasses.replace(view, others=view.others[:1])))
     with pytest.raises(DatasetError, match="touches/003/press is 2, but attribute 'probe' has 2 shapes"):
         read_view(tmp_path / "b.h5")
-
-
-@pytest.mark.parametrize("old, new, message", [
-    ("level = true", "levle = true", "levle"),
-    ("cylinder = [0.008, 0.02]", 'mesh = "tip.stl"', "shape is .*a touch of a dataset is made with a simple shape"),
-    ("depth = 0.002", "depth = 0.0", "depth"),
-    ("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0", '[sensor]\nkind = "bubble"',
-     "other is not for a scene that is touched by 'bubble'"),
-])
-def test_what_no_press_can_be_is_refused(old, new, message):
-    with pytest.raises(SceneError, match=message):
-        parse_scene(SCENE.replace(old, new), "kinds.toml")
 
 
 @pytest.mark.parametrize("name", ["transfer-shoes-mini-v1", "transfer-shoes-v1"])

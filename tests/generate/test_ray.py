@@ -5,10 +5,8 @@ import time
 
 import pytest
 from mock_dataset import contents
-from test_generate import SCENE
 
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.scene import load_scene
 from vsfsim.core.system import engines
 from vsfsim.core.system.engines import Fan
 from vsfsim.generate.run import generate
@@ -19,10 +17,8 @@ OBJECTS = 6
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "tiny.toml"
-    path.write_text(SCENE.replace("count = 2", "count = 1"))
-    return load_scene(path)
+def scene(loaded):
+    return loaded("tiny", count=1)
 
 
 @pytest.fixture(scope="module")

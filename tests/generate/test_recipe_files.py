@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 import trimesh
-from small_scenes import CAMERA, TWO_OBJECTS
+from texts import text
 
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import load_scene
@@ -14,24 +14,10 @@ from vsfsim.generate import workers
 from vsfsim.generate.recipe import files_of, make_recipe
 from vsfsim.generate.run import generate
 
-SCENE = """
-[object]
-shape = { mesh = "thing.stl" }
-resolution = 0.03
-tier = "linear"
-young_modulus = 5e4
-[probe]
-shape = { sphere = 0.01 }
-[touches]
-count = 1
-depth = 0.003
-frames = { free = 1, in = 2, hold = 0, out = 0 }
-""" + CAMERA + TWO_OBJECTS
-
 
 @pytest.fixture
 def scene(tmp_path):
-    (tmp_path / "named.toml").write_text(SCENE)
+    (tmp_path / "named.toml").write_text(text("named"))
     trimesh.creation.box((0.06, 0.06, 0.06)).export(tmp_path / "thing.stl")
     return load_scene(tmp_path / "named.toml")
 
@@ -79,8 +65,7 @@ def test_a_mesh_that_is_replaced_while_the_dataset_is_made_is_told(scene, tmp_pa
 
 
 def test_a_mesh_of_an_obstacle_counts_too_and_a_scene_without_files_has_none(scene, tmp_path):
-    text = SCENE.replace('{ mesh = "thing.stl" }', "{ box = [0.06, 0.06, 0.03] }")
-    (tmp_path / "plain.toml").write_text(text)
+    (tmp_path / "plain.toml").write_text(text("named", ('mesh = "thing.stl"', "box = [0.06, 0.06, 0.03]")))
     plain = make_recipe(load_scene(tmp_path / "plain.toml"))
     assert plain.files == {} and "files" not in plain.table()
     tree = dataclasses.replace(scene, tree={"obstacles": [{"shape": {"mesh": str(tmp_path / "thing.stl")}}]})

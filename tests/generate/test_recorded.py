@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from texts import text
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
@@ -28,15 +29,14 @@ from vsfsim.vsf.sticking import stick
 
 pytest.importorskip("yaml")
 
-TASK = """
-name = "recorded-v1"
-description = "Predict what was read of real objects."
-dataset = {{ folder = "recorded", scene = "real", seed = 0, objects = 4, views = 1, touches = 4 }}
-protocol = {{ folds = 2, shots = [0, 2], draws = 1, trainings = 1, query = 2, seed = 0 }}
-observation = {{ kind = "{kind}" }}
-noise = {{ force_std = 0.0, tare_frames = 0, seed = 0 }}
-metrics = {{ primary = "rmse_ratio", ranking_shot = 2 }}
-"""
+def task_of(kind, tmp_path):
+    """The task of predicting readings of this kind."""
+    (tmp_path / "task.toml").write_text(text(
+        "sprung-v1", name='"recorded-v1"', observation=f'{{ kind = "{kind}" }}',
+        dataset='{ folder = "recorded", scene = "real", seed = 0, objects = 4, views = 1, touches = 4 }',
+        protocol="{ folds = 2, shots = [0, 2], draws = 1, trainings = 1, query = 2, seed = 0 }",
+        noise="{ force_std = 0.0, tare_frames = 0, seed = 0 }", metrics='{ primary = "rmse_ratio", ranking_shot = 2 }'))
+    return load_task(tmp_path / "task.toml")
 
 
 def punyo(mount):
@@ -153,17 +153,15 @@ def test_pressures_of_a_bubble_become_pascals_over_the_tare(shoes):
     *itertools.product(["joint-torque", "pressure"], ["point-vsf", "sbml"]), ("pressure", "surface-gp")])
 def test_methods_are_scored_on_recordings(plants, shoes, tmp_path, kind, method):
     dataset = plants[2] if kind == "joint-torque" else shoes[3]
-    (tmp_path / "task.toml").write_text(TASK.format(kind=kind))
-    task = load_task(tmp_path / "task.toml")
+    task = task_of(kind, tmp_path)
     found = evaluate(method, task, open_dataset(task, dataset.path), check=False)
     assert all(np.isfinite(found.scores["rmse_ratio"][shot].mean) for shot in task.protocol.labels)
     assert "stiffness_spearman" not in found.scores
 
 
 def test_a_task_of_what_was_not_read_is_refused(plants, tmp_path):
-    (tmp_path / "task.toml").write_text(TASK.format(kind="normal-force"))
     with pytest.raises(TaskError, match="has no contact force"):
-        record(plants[2][0], load_task(tmp_path / "task.toml"))
+        record(plants[2][0], task_of("normal-force", tmp_path))
 
 
 def test_a_cloud_is_read_as_it_was_written_and_becomes_a_picture(tmp_path):

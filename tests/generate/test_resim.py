@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from small_scenes import CAMERA, SPRUNG
+from texts import changed, text
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.rows import CLAIMED, is_ceiling, read_rows
@@ -16,54 +16,29 @@ from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.bench.trials.answers import load, save
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene
 from vsfsim.generate.resim import again
-from vsfsim.generate.run import generate
-
-SCENE = """
-name = "sprung"
-needs = ["normal-force"]
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-""" + SPRUNG + """
-[touches]
-count = 5
-depth = 0.004
-frames = { free = 1, in = 3, hold = 0, out = 0 }
-""" + CAMERA + """
-[dataset]
-objects = 3
-splits = { test = 3 }
-"""
-TASK = """
-name = "sprung-v1"
-description = "Predict a probe on a spring."
-dataset = { folder = "sprung", scene = "sprung", seed = 0, objects = 3, views = 1, touches = 5, tier = "linear" }
-protocol = { folds = 3, shots = [0, 1], draws = 1, trainings = 1, query = 3, seed = 0, unresolved = "scored" }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.15, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
-metrics = { primary = "rmse_ratio", ranking_shot = 1 }
-"""
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sprung")
-    (folder / "sprung.toml").write_text(SCENE)
-    return generate(load_scene(folder / "sprung.toml"), folder / "data", workers=1)
+def made(generated):
+    return generated("sprung")
 
 
 @pytest.fixture(scope="module")
-def board(made, tmp_path_factory):
+def task():
+    return parse_task(text("sprung-v1"), "sprung-v1.toml")
+
+
+@pytest.fixture(scope="module")
+def board(made, task, tmp_path_factory):
     """Of near-springs and the ceiling, whose files are in a folder."""
-    folder, task = tmp_path_factory.mktemp("board"), parse_task(TASK, "sprung-v1.toml")
+    folder = tmp_path_factory.mktemp("board")
     evaluate("near-springs", task, made, out=folder / "springs.json", sandbox="process")
     evaluate("resim", task, made, out=folder / "resim.json", keep="predictions")
     return leaderboard.collect(task, [folder]), folder
 
 
-def test_a_plan_made_again_is_the_touch(made):
-    task = parse_task(TASK, "sprung-v1.toml")
+def test_a_plan_made_again_is_the_touch(made, task):
     view = made.load(made.entries[1].name)
     plans = [query.action for query in record(view, task).queries]
     short = dataclasses.replace(plans[0], poses=plans[0].poses[:3], time=plans[0].time[:3])
@@ -108,7 +83,7 @@ def test_scores_are_a_share_of_the_possible(board, tmp_path):
 
 
 def test_the_command_finds_the_data_by_the_environment(made, tmp_path, monkeypatch, vsfsim):
-    (tmp_path / "sprung-v1.toml").write_text(TASK)
+    (tmp_path / "sprung-v1.toml").write_text(text("sprung-v1"))
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "sprung").symlink_to(made.path)
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
@@ -117,9 +92,8 @@ def test_the_command_finds_the_data_by_the_environment(made, tmp_path, monkeypat
     assert "rmse_ratio       0.000" in said.stdout and "\npredict " in said.stdout and "meta-fit" not in said.stdout
 
 
-def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, tmp_path):
+def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, task, tmp_path):
     _, folder = board
-    task = parse_task(TASK, "sprung-v1.toml")
     evaluate("resim", task, made, parameters={"tier": "fem-coarse"}, out=tmp_path / "finer.json")
     (row,) = leaderboard.collect(task, [tmp_path / "finer.json"]).rows
     assert row.mark == leaderboard.CEILING and 1e-4 < row.scores["rmse_ratio"]["1"].mean < 0.5
@@ -130,24 +104,24 @@ def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, t
     assert row.mark == CLAIMED and not is_ceiling(row.result)
 
 
-def test_a_tier_below_the_scenes_needs_can_be_asked(made):
+def test_a_tier_below_the_scenes_needs_can_be_asked(made, task):
     recipe = dataclasses.replace(made.recipe, tier="fem-coarse", scene_text=made.recipe.scene_text.replace(
         'needs = ["normal-force"]', 'needs = ["bulging"]').replace('tier = "linear"\n', ""))
     view = made.load(made.entries[0].name)
-    plan = record(view, parse_task(TASK, "sprung-v1.toml")).queries[0].action
+    plan = record(view, task).queries[0].action
     (touch,) = again(recipe, view.name, [plan], tier="linear")
     np.testing.assert_allclose(touch.force, view.touches[0].force, rtol=2e-4, atol=1e-7)
 
 
 def test_what_cannot_be_asked_again_is_refused(made):
-    text = made.recipe.scene_text.replace("[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = "
-                                          "500.0", '[arm]\nmodel = "gen3"')
+    probe = "[probe]\nshape = { sphere = 0.01 }\nmount_stiffness = 500.0"
+    arm = changed(made.recipe.scene_text, (probe, '[arm]\nmodel = "gen3"'))
     with pytest.raises(SceneError, match="its effector takes no paths"):
-        again(dataclasses.replace(made.recipe, scene_text=text), made.entries[0].name, [])
+        again(dataclasses.replace(made.recipe, scene_text=arm), made.entries[0].name, [])
 
 
-def test_a_stopped_ceiling_goes_on_where_it_was(made, tmp_path):
-    task, out = parse_task(TASK, "sprung-v1.toml"), tmp_path / "resim.json"
+def test_a_stopped_ceiling_goes_on_where_it_was(made, task, tmp_path):
+    out = tmp_path / "resim.json"
     asked = []
 
     def stop(done, of, name):

@@ -8,10 +8,8 @@ import signal
 
 import pytest
 from mock_dataset import contents
-from test_generate import SCENE
 
 from vsfsim.core.errors import DatasetError, VsfsimError
-from vsfsim.core.scene import load_scene
 from vsfsim.core.system import engines
 from vsfsim.core.system.engines import Fan, shard_of
 from vsfsim.data import lines
@@ -29,10 +27,8 @@ RECIPE = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, tou
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "tiny.toml"
-    path.write_text(SCENE.replace("count = 2", "count = 1"))
-    return load_scene(path)
+def scene(loaded):
+    return loaded("tiny", count=1)
 
 
 @pytest.fixture(scope="module")

@@ -1,14 +1,13 @@
 """Where the probe aims, and probe stiffness against a closed form."""
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from texts import scene
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box
 from vsfsim.generate.aim import aim_probe, clearance, probe_pose, surface_samples
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness
@@ -16,17 +15,8 @@ from vsfsim.physics.contact import sdf
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.04)
-SCENE = parse_scene("""
-[object]
-shape = { box = [0.06, 0.06, 0.04] }
-young_modulus = 1e5
-[probe]
-shape = { sphere = 0.01 }
-[touches]
-count = 12
-depth = 0.004
-approach = 0.005
-""", Path("t.toml")).sample(0)
+SCENE = scene("block", ("press = ", "touches = { count = 12, depth = 0.004, approach = 0.005 }\npress = "),
+              shape="{ box = [0.06, 0.06, 0.04] }", press=None).sample(0)
 
 
 @dataclasses.dataclass

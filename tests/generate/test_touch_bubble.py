@@ -5,51 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from texts import scene
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import parse_probe_shapes, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
 from vsfsim.generate import bubble_touch as touch_bubble
 from vsfsim.generate.aim import Aim, tilted
-from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.resim import again
-from vsfsim.generate.run import generate
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.robot.path import turn_to
-
-SCENE = """
-name = "felt"
-needs = ["bulging"]
-[object]
-shape = { box = [0.16, 0.14, 0.04] }
-resolution = 0.03
-poisson_ratio = 0.3
-young_modulus = { base = { loguniform = [5e4, 2e5] } }
-[sensor]
-kind = "bubble"
-nodes = 100
-fine = true
-camera = [16, 12]
-[touches]
-count = 2
-depth = 0.003
-approach = 0.005
-frames = { free = 1, in = 2, hold = 0, out = 0 }
-[camera]
-width = 64
-height = 48
-distance = 0.3
-elevation = 1.5
-fov = 0.3
-[dataset]
-objects = 1
-views = 1
-splits = { test = 1 }
-"""
 
 
 @dataclasses.dataclass
@@ -69,10 +37,8 @@ def rim_of(triangles, nodes):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("felt")
-    (folder / "felt.toml").write_text(SCENE)
-    return generate(load_scene(folder / "felt.toml"), folder / "data", workers=1).path
+def made(generated):
+    return generated("felt").path
 
 
 def test_it_verifies_and_every_frame_is_the_bubbles(made):
@@ -197,35 +163,8 @@ def test_the_force_limit_of_a_flat_wall():
 
 
 def test_the_way_out_is_over_readings_of_the_way_in():
-    spec = dataclasses.replace(parse_scene(SCENE, "felt.toml").sample(0).touches, frames=(2, 3, 1, 2))
+    spec = dataclasses.replace(scene("felt").sample(0).touches, frames=(2, 3, 1, 2))
     a = Aim(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([0, 0, 0.03]), 0.006)
     poses = touch_bubble.mount_path(spec, a)
     assert poses[:, 2, 3] == pytest.approx([0.035, 0.035, 0.028, 0.026, 0.024, 0.024, 0.026, 0.028])
     assert poses[:, :3, 2] == pytest.approx(np.tile([0.0, 0.0, -1.0], (8, 1)))
-
-
-# ------------------------------------------------------------------------------------------ what is refused
-
-
-@pytest.mark.parametrize(("old", "new", "more", "message"), [
-    ("nodes = 100", "nodes = 3001", {}, r"\[sensor\]: nodes is 3001; against an object up to 3000"),
-    ("nodes = 100", "nodes = 100", {"tier": "linear"}, "which tier 'linear' cannot show"),
-    ('["bulging"]', '["contact"]', {"tier": "linear"},
-     r"tier 'linear' cannot be touched by a \[sensor\]"),
-    ("depth = 0.003", "depth = 0.04", {}, r"\[touches\]: depth is 0.04 m, but the free dome"),
-    ("nodes = 100", "nodes = 100\ngas_volume = 1e-4", {}, "gas_volume is 100 mL"),])
-def test_what_cannot_be_touched_is_refused_before_anything_is_made(old, new, more, message):
-    with pytest.raises(SceneError, match=message):
-        make_recipe(parse_scene(SCENE.replace(old, new), "felt.toml"), **more)
-
-
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("camera = [16, 12]", "camera = [4, 12]", "from 8 to 4096"),
-    ("nodes = 100", "nodes = 100\ncontact_edge = 1e-6", r"\[sensor\]: contact_edge is 1e-06"),
-    ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
-    ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]",
-     r"this scene has \[\[obstacles\]\]"),
-])
-def test_mistakes_in_the_scene(old, new, message):
-    with pytest.raises(SceneError, match=message):
-        parse_scene(SCENE.replace(old, new), "felt.toml")

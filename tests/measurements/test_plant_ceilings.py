@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from texts import changed
 
 from measurements.plant_ceilings import (
     error,
@@ -19,15 +20,10 @@ from vsfsim.generate.plants.subject import grow
 
 def scene(folder, *, plant, yields):
     """The scene plants-v4-mini with a small plant and few frames."""
-    text = find_scene("plants-v4-mini").read_text()
-    for old, new in (('plant = "by-object"', f'plant = "{plant}"'), ("yields = true", f"yields = {yields}"),
-                     ("wood_segments = 120", "wood_segments = 60"), ("leaf_segments = 300", "leaf_segments = 80"),
-                     ("frames = { free = 5, in = 46, hold = 2, out = 0 }", "frames = { free = 1, in = 12, out = 6 }"),
-                     ("reject_below = 1.2", "reject_below = 0.0")):
-        assert old in text, old
-        text = text.replace(old, new)
     path = folder / "small.toml"
-    path.write_text(text)
+    path.write_text(changed(find_scene("plants-v4-mini").read_text(), plant=f'"{plant}"', yields=yields,
+                            wood_segments=60, leaf_segments=80, frames="{ free = 1, in = 12, out = 6 }",
+                            reject_below=0.0))
     return str(path)
 
 

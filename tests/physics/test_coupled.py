@@ -4,23 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from texts import scene
 
 from vsfsim.core.bubble import Bubble
-from vsfsim.core.scene import load_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.solve.coupled import CoupledSolver, free_way
-
-BLOCK = """
-name = "block"
-gravity = [0, 0, 0]
-[object]
-shape = {{ box = [0.10, 0.10, 0.04] }}
-tier = "fem-coarse"
-resolution = 0.02
-poisson_ratio = 0.3
-young_modulus = {{ base = {modulus} }}
-"""
 
 
 @pytest.fixture(scope="module")
@@ -29,13 +18,9 @@ def bubble():
 
 
 @pytest.fixture
-def block(tmp_path):
-    def make(modulus):
-        path = tmp_path / f"{modulus:g}.toml"
-        path.write_text(BLOCK.format(modulus=modulus))
-        return tiers.build(load_scene(path).sample(0), "fem-coarse")
-
-    return make
+def block():
+    return lambda modulus: tiers.build(scene("block", shape="{ box = [0.10, 0.10, 0.04] }", resolution=0.02, press=None,
+                                             young_modulus=modulus).sample(0), "fem-coarse")
 
 
 def down(height, depths, x=0.004, y=0.003):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 from frame_checks import from_above
+from texts import scene
 
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Capsule, Cylinder, Sphere
 from vsfsim.generate.effectors.bubble import solve as solve_bubble
@@ -118,8 +118,7 @@ def test_a_frame_with_a_body_inside_the_object_is_marked(model, device, line, mo
 
 def test_a_ball_that_went_through_a_membrane_is_never_in_silence():
     """A ball of 3 mm goes 20 mm into a bubble of 390 nodes, too fast for it: every frame has a push or is marked."""
-    scene = parse_scene(BUBBLE, "bubble.toml").sample(0)
-    found = solve_bubble(scene, Request(limit=2.0)).solved.frames
+    found = solve_bubble(scene("bubble").sample(0), Request(limit=2.0)).solved.frames
     good = found.converged[:, 0]
     assert (np.linalg.norm(found.force[good, 0], axis=1) > 0.1).all()
     assert np.isnan(found.force[~good, 0]).all()
@@ -150,21 +149,6 @@ def dome(radius: float, rings: int = 24, turns: int = 48) -> tuple[np.ndarray, n
             i, j = 1 + r * turns + k, 1 + r * turns + (k + 1) % turns
             faces += [(i, i + turns, j + turns), (i, j + turns, j)]
     return radius * np.vstack([[0.0, 0.0, 1.0], nodes]), np.array(faces)
-
-
-BUBBLE = """
-name = "bubble"
-[sensor]
-kind = "bubble"
-nodes = 390
-[[obstacles]]
-shape = { sphere = 0.003 }
-pose = [0.0, 0.0, 0.0]
-[press]
-from = [0.0, 0.0, 0.034]
-to = [0.0, 0.0, 0.014]
-frames = 1
-"""
 
 
 def test_a_box_that_cuts_in_between_points_is_met_from_where_it_is(block, device):

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from texts import scene
 
-from vsfsim.core.scene import parse_scene
 from vsfsim.physics.tiers import TIERS
 from vsfsim.press.command import press
 
@@ -58,25 +58,13 @@ def force(name, *, scale=1.0, modulus=1.0, turn=0.0, mirror=1.0, order=1, frames
                       f"{modulus * p[4]!r} }}" for p in c.parts[::order])
     kind, *size = c.probe
     size = [scale * v for v in size] if len(size) > 1 else scale * size[0]
-    text = f'''
-needs = []
-gravity = [0.0, 0.0, {-c.weight}]
-[object]
-shape = {{ box = [{0.06 * scale}, {0.05 * scale}, {0.03 * scale}] }}
-resolution = {0.015 * scale}
-yaw = {turn}
-tier = "{c.tier}"
-poisson_ratio = 0.4
-density = {1000.0 * modulus / scale}
-friction = {c.friction}
-young_modulus = {{ base = {1e5 * modulus}, inclusions = [{parts}] }}
-[probe]
-shape = {{ {kind} = {size} }}
-[press]
-path = {[place(p) for p in c.path]}
-rotation = [0.0, 0.0, {turn}]
-frames = {frames}'''
-    made = press(parse_scene(text, "block.toml"))
+    block = scene("block", needs=[], gravity=[0.0, 0.0, -c.weight], resolution=0.015 * scale, yaw=turn,
+                  shape=f"{{ box = {[0.06 * scale, 0.05 * scale, 0.03 * scale]} }}", tier=f'"{c.tier}"',
+                  poisson_ratio=0.4, density=1000.0 * modulus / scale, friction=c.friction,
+                  young_modulus=f"{{ base = {1e5 * modulus}, inclusions = [{parts}] }}",
+                  probe=f"{{ shape = {{ {kind} = {size} }} }}", press=f"""\
+{{ path = {[place(p) for p in c.path]}, rotation = [0.0, 0.0, {turn}], frames = {frames} }}""")
+    made = press(block)
     assert made.converged, made.text()
     return made.force[-1]
 

@@ -5,9 +5,10 @@ import json
 import matplotlib.image
 import numpy as np
 import pytest
+from texts import scene
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effectors.bubble import inward_distance, result_of, solve
@@ -16,34 +17,12 @@ from vsfsim.press.command import Press
 from vsfsim.press.command import press as command
 
 
-def text(path):
-    return f'''name = "small"
-{path}
-[sensor]
-kind = "bubble"
-nodes = 390
-[[obstacles]]
-shape = {{ sphere = 0.01 }}
-pose = [0.1, 0.2, 0.3]
-'''
-
-
-DOWN = '[press]\nfrom = [0.1, 0.2, 0.345]\nto = [0.1, 0.2, 0.336]\nframes = 3\n'
-
-
 @pytest.fixture(scope="module")
-def run():
-    def make(path):
-        request = Request()
-        made = solve(parse_scene(text(path), "small.toml").sample(0), request)
-        return made.solved, result_of(made, request)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def down(run):
-    return run(DOWN)
+def down():
+    place, request = "[{ shape = { sphere = 0.01 }, pose = [0.1, 0.2, 0.3] }]", Request()
+    made = solve(scene("bubble", obstacles=place, press="""\
+{ path = [[0.1, 0.2, 0.345], [0.1, 0.2, 0.336]], frames = 3 }""").sample(0), request)
+    return made.solved, result_of(made, request)
 
 
 def test_force_depth_and_pressure(down):
@@ -94,25 +73,11 @@ def test_what_a_sensor_has_not_is_refused():
         command(load_scene(find_scene("punyo-block")), refine=3)
 
 
-SOFT = '''name = "soft"
-[object]
-shape = { box = [0.10, 0.10, 0.04] }
-tier = "fem-coarse"
-resolution = 0.02
-poisson_ratio = 0.3
-young_modulus = 5e4
-[sensor]
-kind = "bubble"
-nodes = 200
-[press]
-from = [0.004, 0.003, 0.0700]
-to = [0.004, 0.003, 0.0665]
-frames = 2
-'''
-
-
 def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
-    made = solve(parse_scene(SOFT, "soft.toml").sample(0), Request())
+    soft = scene("block", ("[object]", "sensor = { kind = 'bubble', nodes = 200 }\n[object]"), probe=None,
+                 shape="{ box = [0.10, 0.10, 0.04] }", tier='"fem-coarse"', resolution=0.02, young_modulus=5e4,
+                 press="{ path = [[0.004, 0.003, 0.0700], [0.004, 0.003, 0.0665]], frames = 2 }")
+    made = solve(soft.sample(0), Request())
     result = result_of(made, Request())
     saved = {name: values for name, (values, _) in result.saved().items()}
     assert result.converged.all() and result.force[-1, 2] > 0.5

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from texts import changed, text
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
@@ -13,33 +14,15 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import find_scene
 from vsfsim.robot.arm import Arm
 
-SCENE = """
-[object]
-shape = { SHAPE }
-resolution = SIZE
-young_modulus = 5e4
-poisson_ratio = 0.45
-tier = "TIER"
-[probe]
-shape = { PROBE }
-[press]
-from = [0.0, 0.0, FROM]
-to = [0.0, 0.0, TO]
-frames = FRAMES
-"""
-BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", probe="sphere = 0.01",
-           start=0.04, stop=0.037, frames=2)
-
 
 @pytest.fixture
 def press(vsfsim, tmp_path):
-    """Runs `vsfsim press` on a scene made of keywords: press(*words, **scene)."""
-    def run(*words, **scene):
-        text, given = scene.pop("text", SCENE), {**BOX, **scene}
-        for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"),
-                          ("TO", "stop"), ("FRAMES", "frames")):
-            text = text.replace(word, str(given[key]))
-        (tmp_path / "s.toml").write_text(text)
+    """Runs `vsfsim press` on a block, changed: press(*words, shape=..., size=..., tier=..., probe=...)."""
+    def run(*words, given=None, size=0.012, tier="fem-coarse", probe="sphere = 0.01", start=0.04, stop=0.037, **keys):
+        (tmp_path / "s.toml").write_text(given or text(
+            "block", resolution=size, young_modulus=5e4, poisson_ratio=0.45, tier=f'"{tier}"',
+            probe=f"{{ shape = {{ {probe} }} }}",
+            press=f"{{ from = [0.0, 0.0, {start}], to = [0.0, 0.0, {stop}], frames = 2 }}", **keys))
         return vsfsim("press", "s.toml", *words, cwd=tmp_path)
 
     return run
@@ -86,7 +69,7 @@ def test_a_scan_with_a_hole_in_millimetres(press, tmp_path):
     ball.export(tmp_path / "whole.stl")
     ball.update_faces(np.arange(len(ball.faces)) > 0)
     ball.export(tmp_path / "dome.stl")
-    whole, result = (pressed(press("--plot", "p.png", "--json", "-", shape=f'mesh = "{name}.stl"', size=0.02,
+    whole, result = (pressed(press("--plot", "p.png", "--json", "-", shape=f'{{ mesh = "{name}.stl" }}', size=0.02,
                                    start=0.04, stop=0.037)) for name in ("whole", "dome"))
     notes = " ".join(result["notes"])
     assert "read as millimetres" in notes and 'fixed = "bottom" holds the scan\'s base face, 60 x 60 mm' in notes
@@ -111,7 +94,7 @@ def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path
     trimesh.creation.capsule(radius=8.0, height=14.0, count=[16, 16]).export(tmp_path / "tip.stl")
     scene = ('[object]\nshape = { box = [0.06, 0.06, 0.03] }\nyoung_modulus = 5e4\nresolution = 0.012\n[probe]\nshape '
              '= { mesh = "tip.stl", scale = 0.001 }\n')
-    out = press("--picture", "p.png", "--gif", "g.gif", "--save", "s.npz", text=scene)
+    out = press("--picture", "p.png", "--gif", "g.gif", "--save", "s.npz", given=scene)
     assert out.returncode == 0, out.stderr
     assert ("All 10 frames converged." in out.stdout and "of an element" in out.stdout
             and "No [press] is given: the probe goes from above, at the middle" in out.stdout)
@@ -148,14 +131,11 @@ def small_turn(turn):
 def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
     """The same command as for a block: one touch with its joint torques, which are J^T of the recorded forces; plot,
     picture and file beside it. The touch converges in 16, 24, 32 and 40 frames."""
-    text = find_scene("plants-mini").read_text()
-    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"),
-                     ("free = 5, in = 64, hold = 2, out = 14", "free = 1, in = 16, hold = 1, out = 2"),
-                     ("depth = 0.24", "depth = 0.08"), ("approach = 0.14", "approach = 0.12"),
-                     ("width = 480\nheight = 432", "width = 120\nheight = 108")):
-        assert old in text
-        text = text.replace(old, new)
-    (tmp_path / "s.toml").write_text(text)
+    (tmp_path / "s.toml").write_text(changed(
+        find_scene("plants-mini").read_text(), ('species = { choice', 'species = "rubber-plant" #'),
+        ("max_segments = 250", "max_segments = 50"), ("depth = 0.24", "depth = 0.08"),
+        ("approach = 0.14", "approach = 0.12"), ("width = 480\nheight = 432", "width = 120\nheight = 108"),
+        ("free = 5, in = 64, hold = 2, out = 14", "free = 1, in = 16, hold = 1, out = 2")))
     run = CliRunner()
     out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot",
                            str(tmp_path / "p.png"), "--picture", str(tmp_path / "q.png"), "--save",

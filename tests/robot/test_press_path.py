@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import texts
 
 from vsfsim.core.rigid import PressSpec
 from vsfsim.core.rotation import between, rotation_matrix, rotation_vector
-from vsfsim.core.scene import TouchSpec, parse_scene
+from vsfsim.core.scene import TouchSpec
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
 from vsfsim.robot.path import body_poses, press_path, touch_path, turn_to
 
@@ -114,24 +115,11 @@ def test_a_path_with_corners_and_turns():
 
 
 def test_parts_go_with_the_probe_and_obstacles_stay():
-    scene = parse_scene("""
-[object]
-shape = { box = [0.1, 0.1, 0.05] }
-young_modulus = 1e5
-[press]
-path = [[0, 0, 0.07], [0, 0, 0.06]]
-rotation = [[0, 0, 0], [0, 0, 1.5707963267948966]]
-frames = 2
-[probe]
-shape = { sphere = 0.01 }
-[[probe.parts]]
-shape = { sphere = 0.01 }
-offset = [0.03, 0, 0]
-[[obstacles]]
-shape = { plane = true }
-pose = [0.06, 0, 0]
-rotation = [0, -1.5707963267948966, 0]
-""", "s.toml").sample()
+    scene = texts.scene(
+        "block", press="{ path = [[0, 0, 0.07], [0, 0, 0.06]], rotation = [[0, 0, 0], [0, 0, 1.5707963267948966]], "
+                       "frames = 2 }\nobstacles = [{ shape = { plane = true }, pose = [0.06, 0, 0], "
+                       "rotation = [0, -1.5707963267948966, 0] }]",
+        probe="{ shape = { sphere = 0.01 }, parts = [{ shape = { sphere = 0.01 }, offset = [0.03, 0, 0] }] }").sample()
     every = body_poses(scene, press_path(scene.press, scene.probe))
     assert every.shape == (2, 3, 4, 4)
     assert every[1, 1, :3, 3] == pytest.approx([0.0, 0.03, 0.06]), "a quarter turn about z takes the part from x to y"

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from texts import scene
 
-from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.object import DEPTH_CAMERAS
 from vsfsim.data.records import View
 from vsfsim.generate.job import jobs_of
@@ -14,19 +13,6 @@ from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.solid import prepare
 from vsfsim.sensing.camera import with_depth_errors
 
-TEXT = """
-[object]
-shape = { box = [0.08, 0.08, 0.04] }
-young_modulus = 1e5
-tier = "linear"
-resolution = 0.04
-[touches]
-count = 1
-[camera]
-model = "l515"
-width = 64
-height = 48
-"""
 PATH = Path("seen.toml")
 
 
@@ -60,19 +46,12 @@ def test_pixels_are_lost_at_edges_only_and_the_seed_decides() -> None:
 
 
 def test_a_scene_names_a_camera() -> None:
-    scene = parse_scene(TEXT, PATH)
-    camera = scene.sample(0).camera
+    seen = scene("seen")
+    camera = seen.sample(0).camera
     assert (camera.width, camera.height) == (64, 48) and camera.fov == pytest.approx(np.radians(55.0))
-    subject = prepare(jobs_of(make_recipe(scene, objects=1), PATH, Path())[0], device="cpu")
+    subject = prepare(jobs_of(make_recipe(seen, objects=1), PATH, Path())[0], device="cpu")
     change = (subject.recorded.depth - subject.view.depth)[subject.recorded.mask]
     assert 0.0 < np.abs(change).max() < 0.02 and change.std() > 1e-4
-    plain = parse_scene(TEXT.replace('model = "l515"', ""), PATH)
+    plain = scene("seen", model=None)
     ideal = prepare(jobs_of(make_recipe(plain, objects=1), PATH, Path())[0], device="cpu")
     assert ideal.recorded is ideal.view
-
-
-def test_refusals() -> None:
-    with pytest.raises(SceneError, match=r"model is 'l51'. Did you mean 'l515'"):
-        parse_scene(TEXT.replace("l515", "l51"), PATH)
-    with pytest.raises(SceneError, match="take one of them out"):
-        parse_scene(TEXT + 'noise = "kinect"\n', PATH)

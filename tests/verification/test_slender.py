@@ -1,13 +1,11 @@
 """Thin plates and slender rods as a scene's default meshing makes them, against plate and beam theory."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial, chebyshev
 from scipy.integrate import solve_bvp
+from texts import scene
 
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
@@ -15,18 +13,11 @@ from vsfsim.physics.solve.touches import Solver
 E, DENSITY = 1e6, 1000.0
 
 
-def clamped(shape, end, *, nu, gravity, more=""):
+def clamped(shape, end, *, nu, gravity):
     """A body clamped at the end where x = ``end``, nothing said about its mesh."""
-    return parse_scene(f"""
-gravity = [0.0, 0.0, {-gravity}]
-[object]
-shape = {shape}
-fixed = [{end - 1e-6}, -1.0, -1.0, {end + 1e-6}, 1.0, 1.0]
-young_modulus = {E}
-poisson_ratio = {nu}
-density = {DENSITY}
-{more}
-""", Path("slender.toml")).sample(0)
+    fixed = [end - 1e-6, -1.0, -1.0, end + 1e-6, 1.0, 1.0]
+    return scene("block", shape=shape, gravity=[0.0, 0.0, -gravity], resolution=None, poisson_ratio=nu, young_modulus=E,
+                 density=DENSITY, fixed=fixed, probe=None, press=None).sample(0)
 
 
 def cantilever_plate(length, width, bending, nu, pressure, *, along=10, across=5):
@@ -63,8 +54,8 @@ def cantilever_plate(length, width, bending, nu, pressure, *, along=10, across=5
 def test_a_clamped_thin_plate_with_default_meshing_bends_as_plate_theory_says(size, tier, nu):
     length, width, thick = size
     gravity = 1e-4  # a deflection of a thousandth of the thickness: theory is linear
-    scene = clamped(f"{{ box = [{length}, {width}, {thick}] }}", -0.5 * length, nu=nu, gravity=gravity)
-    model = tiers.build(scene, tiers.choose(scene, tier))
+    body = clamped(f"{{ box = [{length}, {width}, {thick}] }}", -0.5 * length, nu=nu, gravity=gravity)
+    model = tiers.build(body, tiers.choose(body, tier))
     u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
     w = cantilever_plate(length, width, E * thick**3 / (12 * (1 - nu**2)), nu, DENSITY * gravity * thick)
     end = np.abs(model.mesh.points[:, 0] - 0.5 * length) < 1e-9
@@ -83,8 +74,8 @@ INERTIA, SECTION = np.pi * RADIUS**4 / 4, np.pi * RADIUS**2
 
 def test_a_slender_rod_under_its_own_weight_is_an_euler_bernoulli_beam():
     gravity = 1e-5
-    scene = clamped(f"{{ rod = [{LENGTH}, {RADIUS}] }}", 0.0, nu=0.3, gravity=gravity)
-    model = tiers.build(scene, "fem-coarse")
+    body = clamped(f"{{ rod = [{LENGTH}, {RADIUS}] }}", 0.0, nu=0.3, gravity=gravity)
+    model = tiers.build(body, "fem-coarse")
     u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
     tip = -u[np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9, 2].mean()
     exact = DENSITY * gravity * SECTION * LENGTH**4 / (8 * E * INERTIA)
@@ -104,8 +95,8 @@ def test_a_rod_that_sags_by_five_times_its_thickness_is_the_elastica(line, devic
     assert found.success
     angle = found.sol(fine := np.linspace(0.0, 1.0, 4001))[0]
     tip = LENGTH * np.array([np.trapezoid(np.cos(angle), fine), -np.trapezoid(np.sin(angle), fine)])
-    scene = clamped(f"{{ rod = [{LENGTH}, {RADIUS}] }}", 0.0, nu=0.3, gravity=gravity)
-    model = tiers.build(scene, "fem-coarse")
+    body = clamped(f"{{ rod = [{LENGTH}, {RADIUS}] }}", 0.0, nu=0.3, gravity=gravity)
+    model = tiers.build(body, "fem-coarse")
     solver = Solver(model, Sphere(0.01), device=device, options=tiers.options("fem-coarse"))
     frames = solver.run(line(np.full((1, 3), 10.0), Sphere(0.01)), keep=True)
     end = np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from texts import scene
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "physics"))
 from element_body import Body
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
@@ -69,52 +69,25 @@ def test_the_membrane_bottoms_out_on_its_housing(device):
 
 
 def test_an_obstacle_in_the_housing_is_refused():
-    text = """
-name = "deep"
-[sensor]
-kind = "bubble"
-nodes = 100
-[[obstacles]]
-shape = { sphere = 0.01 }
-pose = [0.0, 0.0, 0.0]
-[press]
-from = [0.0, 0.0, 0.0405]
-to = [0.0, 0.0, 0.008]
-frames = 3
-"""
+    deep = scene("bubble", nodes=100, obstacles="[{ shape = { sphere = 0.01 }, pose = [0.0, 0.0, 0.0] }]",
+                 press="{ path = [[0.0, 0.0, 0.0405], [0.0, 0.0, 0.008]], frames = 3 }")
     with pytest.raises(SceneError, match=r"in frame 2 of .press. obstacle 1 is .* mm behind the plane"):
-        solve(parse_scene(text, "deep.toml").sample(0), Request())
-
-
-DRUM = """
-name = "drum"
-[sensor]
-kind = "bubble"
-nodes = 150
-gauge_pressure = 1.0
-chamber = {chamber}
-[[obstacles]]
-shape = {{ {shape} }}
-pose = [0.0, 0.0, 0.0]
-{more}
-[press]
-from = [0.0, 0.0, {start}]
-to = [0.0, 0.0, {stop}]
-frames = 3
-"""
+        solve(deep.sample(0), Request())
 
 
 def test_a_flat_drum_is_pressed_into_its_chamber():
     """A membrane without a dome, 3 mm deep in its middle; a plane wider than the rim meets the rim."""
-    def press(**text):
-        return solve(parse_scene(DRUM.format(**text), "drum.toml").sample(0), Request()).solved
+    def press(chamber, shape, start, stop):
+        drum = scene("bubble", nodes=150, gauge_pressure=1.0, chamber=chamber,
+                     obstacles=f"[{{ shape = {{ {shape} }}, pose = [0.0, 0.0, 0.0] }}]",
+                     press=f"{{ path = {[[0.0, 0.0, start], [0.0, 0.0, stop]]}, frames = 3 }}")
+        return solve(drum.sample(0), Request()).solved
 
-    ball = {"shape": "sphere = 0.012", "more": "", "start": 0.013, "stop": 0.009}
-    solved = press(chamber=0.01, **ball)
+    ball = "sphere = 0.012", 0.013, 0.009
+    solved = press(0.01, *ball)
     push = solved.wrench()[:, 2]
     assert solved.frames.converged.all() and (push[1:] < push[:-1]).all() and push[-1] < -0.1
     assert -0.0033 < solved.in_mount()[0][-1, :, 2].min() < -0.003
-    for case in ({"chamber": 0.002, **ball}, {"chamber": 0.01, "shape": "plane = true", "more": "",
-                                              "start": 0.001, "stop": -0.002}):
+    for case in ((0.002, *ball), (0.01, "plane = true", 0.001, -0.002)):
         with pytest.raises(SceneError, match="behind the plane of the sensor's rim or the floor of its chamber"):
-            press(**case)
+            press(*case)

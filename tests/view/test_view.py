@@ -11,6 +11,7 @@ import subprocess
 import numpy as np
 import pytest
 from mock_dataset import written
+from texts import text
 
 from vsfsim.data.dataset import Dataset
 from vsfsim.view.command import page, view
@@ -66,17 +67,16 @@ def test_the_page_holds_what_the_dataset_holds(folder, vsfsim, tmp_path):
 
 def test_the_page_needs_nothing_from_outside_and_names_cannot_end_its_data():
     name = "</script><img src=x onerror=alert(1)>@SCRIPT@"
-    text = page(name, [{"name": name}]).decode()
-    assert data_of(text.encode()) == {"title": name, "objects": [{"name": name}]}
-    assert text.count("</script>") == 2 and "<img" not in text
-    assert not re.search(r"https?://|\bsrc=[\"']|\bhref=|import\s|fetch\(", text)
+    made = page(name, [{"name": name}]).decode()
+    assert data_of(made.encode()) == {"title": name, "objects": [{"name": name}]}
+    assert made.count("</script>") == 2 and "<img" not in made
+    assert not re.search(r"https?://|\bsrc=[\"']|\bhref=|import\s|fetch\(", made)
 
 
 def test_the_object_of_a_scene(vsfsim, tmp_path):
-    (tmp_path / "block.toml").write_text(
-        'name = "block"\n[object]\nshape = { box = [0.06, 0.04, 0.02] }\npoisson_ratio = 0.3\n'
-        'young_modulus = { base = 1e5, inclusions = [ { sphere = [0.0, 0.0, 0.01, 0.006], value = 1e7 } ] }\n'
-        '[probe]\nshape = { sphere = 0.01 }\n')
+    ball = "{ base = 1e5, inclusions = [{ sphere = [0.0, 0.0, 0.01, 0.006], value = 1e7 }] }"
+    (tmp_path / "block.toml").write_text(text("block", shape="{ box = [0.06, 0.04, 0.02] }", resolution=None,
+                                              press=None, young_modulus=ball))
     out = vsfsim("show", "block.toml", "--out", "block.html", cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     (shown,) = data_of((tmp_path / "block.html").read_bytes())["objects"]
@@ -130,16 +130,6 @@ def test_a_browser_draws_the_object_and_the_cut_takes_part_of_it_away(folder, vs
     assert whole > 5000 and half < 0.95 * whole and half > 0.2 * whole
 
 
-FOLDS = """
-name = "toy-v1"
-description = "A toy."
-dataset = { folder = "toy", scene = "mock", seed = 0, objects = 2, views = 1, touches = 3, tier = "linear" }
-protocol = { folds = 2, draws = 1, trainings = 1, shots = [0, 1], query = 2, seed = 0 }
-observation = { kind = "normal-force" }
-noise = { force_std = 0.1, tare_frames = 0, seed = 0 }
-metrics = { primary = "rmse_ratio", ranking_shot = 1 }
-"""
-
 METHOD = """
 import numpy as np
 
@@ -164,9 +154,12 @@ def result(folder, tmp_path_factory):
 
     where, dataset = tmp_path_factory.mktemp("result"), Dataset.open(folder)
     (where / "steep.py").write_text(METHOD)
+    folds = text("folded-v1", ("objects = 4", "objects = 2"), ("touches = 12", "touches = 3"),
+                 ("query = 4", "query = 2"), ("draws = 2, trainings = 2", "draws = 1, trainings = 1"),
+                 ("[0, 1, 5]", "[0, 1]"), ("ranking_shot = 5", "ranking_shot = 1"))
     before = os.getcwd()
     os.chdir(where)  # where the method is
-    evaluate("steep:Steep", parse_task(FOLDS, "toy-v1.toml"), dataset, check=False, sandbox="process",
+    evaluate("steep:Steep", parse_task(folds, "toy-v1.toml"), dataset, check=False, sandbox="process",
              keep="predictions", out=where / "steep.json")
     os.chdir(before)
     return where / "steep.json", dataset

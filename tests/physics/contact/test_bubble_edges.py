@@ -2,14 +2,13 @@
 too; and a small ball that is deep in the first frame."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
+from texts import scene
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.rotation import rotation_matrix
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Box, Cylinder, Sphere
 from vsfsim.generate.effectors.bubble import solve
@@ -64,21 +63,10 @@ def test_a_small_ball_that_the_first_frame_finds_behind_the_membrane():
     the frame was marked; now it comes from the start of the path, as in three."""
     force = []
     for frames in (1, 3):
-        scene = parse_scene(f'''
-name = "tip"
-[sensor]
-kind = "bubble"
-nodes = 390
-contact_edge = 0.01  # coarse, since only one frame against three matters here
-[[obstacles]]
-shape = {{ sphere = 0.003 }}
-pose = [0.0, 0.0, 0.0]
-[press]
-from = [0.0, 0.0, 0.0335]
-to = [0.0, 0.0, 0.0270]
-frames = {frames}
-''', Path("tip.toml")).sample(0)
-        found = solve(scene, Request(limit=1e9)).solved
+        # coarse at the contact, since only one frame against three matters here
+        tip = scene("bubble", contact_edge=0.01,
+                    press=f"{{ path = [[0.0, 0.0, 0.0335], [0.0, 0.0, 0.0270]], frames = {frames} }}")
+        found = solve(tip.sample(0), Request(limit=1e9)).solved
         assert found.frames.converged.all() and len(found.pressure) == len(found.position) == frames
         force.append(found.frames.force[-1, 0, 2])
     assert force[0] > 1.0 and force[0] == pytest.approx(force[1], rel=2e-3)

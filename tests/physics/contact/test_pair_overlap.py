@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from texts import scene
 
 from vsfsim.core.bubble import Bubble
-from vsfsim.core.scene import parse_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.intrusion import PairOverlap
@@ -17,14 +17,8 @@ def bubble():
 
 
 def block(size=(0.10, 0.10, 0.04)):
-    return tiers.build(parse_scene(f'''
-name = "block"
-[object]
-shape = {{ box = {list(size)} }}
-resolution = 0.02
-poisson_ratio = 0.3
-young_modulus = 1e5
-''', "block.toml").sample(0), "fem-coarse")
+    shape = f"{{ box = {list(size)} }}"
+    return tiers.build(scene("block", shape=shape, resolution=0.02, press=None).sample(0), "fem-coarse")
 
 
 def depth(body, bubble, places, u=None):

@@ -4,25 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from texts import scene
 
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.physics import tiers
 from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.inverse.modulus_fit import Noise, Press, Prior, fit_modulus, press, smooth_basis
 from vsfsim.physics.inverse.sensitivity import Sensitivity
 
-SCENE = parse_scene("""
-name = "block"
-[object]
-shape = { box = [0.06, 0.06, 0.03] }
-resolution = 0.03
-tier = "fem-coarse"
-young_modulus = 5e4
-poisson_ratio = 0.3
-[probe]
-shape = { sphere = 0.015 }
-""", "block.toml").sample(0)
+SCENE = scene("block", tier='"fem-coarse"', young_modulus=5e4, probe="{ shape = { sphere = 0.015 } }").sample(0)
 MODEL = tiers.build(SCENE, "fem-coarse")
 LIMITS = dataclasses.replace(tiers.options("fem-coarse"), tolerance=1e-7)
 HALF = (MODEL.mesh.points[MODEL.mesh.tets[:, :4]].mean(axis=1)[:, 0] > 0.0).astype(int)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from texts import scene
 
 from vsfsim.core import shelf
 from vsfsim.core.bubble import Bubble
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import load_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.core.shape import Sphere
 from vsfsim.generate.effectors import bubble
@@ -14,21 +15,6 @@ from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.mesh import membrane
 from vsfsim.press.command import press
-
-TIP = """
-name = "tip"
-[sensor]
-kind = "bubble"
-nodes = 390
-EXTRA
-[[obstacles]]
-shape = { sphere = 0.003 }
-pose = [0.0, 0.0, 0.0]
-[press]
-from = [0.0, 0.0, 0.0336]
-to = [0.0, 0.0, 0.0306]
-frames = 3
-"""
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +56,13 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
     assert np.abs(model.read_out.positions(model.mesh.points) - model.mesh.points[:390]).max() < 1e-15
 
 
-def tip(extra=""):
-    return bubble.result_of(bubble.solve(parse_scene(TIP.replace("EXTRA", extra), "tip.toml").sample(0), Request()),
-                            Request())
+def tip(**extra):
+    press = "{ path = [[0.0, 0.0, 0.0336], [0.0, 0.0, 0.0306]], frames = 3 }"
+    return bubble.result_of(bubble.solve(scene("bubble", press=press, **extra).sample(0), Request()), Request())
 
 
 def test_a_small_tip_is_met_by_small_triangles_unless_they_are_declined():
-    fine, coarse = tip(), tip("contact_edge = 0.1")
+    fine, coarse = tip(), tip(contact_edge=0.1)
     assert fine.converged.all() and coarse.more["nodes"] == 390 and fine.more["nodes"] > 600
     assert fine.more["edge"] < 0.4 * coarse.more["edge"]
     assert fine.audit["penetration"].max() < 0.01 * fine.more["edge"] and fine.audit["force_balance"].max() < 1e-3
@@ -88,11 +74,11 @@ def test_a_small_tip_is_met_by_small_triangles_unless_they_are_declined():
 def test_the_real_sensors_default_mesh_is_converged_on_a_small_tip():
     """`vsfsim press punyo --refine 3`: what the default lacks of the limit is under one per cent, of the pressure,
     too."""
-    scene = load_scene(shelf.scenes()["punyo"])
-    made = press(scene, refine=3)
+    punyo = load_scene(shelf.scenes()["punyo"])
+    made = press(punyo, refine=3)
     nodes = [r.more["nodes"] for r in made.results]
     assert made.converged and nodes == sorted(nodes)
     for coarse, default, fine in (found.force for found in made.convergence.values()):
         # by the spread of the last two meshes, whether an order was seen or not
         assert abs(default / fine - 1.0) < 0.01 and abs(coarse / fine - 1.0) < 0.03
-    assert scene.sample(0).sensor == Bubble()
+    assert punyo.sample(0).sensor == Bubble()

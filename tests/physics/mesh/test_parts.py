@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from texts import scene
 
-from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.core.solid import tet_volumes
 from vsfsim.physics import tiers
 
-SCENE = """
-[object]
-shape = {{ {shape} }}
-{more}
-young_modulus = {{ base = 1e4, inclusions = [{parts}] }}
-[probe]
-shape = {{ sphere = 0.01 }}
-"""
-BLOCK = "box = [0.06, 0.06, 0.024]"
 
-
-def body(parts, *, shape=BLOCK, more="", focus=None):
-    scene = parse_scene(SCENE.format(shape=shape, parts=parts, more=more), "s.toml").sample(0)
-    return tiers.body(scene, "fem-coarse", focus=focus)
+def body(parts, *, shape="box = [0.06, 0.06, 0.024]", resolution=None, focus=None):
+    made = scene("block", shape=f"{{ {shape} }}", resolution=resolution, press=None, poisson_ratio=None,
+                 young_modulus=f"{{ base = 1e4, inclusions = [{parts}] }}").sample(0)
+    return tiers.body(made, "fem-coarse", focus=focus)
 
 
 @pytest.mark.parametrize(("box", "value"), [
@@ -63,7 +55,7 @@ def test_what_the_mesh_does_not_hold_is_told_with_its_share(part, least, words):
     note = next(n for n in solid.notes if "Inclusion 1" in n)
     assert words in note and f"{100 * solid.parts:.0f} %" in note
     coarse = solid.parts
-    finer, _ = body(part, more="resolution = 0.0025")
+    finer, _ = body(part, resolution=0.0025)
     assert finer.parts < coarse
 
 
@@ -72,7 +64,7 @@ def test_a_thin_skin_around_an_inclusion_is_told():
     core = "{ sphere = [0.0, 0.0, 0.03, 0.028], value = 1e1 }"
     solid, _ = body(core, shape="sphere = 0.03")
     assert solid.parts > 0.5 and any("around the inclusions" in n for n in solid.notes)
-    finer, _ = body(core, shape="sphere = 0.03", more="resolution = 0.004")
+    finer, _ = body(core, shape="sphere = 0.03", resolution=0.004)
     assert finer.parts < solid.parts
     thick, _ = body("{ sphere = [0.0, 0.0, 0.03, 0.01], value = 1e1 }", shape="sphere = 0.03")
     assert not any("around the inclusions" in n for n in thick.notes)

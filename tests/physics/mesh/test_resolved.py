@@ -7,39 +7,25 @@ import pytest
 import trimesh
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
+from texts import scene
 
 from references.closed_forms import hertz_layer
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.generate.effectors.probe import press
 from vsfsim.physics.mesh.resolved import LIMIT, corner_det_f, resolved
 
-BLOCK = """
-gravity = [0.0, 0.0, 0.0]
-[object]
-shape = {{ box = [0.1, 0.1, 0.05] }}
-poisson_ratio = 0.45
-young_modulus = 1e5
-{more}
-[probe]
-shape = {{ sphere = {radius} }}
-{parts}
-[press]
-from = [{x}, {y}, {begin}]
-to = [{x}, {y}, {end}]
-frames = {frames}
-"""
 
-
-def pressed(radius, depth, *, more="", parts="", at=(0.0, 0.0), above=0.0, frames=3, tier="fem-coarse"):
-    scene = BLOCK.format(radius=radius, more=more, parts=parts, x=at[0], y=at[1], frames=frames,
-                         begin=0.05 + radius + above, end=0.05 + radius + above - depth)
-    return press(parse_scene(scene, "s.toml").sample(0), Request(tier=tier))
+def pressed(radius, depth, *, tier="fem-coarse", at=(0.0, 0.0), top=0.05, above=0.0, frames=3, parts="", **keys):
+    """A press of a block by a ball, which ``parts`` may go with."""
+    high = top + radius + above
+    given = {"shape": "{ box = [0.1, 0.1, 0.05] }", "poisson_ratio": 0.45, "resolution": None, **keys}
+    return press(scene("block", probe=f"{{ shape = {{ sphere = {radius} }}{parts} }}", press=f"""\
+{{ path = {[[*at, high], [*at, high - depth]]}, frames = {frames} }}""", **given).sample(0), Request(tier=tier))
 
 
 @pytest.mark.parametrize(("radius", "depth", "element"), [(0.003, 0.010, 0.015)])
 def test_a_small_ball_on_coarse_elements_is_marked_with_a_figure(radius, depth, element):
-    result = pressed(radius, depth, more=f"resolution = {element}")
+    result = pressed(radius, depth, resolution=element)
     assert result.resolved is not None and not result.resolved.any()
     said = result.text()
     assert "NOT RESOLVED" in said and "does NOT resolve the contact in 3 of 3 frames" in said
@@ -55,10 +41,8 @@ def test_a_ball_that_the_mesh_resolves_is_not_marked():
 def test_a_wall_that_bends_is_not_marked_for_its_small_contact():
     """A plate of 6 mm that is held along one side. On elements of 4 mm the forces at 1.8, 3.2, 4.6 and 6 mm are 7.5,
     14.1, 21.6 and 29.7 mN; those on 12 mm are off by 9, 4, 12 and 9 %, said to be by 9, 5, 4 and 3 %."""
-    more = "resolution = 0.012\nfixed = [-0.06, -0.06, -1.0, -0.03, 0.06, 1.0]"
-    text = BLOCK.format(radius=0.03, more=more, parts="", x=0.02, y=0.0, begin=0.037, end=0.030, frames=5)
-    text = text.replace("0.1, 0.1, 0.05", "0.1, 0.1, 0.006").replace("0.45", "0.3")
-    result = press(parse_scene(text, "s.toml").sample(0), Request(tier="fem-coarse"))
+    result = pressed(0.03, 0.007, at=(0.02, 0.0), top=0.006, above=0.001, frames=5, poisson_ratio=0.3, resolution=0.012,
+                     shape="{ box = [0.1, 0.1, 0.006] }", fixed=[-0.06, -0.06, -1.0, -0.03, 0.06, 1.0])
     force = np.linalg.norm(result.more["body_force"][1:, 0], axis=1)
     assert np.abs(force / [0.0075, 0.0141, 0.0216, 0.0297] - 1.0).max() < 0.15
     error = result.more["mesh_error"][1:]
@@ -69,7 +53,7 @@ def test_a_wall_that_bends_is_not_marked_for_its_small_contact():
 def test_a_nub_beside_a_ball_gets_elements_of_its_own():
     """The nub was 53 to 141 % too stiff on elements that suit the ball; 0.1564, 0.4224 and 0.6788 N at 0.9, 1.9
     and 2.9 mm with `fem` on elements of 4.5 mm, smaller at the nub."""
-    parts = "[[probe.parts]]\nshape = { sphere = 0.0015 }\noffset = [0.026, 0.004, -0.0185]\n"
+    parts = ", parts = [{ shape = { sphere = 0.0015 }, offset = [0.026, 0.004, -0.0185] }]"
     result = pressed(0.02, 0.003, parts=parts, above=1e-4)
     good = result.converged
     assert good.all()
@@ -101,26 +85,15 @@ def test_a_frame_counts_by_error_corner_rotation_and_parts():
     assert not resolved(error, corner, 0.0, np.zeros(5, bool)).any()
 
 
-SCENE = """
-needs = [{need}]
-gravity = [0.0, 0.0, 0.0]
-[object]
-shape = {{ {shape} }}
-{body}
-[probe]
-shape = {{ {probe} }}
-[press]
-path = [[{x}, 0.0, {begin}], [{x}, 0.0, {end}]]
-rotation = [{turn}, 0.0, 0.0]
-frames = {frames}
-"""
-BALL = "fixed = [-0.03, -0.03, -0.001, 0.03, 0.03, 0.012]\npoisson_ratio = 0.3\nyoung_modulus = 1e5"
+def press_of(shape, body, probe, top, depth, *, x=0.0, turn=0.0, frames=1, tier=None):
+    """A press of a body whose keys ``body`` sets."""
+    path = [[x, 0.0, top], [x, 0.0, float(top - depth)]]
+    given = {"resolution": None, "young_modulus": 1e5, **body}
+    return press(scene("block", shape=f"{{ {shape} }}", probe=f"{{ shape = {{ {probe} }} }}", press=f"""\
+{{ path = {path}, rotation = [{turn}, 0.0, 0.0], frames = {frames} }}""", **given).sample(0), Request(tier=tier))
 
 
-def press_of(shape, body, probe, top, depth, *, x=0.0, turn=0.0, frames=1, need='"normal-force"', tier=None):
-    given = SCENE.format(need=need, shape=shape, body=body, probe=probe, x=x, begin=top, end=top - depth, turn=turn,
-                         frames=frames)
-    return press(parse_scene(given, "s.toml").sample(0), Request(tier=tier))
+BALL = {"fixed": [-0.03, -0.03, -0.001, 0.03, 0.03, 0.012]}
 
 
 @pytest.mark.parametrize(("shape", "probe", "top", "radius"), [
@@ -155,8 +128,7 @@ def crossed(radius, across, depth, nu=0.3):
 def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, resolution):
     """Hertz's bodies are half-spaces. This one is held 1.6 radii below the contact, as a bonded layer is, which is
     stiffer, and its sides are free: its force lies between the two."""
-    body = f"fixed = [-1.0, -1.0, -1.0, 1.0, 1.0, {0.4 * radius}]\npoisson_ratio = 0.3\nyoung_modulus = 1e5\n"
-    body += "" if resolution is None else f"resolution = {resolution}"
+    body = {"fixed": [-1.0, -1.0, -1.0, 1.0, 1.0, 0.4 * radius], "resolution": resolution}
     depths = [0.02 * radius, 0.04 * radius]  # 1 and 2 % of the diameter
     result = press_of(f"rod = [{length}, {radius}]", body, f"sphere = {ball}", 2.0 * radius + ball, depths[-1],
                       x=0.5 * length, frames=2, tier="fem-coarse")
@@ -170,7 +142,7 @@ def test_a_ball_on_a_round_bar_is_that_of_hertz_or_marked(length, radius, ball, 
     assert resolution is None or result.resolved[-1]
 
 
-FOAM = "fixed = \"bottom\"\nmaterial = \"pe-foam\""
+FOAM = {"material": '"pe-foam"', "poisson_ratio": None, "young_modulus": None}
 
 
 @pytest.mark.parametrize(("depth", "exact"), [(0.001, 1.374), (0.005, 15.50)])
@@ -188,7 +160,7 @@ def test_a_foam_of_another_poissons_ratio_is_that_of_hertz_or_marked(beta):
     """nu = beta / (1 + 2 beta), 0 to 0.43, on a bonded block (`references/closed_forms.py`)."""
     nu = beta / (1.0 + 2.0 * beta)
     law = f"{{ name = \"hyperfoam\", mu = 1e5, alpha = 4.0, beta = {beta} }}"
-    body = f"fixed = \"bottom\"\nlaw = {law}\npoisson_ratio = {nu!r}\nyoung_modulus = 1e5"
+    body = {"law": law, "poisson_ratio": nu}
     depths = np.array([0.0005, 0.001])
     result = press_of("box = [0.10, 0.10, 0.05]", body, "sphere = 0.02", 0.07, depths[-1], frames=2, tier="fem-coarse")
     exact = [hertz_layer(depth, young_modulus=1e5, poisson_ratio=nu, radius=0.02, height=0.05)[1] for depth in depths]
@@ -196,18 +168,15 @@ def test_a_foam_of_another_poissons_ratio_is_that_of_hertz_or_marked(beta):
     assert result.converged.all() and ((off < 0.05) | ~result.resolved & (off < told + 0.02)).all(), (off, told)
 
 
-PLATE = """resolution = {}
-fixed = [-0.04, -0.03, -0.001, -0.015, 0.03, 0.02]
-poisson_ratio = 0.3
-young_modulus = 1e6"""
-BRIDGE = PLATE.replace("0.015", "0.022").format(0.005)
+PLATE = {"resolution": 0.004, "fixed": [-0.04, -0.03, -0.001, -0.015, 0.03, 0.02], "young_modulus": 1e6}
+BRIDGE = {**PLATE, "resolution": 0.005, "fixed": [-0.04, -0.03, -0.001, -0.022, 0.03, 0.02]}
 
 
 @pytest.mark.parametrize(("shape", "body", "x", "top", "depth", "marked"), [
-    ("box = [0.05, 0.02, 0.003]", PLATE.format(0.004), 0.018, 0.009, 0.002, False),
-    ("box = [0.05, 0.02, 0.003]", PLATE.format(0.004), 0.018, 0.009, 0.008, True),
+    ("box = [0.05, 0.02, 0.003]", PLATE, 0.018, 0.009, 0.002, False),
+    ("box = [0.05, 0.02, 0.003]", PLATE, 0.018, 0.009, 0.008, True),
     ("box = [0.06, 0.02, 0.004]", BRIDGE, 0.0, 0.010, 0.004, True),
-    ("box = [0.06, 0.06, 0.03]", "poisson_ratio = 0.45\nyoung_modulus = 1e5\nfixed = \"bottom\"", 0.0, 0.036, 0.001,
+    ("box = [0.06, 0.06, 0.03]", {"poisson_ratio": 0.45}, 0.0, 0.036, 0.001,
      False)], ids=["plate", "bent plate", "bridge", "block"])
 def test_small_strain_is_told_where_elements_turn_further_than_it_follows(shape, body, x, top, depth, marked):
     """By 3.6, 21, 29, about 15 and 0.1 % the tier `linear` differs from `fem-coarse` here."""
@@ -218,7 +187,7 @@ def test_small_strain_is_told_where_elements_turn_further_than_it_follows(shape,
 
 
 def test_a_scene_that_chose_no_tier_gets_one_that_follows_rotations():
-    shape, body = "box = [0.06, 0.02, 0.010]", PLATE.format(0.010)
+    shape, body = "box = [0.06, 0.02, 0.010]", {**PLATE, "resolution": 0.010}
     free, asked = (press_of(shape, body, "sphere = 0.006", 0.016, 0.006, x=0.024, tier=tier) for tier in (None, "fem"))
     assert free.more["tier"] == "fem" and free.normal_force == pytest.approx(asked.normal_force, rel=1e-9)
     assert any("does not follow: tier 'fem' was taken" in note for note in free.notes)
