@@ -161,7 +161,7 @@ def test_the_chain_of_a_dataset_is_the_arm(punyo):
     assert np.abs(chain.capsule_poses(links)[..., :3, 3] - arm.capsule_poses(at)[..., :3, 3]).max() < 1e-12
     axes, anchors = chain.joint_axes(links)
     assert np.abs(axes - at.axes).max() < 1e-12 and np.abs(np.cross(anchors - at.anchors, axes)).max() < 1e-12
-    with pytest.raises(SceneError, match="unknown shape 'chain'"):
+    with pytest.raises(SceneError, match="the shape is 'chain'"):
         parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.1] }\nyoung_modulus = 1e5\n[probe]\nshape = '
                     '{ chain = {} }\n', "x.toml")
 

@@ -16,14 +16,16 @@ import numpy as np
 
 from vsfsim.core.chain import Chain, read_chain
 from vsfsim.core.dome import Dome
-from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.table import check_keys, typed
+from vsfsim.core.errors import SceneError, one_of
+from vsfsim.core.table import typed, value
 
 LEAST = 1e-5
 """Least length of a shape [m]: under it an elastic continuum is no model of the matter, and a slip of units the
 usual cause."""
 Length = Annotated[float, msgspec.Meta(ge=LEAST, lt=1e3, description=f"a length in metres, greater than 0 (at least "
                                                                      f"{LEAST:g}, and under 1000)")]
+MeshPath = Annotated[str, msgspec.Meta(min_length=1, description=(
+    "the path of an OBJ, PLY or STL file, relative to the scene file"))]
 Scale = Annotated[float, msgspec.Meta(gt=0.0, lt=1e3, description="a length in metres, greater than 0 (under 1000)")]
 
 
@@ -163,14 +165,10 @@ def _shape(table: Any, where: str, allowed: tuple[str, ...], example: str) -> An
     if not isinstance(table, Mapping) or not table:
         raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(allowed)}, e.g. {{ {example} }}.")
     if "mesh" in table:
-        check_keys(table, f"{where} shape", ("mesh", "scale", "up"))
-        if not isinstance(table["mesh"], str) or not table["mesh"]:
-            raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY or STL file, "
-                             f"relative to the scene file.")
-        return typed(table, MeshFile, where, also=("mesh",), path=table["mesh"])
+        path = value(table["mesh"], MeshPath, f"{where}: mesh")
+        return typed(table, MeshFile, f"{where} shape", also=("mesh",), path=path)
     for key in table:
-        if key not in allowed:
-            raise SceneError(f"{where}: unknown shape '{key}'. {did_you_mean(key, allowed)}")
+        one_of(key, allowed, f"{where}: the shape", SceneError)
     if len(table) != 1:
         raise SceneError(f"{where}: a shape has one kind, this one has {len(table)}: {', '.join(table)}.")
     ((key, given),) = table.items()
@@ -203,18 +201,14 @@ def probe_tables(shapes: Sequence[ProbeShape]) -> Any:
 def probe_table(shape: ProbeShape) -> dict[str, Any]:
     """The TOML/JSON table of a probe; `parse_probe_shape` reads it back."""
     match shape:
-        case Plane():
-            return {"plane": True}
         case Chain():
             return {"chain": shape.table()}
         case Dome():
             return {"dome": msgspec.to_builtins(shape)}
         case MeshFile(path, scale, up):
             return {"mesh": path, **({} if scale is None else {"scale": scale}), **({} if up == "z" else {"up": up})}
-        case Box(size):
-            return {"box": [*size]}
-    sizes = [getattr(shape, field.name) for field in fields(shape)]
-    return {type(shape).__name__.lower(): sizes if len(sizes) > 1 else sizes[0]}
+    sizes = msgspec.to_builtins([getattr(shape, field.name) for field in fields(shape)])
+    return {type(shape).__name__.lower(): sizes[0] if len(sizes) == 1 else sizes or True}
 
 
 def distance(shape: Analytic, points: np.ndarray, *, fillet: float = 0.0) -> np.ndarray:

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
-from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file
+from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file, one_of
 from vsfsim.core.plain_text import plain
 from vsfsim.core.system.content import texts_of
 
@@ -107,8 +107,7 @@ def family(name: str, where: str) -> ModuleType:
     Raises:
         SceneError: there is none, or it cannot be imported.
     """
-    if name not in families():
-        raise SceneError(f"{where}: unknown family '{name}'. {did_you_mean(name, families())}")
+    one_of(name, families(), f"{where}: the family", SceneError)
     shipped = importlib.metadata.EntryPoint(name, f"vsfsim.scenes.{name}", FAMILY_GROUP)
     entry = next(iter(importlib.metadata.entry_points(group=FAMILY_GROUP, name=name)), shipped)
     return loaded(entry, f"{where}: the family", SceneError)

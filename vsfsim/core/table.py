@@ -196,16 +196,12 @@ def sample(tree: Any, rng: np.random.Generator, *, number: int = 0) -> Any:
         number: of the object in its dataset, from 0.
     """
     if _is_distribution(tree):
-        kind, args = next(iter(tree.items()))
-        if kind == "each":
-            drawn = args[number % len(args)]
-        elif kind == "choice":
-            drawn = args[int(rng.integers(len(args)))]
-        elif kind == "uniform":
-            drawn = float(rng.uniform(args[0], args[1]))
-        else:
-            drawn = float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
-        return sample(drawn, rng, number=number)
+        ((kind, args),) = tree.items()
+        if kind == "uniform":
+            return float(rng.uniform(*args))
+        if kind == "loguniform":
+            return math.exp(rng.uniform(math.log(args[0]), math.log(args[1])))
+        return sample(args[number % len(args) if kind == "each" else int(rng.integers(len(args)))], rng, number=number)
     if isinstance(tree, Mapping):
         return {key: sample(value, rng, number=number) for key, value in tree.items()}
     return [sample(value, rng, number=number) for value in tree] if isinstance(tree, list) else tree

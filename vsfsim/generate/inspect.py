@@ -64,13 +64,8 @@ def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[s
     from vsfsim.data.dataset import Dataset
     from vsfsim.data.verify import summary_rows
 
-    data = Dataset.open(folder)
-    path = out or Path(f"{folder.resolve().name}.png")
-    names, views = data.names()[:24], []
-    for number, name in enumerate(names):
-        progress(number, len(names) + 1, name)
-        views.append(data.load(name))
-    progress(len(names), len(names) + 1, "contact sheet")
+    data = Dataset.open(folder, progress=progress)
+    path, views = out or Path(f"{folder.resolve().name}.png"), list(data[:24])
     contact_sheet(views, path, title=f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}")
     more = f" (the first {len(views)} of {len(data)} object views)" if len(views) < len(data) else ""
     rows = summary_rows(folder, progress)

@@ -41,15 +41,11 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
     if Path(what).suffix == ".json":
         title, words, shown, about = of_result(Path(what), objects, progress)
     elif is_dataset(what):
-        data = Dataset.open(what)
+        data = Dataset.open(what, progress=progress)
         title = f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}"
-        names, shown = data.names()[:objects], []
-        for number, one in enumerate(names):
-            shown.append(of_view(data.load(one)))
-            if progress is not None:
-                progress(number + 1, len(names), "object views")
-        more = f" (of {len(data)}; --objects shows more)" if len(names) < len(data) else ""
-        words = f"{len(names)} object views{more}"
+        shown = [of_view(one) for one in data[:objects]]
+        more = f" (of {len(data)}; --objects shows more)" if len(shown) < len(data) else ""
+        words = f"{len(shown)} object views{more}"
     else:
         name, drawing = draw_scene(what, seed)
         title, words = f"{name}, {drawing.subtitle or f'seed {seed}'}", drawing.lines[0]

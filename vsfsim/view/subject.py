@@ -136,12 +136,6 @@ def quantised(values: np.ndarray) -> dict[str, Any]:
             "data": base64_of(np.rint((values - low) / span * STEPS).astype(np.uint16))}
 
 
-def values_of(table: dict[str, Any]) -> np.ndarray:
-    """The rows (n, k) of what `quantised` made."""
-    raw = np.frombuffer(base64.b64decode(table["data"]), "<u2").reshape(-1, len(table["low"]))
-    return np.array(table["low"]) + raw / STEPS * np.array(table["span"])
-
-
 def rounded(values: np.ndarray, digits: int) -> Any:
     """Numbers as lists, rounded to ``digits`` decimals; None where there is none (NaN, infinite)."""
     values = np.asarray(values, float)

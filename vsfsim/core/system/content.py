@@ -76,8 +76,7 @@ def named_files(values: Any, folder: str | Path) -> dict[str, Path]:
     Args:
         values: JSON or TOML values. folder: that relative paths are relative to.
     """
-    # "FILE@sha256" names the weights of a network and what they must be
-    found = {text: Path(folder, Path(text.partition("@")[0]).expanduser()) for text in texts_of(values)}
+    found = {text: Path(folder, Path(text).expanduser()) for text in texts_of(values)}
     # which asks nothing of a text that is no name of a file, such as one of 300 letters
     return {text: path.absolute() for text, path in found.items() if os.path.isfile(path)}
 

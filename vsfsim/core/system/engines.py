@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import shlex
 import socket
@@ -97,12 +96,9 @@ def job_file(engine: str, words: Sequence[str], shards: int, *, gpus: int = 0) -
     command = shlex.join(words)
     text = Path(__file__).with_name({"slurm": "slurm.sh", "k8s": "k8s.yaml"}[engine]).read_text(encoding="utf-8")
     return jinja2.Template(text, trim_blocks=True, keep_trailing_newline=True).render(
-        command=command, shards=shards, gpus=gpus,
+        command=command, words=[*words], shards=shards, gpus=gpus,
         # a name is a DNS label: small letters, digits and dashes, 63 at most; another command is another job
-        name=f"vsfsim-{hashlib.sha256(command.encode()).hexdigest()[:10]}",
-        words=json.dumps(["vsfsim", "cluster", "--shard", f"auto/{shards}", *words, "--workers", "2"]),
-        limits=json.dumps({"cpu": "2", "memory": "8Gi", **({"nvidia.com/gpu": str(gpus)} if gpus else {})}),
-        on_volume=not any("://" in word for word in words))
+        name=f"vsfsim-{hashlib.sha256(command.encode()).hexdigest()[:10]}")
 
 
 WAIT = 5.0  # a cluster may take so long to answer [s]

@@ -55,13 +55,11 @@ def describe(dataset: Dataset, folder: Path) -> dict[str, Any]:
     """The description, of a folder that holds the index: `croissant.json` beside this file says what all have."""
     r = dataset.recipe
     index = folder / INDEX
-    objects: list[dict[str, Any]] = [
-        {"@type": "cr:FileObject", "@id": INDEX, "name": INDEX, "description": "Index: one row a touch.",
-         "contentUrl": INDEX, "encodingFormat": "application/x-parquet", "contentSize": f"{index.stat().st_size} B",
-         "sha256": file_sha256(index)}]
-    objects += [{"@type": "cr:FileObject", "@id": e.file, "name": e.file, "description": f"Object view {e.name}.",
-                 "contentUrl": e.file, "encodingFormat": "application/x-hdf5", "contentSize": f"{e.bytes} B",
-                 "sha256": e.sha256} for e in dataset.entries]
+    files = [(INDEX, "Index: one row a touch.", "parquet", index.stat().st_size, file_sha256(index)),
+             *((e.file, f"Object view {e.name}.", "hdf5", e.bytes, e.sha256) for e in dataset.entries)]
+    objects = [{"@type": "cr:FileObject", "@id": name, "name": name, "description": text, "contentUrl": name,
+                "encodingFormat": f"application/x-{kind}", "contentSize": f"{size} B", "sha256": digest}
+               for name, text, kind, size, digest in files]
     fields = [{"@type": "cr:Field", "@id": f"touches/{name}", "name": name, "description": text, "dataType": kind,
                "source": {"fileObject": {"@id": INDEX}, "extract": {"column": name}}}
               for name, (kind, text) in _COLUMNS.items()]

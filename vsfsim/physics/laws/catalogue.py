@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.scene import Scene
 from vsfsim.core.shelf import LAW_GROUP, Registry
 from vsfsim.physics.laws import hyperfoam, neo_hooke
@@ -22,10 +22,8 @@ def law_of(scene: Scene) -> tuple[SolidLaw, Settings] | None:
     if scene.object.law is None:
         return None
     name, rows = scene.object.law
+    law = LAWS[one_of(name, LAWS, f"{scene.source} [object]: the law", SceneError)]
     where = f"{scene.source} [object]: law '{name}'"
-    if name not in LAWS:
-        raise SceneError(f"{where} is unknown. {did_you_mean(name, tuple(LAWS))}")
-    law = LAWS[name]
     if set(rows) != set(law.settings):
         raise SceneError(f"{where} takes {', '.join(law.settings) or 'no numbers'} beside its name; the scene gives "
                          f"{', '.join(rows) or 'none'}.")
