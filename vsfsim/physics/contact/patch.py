@@ -28,8 +28,6 @@ CUTS = (1, 2, 3, 4, 6, 8)
 """Parts along the edge of a quadratic face that its contact may be integrated over."""
 _LEAST = 1.5  # least size of a face for its stiffness, over the element size, under a body with edges
 _MOST_CUTS = 4  # of a linear face along its edge
-_A_PRIORI = 4  # most cuts of a quadratic face before a body was found between its points
-_SHARP = 2  # cuts of a quadratic face under a body with edges, whose own points do the rest, see `body_points`
 _ONSET = 0.01  # depth over which a sheet's contact with a body with edges stiffens, over the edge of its elements
 _FACTOR = (0.1, 20.0)  # bounds of the factor on the contact stiffness of a sheet
 
@@ -54,6 +52,18 @@ def face_grid(steps: int, corners: int) -> np.ndarray:
     return shape_values(bary) if corners == 6 else bary
 
 
+def subdivided(cuts: int) -> np.ndarray:
+    """Barycentric coordinates of the corners of the ``cuts`` ** 2 parts of a triangle (parts, 3, 3), wound as it is."""
+    parts = []
+    for i in range(cuts):
+        for j in range(cuts - i):
+            ways = [((i, j), (i + 1, j), (i, j + 1))]
+            if i + j < cuts - 1:
+                ways.append(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
+            parts += [[[1.0 - (a + b) / cuts, a / cuts, b / cuts] for a, b in way] for way in ways]
+    return np.array(parts)
+
+
 @functools.cache
 def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
     """Shape values of the six Gauss points of every part of a surface triangle (parts, 6 points, 6 nodes).
@@ -62,40 +72,10 @@ def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
         corners: nodes of the triangle: 6 (quadratic), or 3 (linear), whose last three columns are 0.
         cuts: parts along each edge; a face has ``cuts`` ** 2 in all.
     """
-    parts = []
-    for i in range(cuts):
-        for j in range(cuts - i):
-            ways = [((i, j), (i + 1, j), (i, j + 1))]
-            if i + j < cuts - 1:
-                ways.append(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
-            parts += [[[1.0 - (a + b) / cuts, a / cuts, b / cuts] for a, b in way] for way in ways]
-    bary = np.einsum("qk,pkc->pqc", POINTS, np.array(parts))
+    bary = np.einsum("qk,pkc->pqc", POINTS, subdivided(cuts))
     if corners == 3:
         return np.concatenate([bary, np.zeros_like(bary)], axis=2)
-    return shape_values(bary.reshape(-1, 3)).reshape(len(parts), len(POINTS), 6)
-
-
-def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False, by_place: bool = False) -> np.ndarray:
-    """Parts along the edge of quadratic faces (f,) that a body of this ``radius`` [m] needs.
-
-    The six points of a part leave holes of radius 0.25 edge / cuts. Over such a hole a ball of radius R is (0.25 edge /
-    cuts)^2 / (2 R) deep, which these parts hold under 2 % of an edge. Radius 0 is a body with edges: its flat sides
-    need few points, and its edges have points of their own. The more of both there are from the beginning, the less
-    the force of a punch depends on where the object was when more were added.
-
-    Args:
-        radius: of the body; 0 where it has edges, infinite for a plane.
-        edge: of the faces (f,) [m].
-        local: whether the contact is to be right where it is small against the faces, too.
-        by_place: whether its footprint is looked at there, which takes about ten points, see `MissingCompliance`.
-    """
-    if not np.isfinite(radius):
-        return np.ones(len(edge), int)
-    if radius <= 0.0:
-        return np.full(len(edge), _SHARP)
-    wanted = 4.0 * edge / radius if by_place else np.sqrt((2.2 if local else 1.6) * edge / radius)
-    wanted = np.minimum(wanted, _A_PRIORI)
-    return np.array(CUTS)[np.searchsorted(CUTS, wanted - 1e-9)]
+    return shape_values(bary.reshape(-1, 3)).reshape(len(bary), len(POINTS), 6)
 
 
 def smooth_radius(shape: ProbeShape) -> float:
