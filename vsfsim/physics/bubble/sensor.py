@@ -50,14 +50,6 @@ class ReadOut:
     """Nodes of the rim in order (64,)."""
     flat: np.ndarray
     """Positions before inflation (390, 2) [m]."""
-    weights: sp.csr_matrix
-    """Interpolation from the nodes of the fine mesh (390, n) [-], sparse."""
-
-    def positions(self, points: np.ndarray) -> np.ndarray:
-        """Positions of the nodes (..., 390, 3) [m] when those of the fine mesh are at ``points`` (..., n, 3) [m]."""
-        lead = points.shape[:-2]
-        rows = points.reshape(-1, *points.shape[-2:])
-        return np.stack([self.weights @ row for row in rows]).reshape(*lead, -1, 3)
 
 
 @dataclass(frozen=True)
@@ -254,7 +246,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     edge = mesh.edge(touched)
     total, edges = membrane_mesh.READ_OUT
     read_flat, read_faces, read_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
-    read_out = ReadOut(read_faces.astype(np.int32), read_rim, read_flat, locate(flat, faces, read_flat))
+    read_out = ReadOut(read_faces.astype(np.int32), read_rim, read_flat)
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
     return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),
                        spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,

@@ -112,8 +112,7 @@ class Fitting:
 
 
 def fit(kind: str, touches: Sequence[SurfaceTouch], bounds: np.ndarray,
-        settings: Fitting | None = None, *, device: str = "cpu",
-        progress: Callable[[int, int, str], None] | None = None, **field: object) -> nn.Module:
+        settings: Fitting | None = None, *, device: str = "cpu", **field: object) -> nn.Module:
     """Fit a stiffness field to contact forces.
 
     Args:
@@ -122,7 +121,6 @@ def fit(kind: str, touches: Sequence[SurfaceTouch], bounds: np.ndarray,
         bounds: corners of the volume (2, 3) [m].
         settings: of the training; a batch of totals has as many vertices as a batch of forces on vertices.
         device: torch device.
-        progress: called with (iteration, number of iterations, loss as text).
         field: settings of the field's constructor.
 
     Returns:
@@ -143,7 +141,7 @@ def fit(kind: str, touches: Sequence[SurfaceTouch], bounds: np.ndarray,
         model = FIELDS[kind](bounds, unit, **field).to(device)
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
     optimiser = torch.optim.Adam(model.parameters(), lr=s.rate, foreach=True)
-    for iteration in range(s.iterations):
+    for _ in range(s.iterations):
         # drawn on the host, so that they are the same for every device
         which = torch.randint(len(forces.index), (size,), generator=generator).to(device)
         free = torch.rand((s.free_points, 3), generator=generator).to(device)
@@ -158,8 +156,6 @@ def fit(kind: str, touches: Sequence[SurfaceTouch], bounds: np.ndarray,
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-        if progress is not None and iteration % 50 == 0:
-            progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
     if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
         raise VsfError(f"vsf.neural: the {kind} field diverged: its weights are no longer finite. Lower the rate, "
                        f"{s.rate:g} now.")

@@ -151,8 +151,7 @@ class Training:
 
 
 def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], *, rate: float = 1e-4,
-          epochs: int = 400, patience: int = 40, seed: int = 0,
-          progress: Callable[[int, int, str], None] | None = None) -> Training:
+          epochs: int = 400, patience: int = 40, seed: int = 0) -> Training:
     """Fit the meta-prior by maximum likelihood (eq. 15): Adam, one object a step, early stopping.
 
     Args:
@@ -163,7 +162,6 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
         epochs: the most epochs that are run.
         patience: epochs without a lower validation NLL after which training stops.
         seed: of dropout and of the order of the objects.
-        progress: called with (epoch, number of epochs, NLL so far as text).
 
     Raises:
         VsfError: no training object with a reading, or the likelihood is no longer finite.
@@ -177,12 +175,11 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
     # On the CPU, synchronising threads over many small matrices costs up to fifteen times what they gain.
     largest = max(block.matrix.numel() for task in tasks for block in task.evidence.blocks)
     with torch_threads(1 if largest < _SMALL else torch.get_num_threads()):
-        return _descend(prior, tasks, validation, rate, epochs, patience, seed, rng, progress)
+        return _descend(prior, tasks, validation, rate, epochs, patience, seed, rng)
 
 
 def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], rate: float, epochs: int,
-             patience: int, seed: int, rng: np.random.Generator,
-             progress: Callable[[int, int, str], None] | None) -> Training:
+             patience: int, seed: int, rng: np.random.Generator) -> Training:
     optimiser = torch.optim.Adam(prior.parameters(), lr=rate, foreach=True)
     best, best_value, kept = 0, score(prior, validation) if validation else np.inf, _copy(prior)
     history, checked = [score(prior, tasks)], [best_value]
@@ -210,9 +207,6 @@ def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[M
                     break
             else:
                 best = epoch
-            if progress is not None:
-                checks = f", validation {checked[-1]:.3f}" if validation else ""
-                progress(epoch, epochs, f"NLL {history[-1]:.3f} a reading{checks}")
     if validation:
         prior.load_state_dict(kept)
     prior.eval()
