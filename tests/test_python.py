@@ -86,7 +86,7 @@ def test_a_dataset_is_a_sequence_of_object_views(dataset):
     assert dataset.blind()[1:][0].truth is None and dataset[1:][0].truth is not None
     with pytest.raises(IndexError, match="3 object views; there is no number 3"):
         dataset[3]
-    with pytest.raises(DatasetError, match="no split 'tset'"):
+    with pytest.raises(DatasetError, match="is 'tset'"):
         dataset.split("tset")
 
 
