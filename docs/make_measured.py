@@ -1,4 +1,4 @@
-"""Writes the tables of figures that the pages include: `python docs/make_measured.py [NAME[=FILE,...] ...]`.
+"""Writes the tables of figures that the pages include: `python docs/make_measured.py [results | NAME[=FILE,...] ...]`.
 
 Every table comes from the output of a command, which stands above it in the file. `measured/NAME.md` is included by a
 page; the README's table stands between two marks, since GitHub includes nothing. The leaderboards take seconds and a
@@ -7,7 +7,6 @@ measured is in the FILEs that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote 
 """
 
 import dataclasses
-import functools
 import importlib.util
 import json
 import math
@@ -20,6 +19,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
+sys.path.insert(0, str(ROOT))
 NOT = "not measured"
 DRAWN = {"foam-block": "accuracy", "shoes-v3-mini": "accuracy-shoe"}
 """Pictures of fronts, by scene."""
@@ -58,23 +58,34 @@ def leaderboard(task: str) -> str:
             + piped([table[0][k] for k in kept], [[row[k] for k in kept] for row in table[2:]]))
 
 
-def study(name: str, size: str = "mini") -> str:
-    """The table of `vsfsim papers study NAME` from the results that ship; a variant without one has no row."""
-    from papers.report import cells, remarks, title
-    from papers.study import load_study
+def boards() -> str:
+    """The table of every living task that has rows."""
+    from vsfsim.core.shelf import tasks
 
-    one = load_study(name)
-    found = results(name, size)
-    head, rows = cells(one, found)
-    note = "".join([f" {one.note}" if one.note else "", *(f" {line[0].upper()}{line[1:]}." for line in remarks(found))])
-    return (f"<!-- vsfsim papers study {name} --size {size} -->\n{one.title} ({one.source}): "
-            f"{title(one, size, found)}; \\* told apart by two standard errors.{note}\n\n"
-            + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
+    return "\n".join(f"## `{name}`\n\n{table}" for name, table in {name: leaderboard(name) for name in tasks()}.items()
+                     if BOARDS[name].rows)
+
+
+def studies() -> str:
+    """The table of every study that has rows which ship; a star marks a difference of two standard errors."""
+    from papers.report import cells, remarks, title
+    from papers.results import stored
+    from papers.study import load_study
+    from papers.study import studies as known
+
+    parts = []
+    for one in map(load_study, known()):
+        if found := stored(one, BOARDS, made=False):
+            head, rows = cells(one, found)
+            said = " ".join([title(one, found), one.note, *remarks(found)]).rstrip()
+            parts.append(f"## `{one.name}`\n\n{one.title} ({one.source}): {said}\n\n" + piped(head, [
+                [cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
+    return "\n".join(parts) or "No study has rows at this release.\n"
 
 
 def claims() -> str:
     """The table of `vsfsim papers claims` from the results that ship, and what is different here."""
-    from papers.claims import HEAD, HOLDS, RULE, all_verdicts, cells, counts, superseded
+    from papers.claims import HEAD, HOLDS, RULE, all_verdicts, cells, counts
 
     found = all_verdicts(boards=BOARDS, made=False)
     numbered = list(enumerate(found, start=1))
@@ -83,8 +94,7 @@ def claims() -> str:
         rows = [[f"**{cell}**" if cell == HOLDS else cell for cell in cells(k, v)]
                 for k, v in numbered if v.task == task]
         tables.append(f"## On `{task}`\n\n" + piped(list(HEAD), rows))
-    notes = [f"- {line}" for line in superseded(found)] + [f"- {k}: {v.claim.note}." for k, v in numbered
-                                                           if v.claim.note]
+    notes = [f"- {k}: {v.claim.note}." for k, v in numbered if v.claim.note]
     return (f"<!-- vsfsim papers claims -->\n{counts(found)} {RULE}\n\n" + "\n".join(tables)
             + "\n## What is different here\n\n" + "\n".join(notes) + "\n")
 
@@ -100,50 +110,38 @@ def audits() -> str:
         return ", ".join(cells) or NOT
 
     head = ["task", "rows", "best row", "neighbours told apart", "least difference told",
-            *(f"sees only: {kind}" if kind != "constant" else "sees nothing" for kind in KINDS), "over-fit", "source"]
+            *(f"sees only: {kind}" if kind != "constant" else "sees nothing" for kind in KINDS), "over-fit"]
     table = []
     for task in map(load_task, tasks()):
-        if task.superseded_by or not task.protocol.folds or task.metric.higher_is_better:
+        if not task.protocol.folds or task.metric.higher_is_better:
             continue
         found = audit(task, [], measure=False)
         shortcut = {s.sees: f"{s.mean:.3f} ± {s.error:.3f}" for s in found.shortcuts}
         pairs = found.rows - 1
         table.append([f"`{task.name}`", str(found.rows), found.best or "none yet",
                       f"{found.told} of {pairs}" if pairs > 0 else NOT, f"{found.least:.3f}" if pairs > 0 else NOT,
-                      *(shortcut.get(kind, NOT) for kind in KINDS), correlations(found.fresh),
-                      correlations(found.source)])
+                      *(shortcut.get(kind, NOT) for kind in KINDS), correlations(found.fresh)])
     return "<!-- vsfsim lab audit TASK, of each task -->\n" + piped(head, table)
 
 
-@functools.cache
-def results(name: str, size: str) -> dict:
-    """Results of a study that ship, by variant."""
-    from papers.results import stored
-    from papers.study import load_study
-
-    return stored(load_study(name), size, boards=BOARDS, made=False)
+RESULTS = {one.__name__: one for one in (boards, studies, claims, audits)}
+"""Tables of all tasks or studies, by the name of the file."""
 
 
 def included() -> list[str]:
-    """Names of the tables of results that the pages include: leaderboards, studies, claims and audits."""
-    mark = r"measured(?:/|: )((?:leaderboard-|study-|claims|audits)[\w.-]*)\.md"
+    """Names of the tables of results that the pages include."""
+    mark = rf"measured(?:/|: )(leaderboard-[\w.-]+|{'|'.join(RESULTS)})\.md"
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
     return sorted({name for page in pages for name in re.findall(mark, page.read_text())})
 
 
 def result(name: str) -> str:
-    """A table of results by the name of its file; a study whose name ends with ``-standard`` is of the larger size."""
-    kind, _, what = name.partition("-")
-    if kind in ("claims", "audits"):
-        return claims() if kind == "claims" else audits()
-    if kind == "leaderboard":
-        return leaderboard(what)
-    return study(what.removesuffix("-standard"), "standard" if what.endswith("-standard") else "mini")
+    """A table of results by the name of its file."""
+    return RESULTS[name]() if name in RESULTS else leaderboard(name.removeprefix("leaderboard-"))
 
 
 def measurement(name: str, tables: int, **settings: Any) -> str:
     """The first ``tables`` of `vsfsim measure NAME`, with the machine, the day and the notes."""
-    sys.path.insert(0, str(ROOT))
     found = importlib.import_module(f"measurements.{MODULES.get(name, name)}").measure(progress=print, **settings)
     words = name + (f" --tier {settings['tier']}" if "tier" in settings else "")
     return with_notes(found, words, found.tables[:tables])
@@ -157,7 +155,6 @@ def with_notes(found: Any, words: str, tables: list) -> str:
 
 def recorded(name: str, files: list[Path]) -> str:
     """The table NAME from what commands wrote with --json; the rows of several files, of one machine, stand in one."""
-    sys.path.insert(0, str(ROOT))
     records = [json.loads(file.read_text()) for file in files]
     if name.startswith("tradeoff-"):
         return tradeoff_table(name.removeprefix("tradeoff-"), MEASURED[name].keywords, records[0])
@@ -180,7 +177,6 @@ def written(found: Any, words: str, about: str, tables: list) -> str:
 
 def kept(name: str, module: str) -> str:
     """The tables of `vsfsim measure NAME` from the presses in measured/NAME.jsonl, which took a large machine."""
-    sys.path.insert(0, str(ROOT))
     found = importlib.import_module(f"measurements.{module}").stored(FOLDER / f"{name}.jsonl")
     of = dict(found.settings)
     found = dataclasses.replace(found, version=of.pop("version"), commit=of.pop("commit"))
@@ -246,7 +242,8 @@ def readme(text: str) -> str:
 
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
-    for name, _, files in (word.partition("=") for word in sys.argv[1:] or MEASURED):
+    words = included() if sys.argv[1:] == ["results"] else sys.argv[1:] or MEASURED
+    for name, _, files in (word.partition("=") for word in words):
         text = recorded(name, [Path(file) for file in files.split(",")]) if files else MEASURED[name]()
         (FOLDER / f"{name}.md").write_text(text)
     page = ROOT / "README.md"

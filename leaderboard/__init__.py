@@ -1,1 +1,1 @@
-"""The rows that ship: TASK.json of each task, studies/TASK.json of its studies; and result files, TASK/METHOD.json."""
+"""The rows that ship, TASK/METHOD.json and studies/TASK/NAME.json, the list of what made them, and audits."""

@@ -15,14 +15,10 @@ from typing import Any
 from papers.decide import EQUAL_WITHIN, FAILS, HOLDS, LEVEL, UNTOLD, Answers, Difference, Question, Values, answers
 from papers.figures import figure, said
 from papers.results import Found, stored
-from papers.study import SIZES, Asked, Study, load_study, studies
+from papers.study import Asked, Study, load_study, studies
 from vsfsim.bench.leaderboard import Board, interval_text
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.task import load_task
 from vsfsim.core.text_table import text_table
-
-PLAIN = ("sbml-plants", "sbml-shoes", "vsf-inclusion", "vsf-localization")
-"""Studies of plain rows of the leaderboards. Their claims come first, and are asked of rows of another preset too."""
 
 ANGLE = 15.0
 """An object whose pose is found within this angle counts as found [degrees]."""
@@ -37,8 +33,6 @@ class Verdict:
 
     claim: Asked
     """The claim."""
-    key: str
-    """Its study and text."""
     task: str
     """Name of the task that asks it here."""
     ours: str
@@ -61,54 +55,33 @@ class Verdict:
         return Question(self.difference, one.equal, higher, (better - worse if higher else worse - better) / worse)
 
 
-def all_verdicts(size: str = "", *, preset: str = "tuned", boards: dict[str, Board] | None = None,
-                 made: bool = True) -> list[Verdict]:
-    """All claims, those on plain rows first; all together are one family.
+def all_verdicts(asked: Sequence[Study] | None = None, *, boards: dict[str, Board] | None = None, made: bool = True
+                 ) -> list[Verdict]:
+    """The claims of some studies beside their stored results; all together are one family.
 
     Args:
-        size: of the tasks; "" for the first of `SIZES`, claim by claim, that has results. preset: of the methods in
-        plain rows. boards, made: as of `papers.results.stored`.
+        asked: the studies, None for all that ship. boards, made: as of `papers.results.stored`.
 
     Raises:
         TaskError: a result is damaged.
     """
-    asked = [load_study(name) for name in (*PLAIN, *(name for name in studies() if name not in PLAIN))]
-    asked = [dataclasses.replace(one, variants=tuple(dataclasses.replace(v, preset=preset) for v in one.variants))
-             if one.name in PLAIN else one for one in asked]
     boards = {} if boards is None else boards
-    known = [{v.key: v for v in verdicts(asked, one, boards, made)} for one in ((size,) if size else SIZES)]
-    found = [next((of[key] for of in known if key in of and of[key].difference is not None), last)
-             for key, last in known[-1].items()]
+    known = [load_study(name) for name in studies()] if asked is None else asked
+    found = [_verdict(study, claim, rows) for study in known if study.claims
+             for rows in [stored(study, boards, made)] for claim in study.claims]
     return [dataclasses.replace(v, answers=a) for v, a in zip(found, answers([v.question for v in found]), strict=True)]
 
 
-def verdicts(asked: Sequence[Study], size: str, boards: dict[str, Board] | None = None,
-             made: bool = True) -> list[Verdict]:
-    """The claims of some studies on tasks of a size beside their stored results, not answered yet.
-
-    Args:
-        asked: the studies. size: of the tasks. boards, made: as of `papers.results.stored`.
-    """
-    claims = []
-    for study in (one for one in asked if size in one.tasks):
-        used = {side[0] for one in study.claims for side in (one.better, one.worse)}
-        wanted = [v for v in study.variants if v.name in used]
-        found = {name: one for name, one in stored(study, size, wanted, boards, made).items() if one.stands}
-        claims += [_verdict(study, size, one, found) for one in study.claims]
-    return claims
-
-
-def _verdict(study: Study, size: str, asked: Asked, found: Mapping[str, Found]) -> Verdict:
-    sides, key, task = (asked.better, asked.worse), f"{study.name}/{asked.text}", study.tasks[size]
-    command = f"vsfsim papers study {study.name} --size {size}"
+def _verdict(study: Study, asked: Asked, found: Mapping[str, Found]) -> Verdict:
+    sides, command = (asked.better, asked.worse), f"vsfsim papers study {study.name}"
     if any(name not in found for name, _ in sides):
-        return Verdict(asked, key, task, "no result", None, command)
+        return Verdict(asked, study.task, "no result", None, command)
     command += f" ({', '.join(dict.fromkeys(found[name].path.name for name, _ in sides))})"
     values = [values_of(found[name], asked.metric, shot) for name, shot in sides]
     if not all(one.objects for one in values):
-        return Verdict(asked, key, task, f"no {asked.metric} at these shots", None, command)
+        return Verdict(asked, study.task, f"no {asked.metric} at these shots", None, command)
     ours = " and ".join(interval_text(one.objects) for one in values)
-    return Verdict(asked, key, task, ours, Difference.of(*values), command)
+    return Verdict(asked, study.task, ours, Difference.of(*values), command)
 
 
 def values_of(found: Found, metric: str, shot: str) -> Values:
@@ -153,7 +126,7 @@ def cells(number: int, v: Verdict) -> list[str]:
 def text(verdicts: Sequence[Verdict]) -> str:
     """The verdicts for a terminal, numbered, with the commands behind them."""
     rows = [cells(k, v) for k, v in enumerate(verdicts, start=1)]
-    lines = [text_table(list(HEAD), rows), "", counts(verdicts), RULE, *superseded(verdicts)]
+    lines = [text_table(list(HEAD), rows), "", counts(verdicts), RULE]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
     for words, there in (("Made by:", True), ("Missing; these commands make them:", False)):
         by_command = _numbers({k: v.command for k, v in enumerate(verdicts, start=1)
@@ -177,13 +150,6 @@ def counts(verdicts: Sequence[Verdict]) -> str:
     sized = [v.answers.size for v in verdicts if v.answers.size]
     return (f"Of {len(verdicts)} claims {of([v.answers.direction for v in verdicts])} "
             f"Of the sizes of {len(sized)} with figures {of(sized)}")
-
-
-def superseded(verdicts: Sequence[Verdict]) -> list[str]:
-    """A sentence for every task that was measured and is superseded, with the numbers of its claims."""
-    measured = _numbers({k: v.task for k, v in enumerate(verdicts, start=1) if v.difference is not None})
-    return [f"Claims {numbers} were measured on {task}, which {load_task(task).superseded_by} supersedes."
-            for task, numbers in measured.items() if load_task(task).superseded_by]
 
 
 def table(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:

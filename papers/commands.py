@@ -9,7 +9,7 @@ import typer
 from vsfsim.cli import cluster
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import AtLeastOne, JsonFile, command
-from vsfsim.core.errors import TaskError, one_of
+from vsfsim.core.errors import TaskError
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -22,8 +22,8 @@ def _complete(incomplete: str) -> list[str]:
 
 @command(app)
 def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)] = None,
-          every: Annotated[bool, typer.Option("--all")] = False, size: str = "mini", workers: AtLeastOne = 1,
-          device: str = "", show: bool = False, json: JsonFile = None) -> None:
+          every: Annotated[bool, typer.Option("--all")] = False, workers: AtLeastOne = 1, device: str = "",
+          show: bool = False, json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
@@ -31,7 +31,6 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     Args:
         names: Of a study, or the path of its .toml file; may be given again. Without it, the studies are listed.
         every: All studies that ship.
-        size: Tasks that are asked: mini, or standard for the papers' size.
         workers: Trainings that run at the same time, of all variants.
         device: Torch device of the methods that a GPU makes faster: cuda:0 for instance; with cuda each training uses
             one of all GPUs.
@@ -39,16 +38,15 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     """
     from papers import report as tables
     from papers.results import make_missing, stored
-    from papers.study import SIZES, load_study, studies
+    from papers.study import load_study, studies
 
-    one_of(size, SIZES, "--size")
     fan = cluster.asked()
     known = [load_study(name) for name in (studies() if every else names or [])]
     if not known:
         listed = [load_study(name) for name in studies()]
         width = 2 + max(len(one.name) for one in listed)
         report("\n".join(f"{one.name:<{width}}{one.title} ({one.source})" for one in listed),
-               [{"study": one.name, "title": one.title, "source": one.source, "tasks": dict(one.tasks),
+               [{"study": one.name, "title": one.title, "source": one.source, "task": one.task,
                  "variants": [v.name for v in one.variants]} for one in listed], json)
         return
     reasons: dict[str, list[str]] = {}
@@ -56,7 +54,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         return
     if not show:
         with Progress("study") as progress:
-            for name, message in make_missing(known, size, workers, progress=progress, device=device, fan=fan):
+            for name, message in make_missing(known, workers, progress=progress, device=device, fan=fan):
                 if message:
                     reasons.setdefault(message.strip(), []).append(name)
                 if str(json) != "-":
@@ -66,7 +64,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                f"without a --shard scores them.", {"shard": list(fan.shard)}, json)
         return
     boards: dict = {}
-    found = [(one, size, stored(one, size, boards=boards)) for one in known]
+    found = [(one, stored(one, boards)) for one in known]
     numbers = [tables.table(*one) for one in found]
     report("\n\n".join(tables.text(*one) for one in found), numbers[0] if len(numbers) == 1 else numbers, json)
     if reasons:
@@ -74,22 +72,13 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
 
 
 @command(app)
-def claims(preset: str = "tuned", size: str = "", json: JsonFile = None) -> None:
+def claims(json: JsonFile = None) -> None:
     """Hold the papers' claims against stored results.
 
     Reads the results that ship, those in results/TASK and those of `vsfsim papers study`. Each verdict names the
     commands behind it.
-
-    Args:
-        preset: Settings of the methods whose results count: paper, exact or tuned.
-        size: Tasks that are asked: mini, or standard for the papers' size; default: of each claim the larger one that
-            has results.
     """
     from papers import claims as judged
-    from papers.study import SIZES
-    from vsfsim.bench.commands.catalogue import PRESETS
 
-    one_of(preset, PRESETS, "--preset")
-    one_of(size or "mini", SIZES, "--size")
-    verdicts = judged.all_verdicts(size, preset=preset)
+    verdicts = judged.all_verdicts()
     report(judged.text(verdicts), judged.table(verdicts), json)

@@ -17,12 +17,11 @@ RANKING = "5"
 JSON has all of them."""
 
 
-def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]:
+def table(study: Study, found: Mapping[str, Found]) -> dict[str, Any]:
     """The study for JSON.
 
     Args:
-        study: the study. size: of its tasks. found: results by variant, as `papers.results.stored` gives
-        them.
+        study: the study. found: results by variant, as `papers.results.stored` gives them.
     """
     rows = []
     for variant in study.variants:
@@ -33,10 +32,9 @@ def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]
                      "values": {shot: {"mean": mean, "error": error if error == error else None, "objects": objects}
                                 for shot, (mean, error, objects) in means.items()},
                      "difference": {shot: asdict(d) for shot, d in apart.items()},
-                     "file": str(one.path) if one is not None else None,
-                     "task": one.result.task if one is not None else None})
-    return {"study": study.name, "title": study.title, "source": study.source, "metric": study.metric, "size": size,
-            "baseline": study.baseline, "paper_unit": study.unit, "variants": rows}
+                     "file": str(one.path) if one is not None else None})
+    return {"study": study.name, "title": study.title, "source": study.source, "metric": study.metric,
+            "task": study.task, "baseline": study.baseline, "paper_unit": study.unit, "variants": rows}
 
 
 def _measured(study: Study, found: Mapping[str, Found], name: str) -> tuple[dict[str, ByObject], dict[str, Paired]]:
@@ -76,33 +74,30 @@ def cells(study: Study, found: Mapping[str, Found]) -> tuple[list[str], list[lis
     return head, rows
 
 
-def title(study: Study, size: str, found: Mapping[str, Found]) -> str:
+def title(study: Study, found: Mapping[str, Found]) -> str:
     """One line: what the figures are."""
     of = next(iter(found.values()), None)
     unit = unit_of(study.metric, of.result.unit if of else "") or "-"
     objects = max((len(one.values(study.metric, shot)) for one in found.values() for shot in one.result.shots),
                   default=0)
     return (f"{study.metric} [{unit}], mean ± standard error over objects (at most {objects}), and paired differences "
-            f"from '{study.baseline}'; size {size}")
+            f"from '{study.baseline}'; on {study.task}")
 
 
-def text(study: Study, size: str, found: Mapping[str, Found]) -> str:
+def text(study: Study, found: Mapping[str, Found]) -> str:
     """The study for a terminal."""
-    lines = [f"{study.name}: {study.title} ({study.source})", title(study, size, found), "",
+    lines = [f"{study.name}: {study.title} ({study.source})", title(study, found), "",
              text_table(*cells(study, found)), *remarks(found)]
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
-        lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name} --size {size}` makes them"]
+        lines += ["", f"missing: {', '.join(missing)}; `vsfsim papers study {study.name}` makes them"]
     return "\n".join(lines + (["", study.note] if study.note else []))
 
 
 def remarks(found: Mapping[str, Found]) -> list[str]:
-    """A line for earlier rows, and one for the variants that were made on other data than the first one."""
-    earlier, other = (", ".join(f"'{name}'" for name in names) for names in (
-        [name for name, one in found.items() if not one.stands], on_other_data(found)))
-    lines = {f"earlier rows, of a method or a scorer that is gone: {earlier}; no claim rests on them": earlier,
-             f"made on other data than '{next(iter(found), '')}': {other}; make them again": other}
-    return [line for line, names in lines.items() if names]
+    """A line for the variants that were made on other data than the first one."""
+    other = ", ".join(f"'{name}'" for name in on_other_data(found))
+    return [f"made on other data than '{next(iter(found))}': {other}; make them again"] if other else []
 
 
 def _difference(d: Paired) -> str:

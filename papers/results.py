@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from papers.study import Study, Variant
+from papers.study import Study, Variant, load_study
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
-from vsfsim.bench.board.rows import EARLIER, SAME_READINGS, listed, read_rows, row_sha256, write_rows
+from vsfsim.bench.board.rows import SAME_READINGS, listed, row_sha256
 from vsfsim.bench.commands.catalogue import on_device
+from vsfsim.bench.commands.release import dataset_of
 from vsfsim.bench.evaluate import make
 from vsfsim.bench.result import Result, readings_apart
-from vsfsim.bench.task import Protocol, Task, load_task
+from vsfsim.bench.task import Protocol, load_task, open_dataset
 from vsfsim.bench.trials.jobs import Evaluation
-from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.shelf import folder, scenes
+from vsfsim.core.shelf import folder
 from vsfsim.core.system.engines import HERE, Fan
 
 MADE = Path("results")
@@ -36,75 +35,41 @@ class Found:
     """Its file."""
     protocol: Protocol
     """Of its task, with the study's shots and runs."""
-    objects: frozenset[str] | None = None
-    """Names of the objects that count, None for all."""
-    stands: bool = True
-    """It is no earlier row (`vsfsim.bench.board.rows.EARLIER`), on which no claim rests."""
 
     def values(self, metric: str, shot: str) -> ByObject:
-        """A metric of each object that counts, mean over runs; {} where the result does not hold it."""
-        found = by_object(self.result, metric, shot)
-        return {name: v for name, v in found.items() if self.objects is None or name in self.objects}
+        """A metric of each object, mean over runs; {} where the result does not hold it."""
+        return by_object(self.result, metric, shot)
 
 
-def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
-           boards: dict[str, leaderboard.Board] | None = None, made: bool = True) -> dict[str, Found]:
+def stored(study: Study, boards: dict[str, leaderboard.Board] | None = None, made: bool = True) -> dict[str, Found]:
     """The variants that have a result, made here or shipped, by name.
 
-    A row of the task's leaderboard serves where a variant is one. A result of another version of the task, or of other
-    settings, does not count.
+    A ranked row of the task's leaderboard serves where a variant is one. A result of another version of the task, or of
+    other settings, does not count, and one that ships counts if it is on the repository's list.
 
     Args:
-        study: the study. size: of its tasks; {} for one that it does not have. variants: of it, None for all. boards:
-        by name of the task, those that are read already; others are added. made: results made here count; else only
-        those that ship.
+        study: the study. boards: by name of the task, those that are read already; others are added. made: results made
+        here count; else only those that ship.
 
     Raises:
         TaskError: a file is damaged; a table that the study needs is missing.
     """
-    out = {}
-    boards = {} if boards is None else boards
-    read = functools.cache(read_rows)
-    for variant in variants if variants is not None else study.variants:
-        if not study.has(variant, size):
-            continue
-        task = study.task_of(variant, size)
+    out, boards = {}, {} if boards is None else boards
+    for variant in study.variants:
+        task = study.task_of(variant)
         if study.is_row(variant):
-            known = [(row.path, row.result, row.rank is not None) for row in board_of(task.name, boards, made).rows
-                     if (row.rank is not None or row.mark == EARLIER)
+            known = [(row.path, row.result) for row in board_of(task.name, boards, made).rows if row.rank is not None
                      and (row.result.method, row.result.preset) == (variant.method, variant.preset)]
         else:
-            known = [(path, result, of == MADE or row_sha256(result) in listed())
-                     for of in [MADE] * made + [folder("leaderboard")]
-                     for path, result in _of_study(of / "studies", task.name, f"{study.stem(variant)}.json", read)
-                     if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels]
+            files = [of / "studies" / task.name / f"{study.stem(variant)}.json" for of in (
+                *[MADE] * made, folder("leaderboard"))]
+            known = [(path, result) for path, result in ((path, Result.load(path)) for path in files if path.is_file())
+                     if (result.task_sha256, result.shots) == (task.sha256, task.protocol.labels)
+                     and (MADE in path.parents or row_sha256(result) in listed())]
         if known:
-            path, result, stands = known[0]
-            out[variant.name] = Found(variant, result, path, task.protocol, _counted(study, variant, task), stands)
+            path, result = known[0]
+            out[variant.name] = Found(variant, result, path, task.protocol)
     return out
-
-
-def _of_study(of: Path, task: str, name: str, read: Callable[[Path], dict[str, Result]]) -> list[tuple[Path, Result]]:
-    """The result of a name in a folder of studies: a file made here, or a row that ships."""
-    path = of / task / name
-    if path.is_file():
-        return [(path, Result.load(path))]
-    return [(path, result) for key, result in read(of / f"{task}.json").items() if key == name]
-
-
-def ship(task: str, out: Path) -> None:
-    """Write the results that studies of a task have made here, beside those that ship, as the file that ships.
-
-    Args:
-        task: its name. out: the file.
-
-    Raises:
-        TaskError: a file is damaged or cannot be written.
-    """
-    rows = read_rows(folder("leaderboard") / "studies" / f"{task}.json")
-    rows |= {path.name: Result.load(path) for path in (MADE / "studies" / task).glob("*.json")}
-    if rows:
-        write_rows(dict(sorted(rows.items())), out)
 
 
 def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True) -> leaderboard.Board:
@@ -122,43 +87,31 @@ def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True)
     return boards[task]
 
 
-def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | None:
-    """Names of the objects of the variant's class."""
-    if not variant.only:
-        return None
-    models = models_of(scenes()[task.dataset.scene].read_text(encoding="utf-8"))
-    return frozenset(f"{task.dataset.scene}-{k:04d}" for k in range(task.dataset.objects)
-                     if models and study.class_of.get(models[k % len(models)]) == variant.only)
-
-
-def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Evaluation:
+def evaluation(study: Study, variant: Variant, device: str = "") -> Evaluation:
     """What makes the result of a variant.
 
     Args:
-        study: the study. variant: of it. size: of its tasks. device: that methods use which a GPU makes faster.
+        study: the study. variant: of it. device: that methods use which a GPU makes faster.
 
     Raises:
         VsfsimError: the dataset is missing, with the command that makes it, or does not fit.
     """
-    task = study.task_of(variant, size)
-    if study.is_row(variant):
-        task = load_task(task.name)  # without the study's shots and runs
+    row = study.is_row(variant)
+    task = load_task(study.task) if row else study.task_of(variant)  # a row without the study's shots and runs
     choice = on_device(study.choice(variant, task), device, task.observation.name)
-    path = MADE / task.name / f"{choice.stem}.json" if study.is_row(variant) else (
+    path = MADE / task.name / f"{choice.stem}.json" if row else (
         MADE / "studies" / task.name / f"{study.stem(variant)}.json")
-    return Evaluation(choice.method, task, study.dataset_of(variant, task), path, choice.parameters,
-                      preset=choice.preset, training=study.training(variant, task, size))
+    return Evaluation(choice.method, task, open_dataset(task), path, choice.parameters, preset=choice.preset,
+                      training=study.training(variant))
 
 
-def make_missing(studies: Sequence[Study], size: str, processes: int,
-                 progress: Callable[[int, int, str], None] = lambda *_: None, device: str = "",
-                 fan: Fan = HERE) -> Iterator[tuple[str, str]]:
+def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[int, int, str], None] = lambda *_: None,
+                 device: str = "", fan: Fan = HERE) -> Iterator[tuple[str, str]]:
     """Make the results of some studies that are not there, several trainings at a time.
 
     Args:
-        studies: whose variants are made. size: of the tasks. processes: trainings at a time. progress: called with
-        (done, of how many, what is going on). device: as of `evaluation`. fan: where the trainings run; a shard scores
-        nothing.
+        studies: whose variants are made. processes: trainings at a time. progress: called with (done, of how many, what
+        is going on). device: as of `evaluation`. fan: where the trainings run; a shard scores nothing.
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -168,13 +121,11 @@ def make_missing(studies: Sequence[Study], size: str, processes: int,
     """
     jobs, boards = dict[Path, tuple[str, Evaluation]](), dict[str, leaderboard.Board]()
     for study in studies:
-        found = stored(study, size, boards=boards)
-        for variant in study.variants:
+        found = stored(study, boards)
+        for variant in (one for one in study.variants if one.name not in found):
             name = f"{study.name}, {variant.name}"
-            if not study.has(variant, size) or (variant.name in found and found[variant.name].stands):
-                continue
             try:
-                one = evaluation(study, variant, size, device)
+                one = evaluation(study, variant, device)
             except VsfsimError as error:
                 yield name, str(error)
                 continue
@@ -194,3 +145,22 @@ def on_other_data(found: Mapping[str, Found]) -> list[str]:
     apart = {name: readings_apart(one.result.readings, first.result.readings) for name, one in found.items()
              } if first is not None else {}
     return [name for name, difference in apart.items() if difference is not None and difference > SAME_READINGS]
+
+
+def release(names: Sequence[str], out: Path, workers: int, progress: Callable[[int, int, str], None]
+            ) -> Iterator[tuple[str, str]]:
+    """Make what some studies lack, datasets too, and ship it.
+
+    Args:
+        names: of the studies. out: folder of the rows that ship. workers, progress: as of `make_missing`.
+
+    Yields:
+        As `make_missing`.
+    """
+    studies = [load_study(name) for name in names]
+    for task in (study.task_of(variant) for study in studies for variant in study.variants):
+        dataset_of(task, workers)
+    yield from make_missing(studies, workers, progress)
+    leaderboard.ship({one.path.relative_to(MADE): (one.result, f"vsfsim papers study {study.name}", 0.0)
+                      for study in studies for one in stored(study).values()
+                      if MADE / "studies" in one.path.parents}, out)

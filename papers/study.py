@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from papers import worlds
 from papers.figures import figure
 from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.commands.catalogue import preset as chosen
@@ -25,10 +23,6 @@ from vsfsim.bench.trials.training import RULES, Extra, Training
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
 from vsfsim.core.table import Count, Positive, Share, T, parse_toml, read_text
-from vsfsim.data.dataset import Dataset
-
-SIZES = ("standard", "mini")
-"""Of tasks, in the order in which a claim takes the first that has results."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +32,7 @@ class Pool:
     data: str
     """Name of a table [data.NAME]."""
     objects: Positive
-    """How many of them."""
-    first: Count = 0
-    """Number of the first of them."""
+    """How many of them, the first ones."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +61,6 @@ class Variant:
     """Further training objects."""
     data: str = ""
     """Name of a table [data.NAME] whose dataset takes the place of the task's; "" for the task's."""
-    world: str = ""
-    """A key of `papers.worlds.WORLDS` that takes the place of the task; "" for none."""
-    only: str = ""
-    """Class of the objects that count; "" for all."""
     paper: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)
     """The paper's figures: mean, or mean and spread, by shot."""
 
@@ -113,9 +101,9 @@ class Study:
     """Of the paper's figures."""
     metric: str = "rmse_ratio"
     """Name of the metric that is shown."""
-    tasks: Mapping[str, str] = field(default_factory=dict)
-    """Name of the task by size; {} where every variant has a world."""
-    baseline: str = ""
+    task: str
+    """Name of the task that is asked."""
+    baseline: str
     """Variant from which the differences are."""
     shots: tuple[Count, ...] = ()
     """Instead of the task's; () for the task's."""
@@ -123,10 +111,9 @@ class Study:
     """Instead of the task's; 0 for the task's."""
     draws: Count = 0
     """Instead of the task's; 0 for the task's."""
-    folds: Count = 0
-    """Instead of the task's; 0 for the task's."""
     data: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Datasets other than the tasks', by name: fields of `DatasetWanted` over those of the task, in a table a size."""
+    """Datasets other than the task's, by name: fields of `DatasetWanted` over those of the task, or of another one that
+    is named by ``task``."""
     note: str = ""
     """What is different here."""
     name: str = ""
@@ -135,15 +122,8 @@ class Study:
     """In order."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Of all variants."""
-    classes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Models of each class."""
     claims: tuple[Asked, ...] = ()
     """Of the paper."""
-
-    @property
-    def class_of(self) -> dict[str, str]:
-        """Class of each model."""
-        return {model: name for name, models in self.classes.items() for model in models}
 
     def variant(self, name: str) -> Variant:
         """Raises:
@@ -154,58 +134,27 @@ class Study:
             raise TaskError(f"study {self.name} has no variant '{name}'. {did_you_mean(name, found)}")
         return found[name]
 
-    def has(self, variant: Variant, size: str) -> bool:
-        """Whether it has a task of this size for a variant."""
-        return bool(variant.world) or (size in self.tasks and all(
-            size in self.data[name] for name in (variant.data, *(p.data for p in variant.extra)) if name))
-
-    def task_of(self, variant: Variant, size: str) -> Task:
-        """The task that a variant asks, with the study's shots and runs.
-
-        Raises:
-            TaskError: the study has no task of this size.
-        """
-        if variant.world:
-            task = worlds.task(variant.world)
-        else:
-            if size not in self.tasks:
-                raise TaskError(f"study {self.name} has no task of the size '{size}'; it has "
-                                f"{' and '.join(self.tasks)}.")
-            task = load_task(self.tasks[size])
-        if variant.data:
-            task = dataclasses.replace(task, dataset=self.wanted(variant.data, size, task))
-        return self._asked(task)
+    def task_of(self, variant: Variant) -> Task:
+        """The task that a variant asks, with the study's shots and runs."""
+        task = load_task(self.task)
+        return self._asked(task if not variant.data else dataclasses.replace(task, dataset=self.wanted(variant.data)))
 
     def _asked(self, task: Task) -> Task:
         p = task.protocol
-        trainings, draws = self.trainings or p.trainings, self.draws or p.draws
-        if (self.folds or self.trainings or self.draws) and not trainings * draws:
-            raise TaskError(f"study {self.name} asks the task {task.name} for {trainings} trainings and {draws} draws "
-                            f"of the support. That task has no cross-validation of its own; give trainings = ... and "
-                            f"draws = ... of 1 or more in the study's file.")
-        protocol = dataclasses.replace(p, shots=self.shots or p.shots, trainings=trainings, draws=draws,
-                                       folds=self.folds or p.folds, seeds=0 if trainings else p.seeds)
-        return dataclasses.replace(task, protocol=protocol)
+        return dataclasses.replace(task, protocol=dataclasses.replace(
+            p, shots=self.shots or p.shots, trainings=self.trainings or p.trainings, draws=self.draws or p.draws))
 
-    def wanted(self, name: str, size: str, task: Task) -> DatasetWanted:
-        """The dataset that a table [data.NAME] describes.
-
-        Raises:
-            TaskError: there is no such table for this size.
-        """
-        if name not in self.data or size not in self.data[name]:
-            raise TaskError(f"study {self.name} has no [data.{name}.{size}].")
-        given = dict(self.data[name][size])
-        base = load_task(given.pop("task")).dataset if "task" in given else task.dataset
+    def wanted(self, name: str) -> DatasetWanted:
+        """The dataset that a table [data.NAME] describes."""
+        given = dict(self.data[name])
+        base = load_task(given.pop("task", self.task)).dataset
         same = given.get("scene", base.scene) == base.scene  # the scene that the task was made with
         return dataclasses.replace(base, **{"sha256": "", "scene_sha256": base.scene_sha256 if same else "", **given})
 
     def is_row(self, variant: Variant) -> bool:
         """Whether a variant is what `vsfsim evaluate --preset` makes of the task, so that a row of its leaderboard
         serves."""
-        return (variant.train, variant.share_of_objects, variant.share_of_touches) == ("others", 1.0, 1.0) and not (
-            variant.set or variant.train_views or variant.test_views or variant.extra or variant.data
-            or variant.world)
+        return variant == Variant(variant.name, variant.method, variant.preset, paper=variant.paper)
 
     def choice(self, variant: Variant, task: Task) -> Choice:
         """The method with all its settings.
@@ -220,27 +169,13 @@ class Study:
 
     def stem(self, variant: Variant) -> str:
         """Of the result file: the same for the same evaluation in another study."""
-        told = {"set": dict(variant.set), "train": variant.train, "objects": variant.share_of_objects,
-                "touches": variant.share_of_touches, "views": [variant.train_views, variant.test_views],
-                "extra": [[p.data, p.objects, p.first, self.data.get(p.data)] for p in variant.extra],
-                "data": self.data.get(variant.data), "world": variant.world,
-                "protocol": [self.shots, self.trainings, self.draws, *([self.folds] if self.folds else [])]}
-        words = [f"{variant.method}.{variant.preset}", *(str(v) for v in variant.set.values()),
-                 *([variant.train] if variant.train != "others" else []), *([variant.data] if variant.data else []),
-                 *(f"{p.data}{p.objects}" for p in variant.extra)]
-        digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:8]
-        return re.sub(r"[^A-Za-z0-9.+-]+", "_", "-".join([*words, digest]))
+        data = [self.data.get(name) for name in (variant.data, *(p.data for p in variant.extra))]
+        told = dataclasses.replace(variant, name="", paper={}), data, self.shots, self.trainings, self.draws
+        words = [f"{variant.method}.{variant.preset}", *variant.set.values(), variant.train, variant.data,
+                 *(f"{p.data}{p.objects}" for p in variant.extra), hashlib.sha256(repr(told).encode()).hexdigest()[:8]]
+        return re.sub(r"[^A-Za-z0-9.+-]+", "_", "-".join(str(word) for word in words if word != ""))
 
-    def dataset_of(self, variant: Variant, task: Task) -> Dataset:
-        """The variant's dataset; that of a world is made if it is missing.
-
-        Raises:
-            TaskError: it is missing, with the command that makes it.
-            DatasetError: it is damaged.
-        """
-        return worlds.dataset(variant.world) if variant.world else open_dataset(task)
-
-    def training(self, variant: Variant, task: Task, size: str) -> Training:
+    def training(self, variant: Variant) -> Training:
         """What a variant learns from.
 
         Raises:
@@ -248,12 +183,11 @@ class Study:
         """
         extra = []
         for pool in variant.extra:
-            given = self.data.get(pool.data, {}).get(size, {})
-            of = self._asked(load_task(given["task"])) if "task" in given else task
-            of = dataclasses.replace(of, dataset=self.wanted(pool.data, size, task))
-            extra.append(Extra(of, open_dataset(of), pool.objects, pool.first))
+            of = self._asked(load_task(self.data[pool.data].get("task", self.task)))
+            of = dataclasses.replace(of, dataset=self.wanted(pool.data))
+            extra.append(Extra(of, open_dataset(of), pool.objects))
         return Training(variant.train, variant.share_of_objects, variant.share_of_touches, variant.train_views,
-                        variant.test_views, self.class_of, tuple(extra))
+                        variant.test_views, tuple(extra))
 
 
 def studies() -> dict[str, Path]:
@@ -293,11 +227,8 @@ def parse_study(text: str, path: Path) -> Study:
     for v in variants:
         where = f"{path}: variant '{v.name}'"
         one_of(v.train, RULES, f"{where}: train")
-        one_of(v.world, ("", *worlds.WORLDS), f"{where}: world")
         for name in (v.data, *(p.data for p in v.extra)):
             one_of(name, ("", *study.data), f"{where}: data")
-    for size in study.tasks:
-        one_of(size, SIZES, f"{path}: a size of tasks")
     return study
 
 

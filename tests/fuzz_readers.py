@@ -7,13 +7,13 @@
 import json
 import resource
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vsfsim.bench.board.rows import read_rows
 from vsfsim.bench.predictions import PredictionFile
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
@@ -84,24 +84,15 @@ def read_manifest(data):
         dataset.load(name)
 
 
-def read_result(data):
+def read_result(data, name="result.json"):
     path = FOLDER / "mutated.json"
-    content = (FOLDER / "result.json").read_text()
+    content = (FOLDER / name).read_text()
     if data.draw(st.booleans()):
         path.write_text(json.dumps(replaced(data, json.loads(content))))
     else:
         path.write_bytes(mutated(data, content.encode()))
-    Result.load(path).computed()
-
-
-def read_board(data):
-    path = FOLDER / "mutated-board.json"
-    content = (FOLDER / "board.json").read_text()
-    if data.draw(st.booleans()):
-        path.write_text(json.dumps(replaced(data, json.loads(content))))
-    else:
-        path.write_bytes(mutated(data, content.encode()))
-    read_rows(path)
+    result = Result.load(path)
+    assert result.values or result.computed()
 
 
 def read_predictions(data):
@@ -120,8 +111,9 @@ def read_scene(data):
     parse_scene(mutated(data, (FOLDER / "scene.toml").read_bytes()).decode(errors="replace"), "scene.toml").sample(0)
 
 
-READERS = {"object": read_object_file, "manifest": read_manifest, "result": read_result, "board": read_board,
-           "predictions": read_predictions, "task": read_task, "scene": read_scene}
+READERS = {"object": read_object_file, "manifest": read_manifest, "result": read_result,
+           "row": partial(read_result, name="row.json"), "predictions": read_predictions, "task": read_task,
+           "scene": read_scene}
 
 
 def fuzz(name, read):

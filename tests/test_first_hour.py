@@ -23,7 +23,7 @@ def test_python_m_is_the_command_and_h_is_help():
 
 @pytest.mark.parametrize(("typed", "found"), [
     ("vsfsim press inde", "indent-homogeneous"),
-    ("vsfsim leaderboard --task fewshot-shoes-v2-pu", "fewshot-shoes-v2-punyo-mini-v2"),
+    ("vsfsim leaderboard --task fewshot-shoes-v3-pu", "fewshot-shoes-v3-punyo-v1"),
 ])
 def test_a_shell_completes_commands_and_names(typed, found):
     """As bash asks for it (the script of `vsfsim --show-completion bash`)."""
@@ -36,13 +36,13 @@ def test_a_shell_completes_commands_and_names(typed, found):
 
 def test_info_says_what_is_there_and_what_to_do(vsfsim, tmp_path, monkeypatch):
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
-    (tmp_path / "data" / "bag-punyo-mini-v2").mkdir(parents=True)
-    (tmp_path / "data" / "bag-punyo-mini-v2" / "dataset.json").write_bytes(bytes(1000))
+    (tmp_path / "data" / "bag-punyo-v1").mkdir(parents=True)
+    (tmp_path / "data" / "bag-punyo-v1" / "dataset.json").write_bytes(bytes(1000))
     facts = json.loads(vsfsim("info", "--json", "-", cwd=tmp_path).stdout)
     by_name = {(fact["group"], fact["name"]): fact for fact in facts}
     assert {group for group, _ in by_name} == {"versions", "devices", "datasets"}
     assert by_name["versions", "numpy"]["value"] == np.__version__
-    assert by_name["datasets", "bag-punyo-mini-v2"]["value"].endswith("0.0 MB")
+    assert by_name["datasets", "bag-punyo-v1"]["value"].endswith("0.0 MB")
     missing = by_name["datasets", "rope-punyo-v1"]
     assert missing["todo"].startswith("vsfsim generate rope-punyo --objects") and str(tmp_path) in missing["todo"]
     text = vsfsim("info", cwd=tmp_path).stdout
@@ -122,8 +122,6 @@ def test_the_default_folder_of_a_dataset_is_where_its_task_looks(monkeypatch):
         if root == "elsewhere":
             monkeypatch.setenv("VSFSIM_DATASETS", root)
         for task in vsfsim.tasks().values():
-            if task.superseded_by:  # the scene of that name may have gone on
-                continue
             want, scene = task.dataset, load_scene(shelf.find_scene(task.dataset.scene))
             folder = shelf.dataset_folder(want.scene, text=scene.text, seed=want.seed, objects=want.objects,
                                           views=want.views, touches=want.touches, tier=want.tier)

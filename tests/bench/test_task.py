@@ -1,10 +1,11 @@
 """Task files: what ships loads, what is wrong is refused, and a missing dataset says how to make it."""
 
+from pathlib import Path
+
 import pytest
 from texts import text
 
-from vsfsim.bench import leaderboard
-from vsfsim.bench.task import load_task, open_dataset, parse_task
+from vsfsim.bench.task import load_task, open_dataset, parse_task, retired
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.scene import load_scene
@@ -22,17 +23,13 @@ def test_every_shipped_task_loads():
         assert task.dataset.touches >= task.protocol.query + max(task.protocol.shots)
 
 
-def test_a_task_that_is_superseded_keeps_its_identity():
-    mended = load_task("bag-punyo-mini-v2")
-    without = shelf.find_task(mended.name).read_text()
-    with_name = f'superseded_by = "{mended.name}"\n{without}'
-    old = parse_task(with_name, "t")
-    other = parse_task(without.replace("query = 2 ", "query = 3 "), "t")
-    assert old.sha256 == parse_task(without, "t").sha256 != other.sha256
-    assert "superseded_by" not in without
-    said = f"superseded by {mended.name}: the rows that ship were made on data of an earlier vsfsim"
-    assert said in leaderboard.text(leaderboard.collect(old))
-    assert "superseded" not in leaderboard.text(leaderboard.collect(mended))
+def test_a_retired_task_says_what_replaces_it():
+    there, page = shelf.tasks(), (Path(__file__).parents[2] / "docs" / "superseded.md").read_text()
+    for name, entry in retired().items():
+        assert name not in there and entry["by"] in there, name
+        assert f"| `{name}` | `{entry['by']}` | `{entry['commit']}` |\n" in page, name
+    with pytest.raises(TaskError, match="transfer-shoes-v1 is retired: transfer-shoes-mini-v1 replaces it, and commit"):
+        load_task("transfer-shoes-v1")
 
 
 @pytest.mark.parametrize("name", list(shelf.tasks()))
@@ -44,7 +41,7 @@ def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
     recipe = make_recipe(scene, seed=wanted.seed)
     assert (recipe.scene, recipe.seed, recipe.objects, recipe.views, recipe.touches, recipe.tier) == \
         (wanted.scene, wanted.seed, wanted.objects, wanted.views, wanted.touches, wanted.tier)
-    assert load_task(name).superseded_by or wanted.scene_sha256 in ("", recipe.scene_sha256)
+    assert wanted.scene_sha256 in ("", recipe.scene_sha256)
 
 
 def test_a_missing_dataset_names_the_command_that_makes_it(task, tmp_path):

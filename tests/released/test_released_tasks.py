@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.board.rows import read_rows
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 from vsfsim.bench.trials.score import readings_of
 from vsfsim.core import shelf
@@ -30,12 +30,12 @@ TOLERANCE = 1e-3
 SLOW = {"inclusion-mini-v3", "localization-mini-v3"}
 """Tasks without cross-validation whose view takes more than ten seconds of a core with all of its touches."""
 
-CURRENT = [name for name in shelf.tasks() if not load_task(name).superseded_by]
+CURRENT = list(shelf.tasks())
 
 
 def shipped_row(name, *, of=METHODS):
     """The result of the first of some methods that ships for a task, of any if ``of`` is empty; None if none does."""
-    found = read_rows(shelf.folder("leaderboard") / f"{name}.json").values()
+    found = map(Result.load, sorted((shelf.folder("leaderboard") / name).glob("*.json")))
     rows = [row for row in found if row.method not in shelf.ceilings()]
     return next((row for method in of or [None] for row in rows if method in (None, row.method)), None)
 

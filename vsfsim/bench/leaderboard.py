@@ -6,6 +6,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ import numpy as np
 
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
-from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
 from vsfsim.bench.board.rows import (
     CEILING,
@@ -22,17 +22,17 @@ from vsfsim.bench.board.rows import (
     LIST,
     Entry,
     absent,
+    as_shipped,
     command_of,
     contradicts,
     is_same,
     listed,
-    read_rows,
     row_sha256,
     write_list,
-    write_rows,
 )
+from vsfsim.bench.board.templates import filled
 from vsfsim.bench.metrics import METRICS, Score
-from vsfsim.bench.result import Result, machine
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import markdown as escaped
@@ -65,6 +65,16 @@ class Row:
     evidence: str = "open"
     """What the repository's list says that it rests on (`vsfsim.bench.board.rows.Entry`)."""
 
+    def admitted(self) -> Result:
+        """The result with the scores of its rows.
+
+        Raises:
+            TaskError: it may not ship.
+        """
+        if self.mark not in ("", CEILING):
+            raise TaskError(f"{self.path} is no row: {self.mark}.")
+        return dataclasses.replace(self.result, scores=self.scores)
+
     @property
     def signs(self) -> str:
         """Behind the name: † an earlier row, * not ranked for another reason, ~ other bits."""
@@ -85,9 +95,9 @@ class Board:
     """One row a result."""
 
 
-def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
-    """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of
-    them).
+def collect(task: Task, paths: Iterable[Path] = (), *, shipped: bool = True) -> Board:
+    """Rank the results of ``task``: those shipped in leaderboard/<task>/, unless ``shipped`` is false, and those in
+    ``paths`` (files, or folders of them).
 
     Scores are computed again from the rows of a result (`vsfsim.bench.admission.admit`). One that may not be ranked is
     shown with the reason. The board's dataset is that of the task's record; without one, it is the one that the task
@@ -96,21 +106,20 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     Raises:
         TaskError: a file is not a result, or is a result of another task.
     """
-    board, own = folder("leaderboard") / f"{task.name}.json", folder("leaderboard") / task.name
-    packed = {board / name: result for name, result in read_rows(board).items()}
-    given = sorted(own.glob("*.json")) + [file for path in paths for file in _files(path)]
-    told = packed | {path: Result.load(path) for path in given}
+    own = folder("leaderboard") / task.name
+    told = {path: Result.load(path) for path in (*sorted(own.glob("*.json") if shipped else ()), *(
+        file for path in paths for file in _files(path)))}
     for path, result in told.items():
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
     record, entries, shot = shipped_record(task), listed(), task.ranking_shot
     reference = record.dataset_sha256 if record is not None else task.dataset.sha256 or _most(
-        [r for path, r in told.items() if path.parent == own or r.values], task) or _most(told.values(), task)
+        [r for path, r in told.items() if path.parent == own], task) or _most(told.values(), task)
     good: list[Row] = []
     odd: list[Row] = []
     for path, result in told.items():
-        here = path not in packed and path.parent != own
-        found = admit(result, task, record, reference, entries, made_here=here, packed=path in packed)
+        here = path.parent != own
+        found = admit(result, task, record, reference, entries, made_here=here)
         # a shipped result that was made again here, to the same numbers, is one row
         rows = odd if found.mark else good
         if not found.mark:  # an earlier row that comes out again needs no row of its own
@@ -160,24 +169,30 @@ def labels_of(rows: Sequence[Row]) -> list[str]:
     return out
 
 
-def ship(board: Board, path: Path) -> None:
-    """Write a board as the file that ships, `leaderboard/TASK.json`, and its rows into the list beside it. A row that
-    was made again here, to the same numbers, becomes "verified".
+def ship(rows: Mapping[Path, tuple[Result, str, float]], out: Path) -> None:
+    """Write results as rows that ship, and what made them into the list beside them. A row that comes out again, to the
+    same numbers, becomes "verified".
+
+    Args:
+        rows: by the place below ``out``, the result, the command that made it ("" for that of `vsfsim evaluate`), and
+        its CPU seconds, which are at least those in the method's calls. out: the folder of the rows that ship.
 
     Raises:
         TaskError: a file cannot be written.
     """
-    rows = {row.path.name: (row, dataclasses.replace(row.result, scores=row.scores)) for row in board.rows
-            if row.origin != "made here" or row.mark in ("", CEILING)}
-    write_rows({name: result for name, (_, result) in rows.items()}, path)
     entries = listed()
-    for row, result in rows.values():
-        again, sha256 = row.origin == "shipped, made again here", row_sha256(result)
-        if again or row.origin == "made here":
-            entries[sha256] = Entry(sha256, board.task.name, result.method, "verified" if again else "open",
-                                    command_of(result), str((made_by() if again else result.made_by).get("commit")),
-                                    str((machine() if again else result.machine).get("cpu")), row.other_bits)
-    write_list(entries.values(), path.parent / LIST)
+    for place, (given, command, seconds) in rows.items():
+        row, target = as_shipped(given), out / place
+        before = Result.load(target) if target.is_file() else row
+        sha256, entry = row_sha256(row), entries.pop(row_sha256(before), None)
+        if entry is None or entry.sha256 != sha256:
+            spent = max(seconds, sum(row.timing.get(key, 0.0) for key in ("meta_fit_s", "adapt_s", "predict_s")))
+            entry = Entry(sha256, row.task, row.method, "verified" if entry and is_same(row, before) else "open",
+                          command or command_of(row, whole=not row.preset), str(row.made_by.get("commit")),
+                          str(row.machine.get("cpu")), round(spent, 1), bool(given.data))
+        row.save(target)
+        entries[sha256] = entry
+    write_list(entries.values(), out / LIST)
 
 
 def table(board: Board) -> dict[str, Any]:
@@ -207,9 +222,24 @@ def markdown(board: Board) -> str:
     return _filled("board.md", board, *cells(board, escaped), escaped) + "\n"
 
 
+def page(boards: Sequence[Board]) -> str:
+    """Some boards as one HTML page that works offline."""
+    shown = []
+    for board in boards:
+        head, rows = cells(board)
+        title = filled("title.txt", **_titled(board))
+        shown.append({"task": board.task, "title": title, "head": head, "rows": rows, "notes": footnotes(board),
+                      "paper": published(board)})
+    return filled("boards.html", boards=shown, today=date.today(), version=made_by()["vsfsim"])
+
+
 def _filled(template: str, board: Board, head: list[str], rows: list[list[str]], shown: Callable[[str], str]) -> str:
-    return filled(template, task=board.task, unit=unit_of(board.task.primary, board.task.observation.unit), head=head,
-                  rows=rows, notes=footnotes(board, shown), paper=published(board)).rstrip()
+    return filled(template, **_titled(board), head=head, rows=rows, notes=footnotes(board, shown),
+                  paper=published(board)).rstrip()
+
+
+def _titled(board: Board) -> dict[str, Any]:
+    return {"task": board.task, "unit": unit_of(board.task.primary, board.task.observation.unit)}
 
 
 def score_table(result: Result, metric: str) -> str:
@@ -275,10 +305,11 @@ def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> floa
 
 def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     """What its columns and signs say, and which rows are not ranked or absent; operands as of `cells`."""
+    there = {f"{row.result.method}.{row.result.preset}".rstrip(".") for row in board.rows if row.mark in ("", CEILING)}
     odd = dict.fromkeys(f"{shown(row.result.method)}: {shown(row.mark)}" for row in board.rows
                         if row.mark not in ("", EARLIER))
     return filled("notes.txt", board=board, task=board.task, odd=odd, possible=possible(board), earlier=EARLIER,
-                  absent=absent(board.task.name), apart=f"{TOLD_APART:g}",
+                  absent=absent(board.task.name, there), apart=f"{TOLD_APART:g}",
                   correlated=any("stiffness_spearman" in row.scores for row in board.rows)).splitlines()
 
 

@@ -17,7 +17,17 @@ from typing import Any
 
 from vsfsim.bench.metrics import Answer, Score, scores_of
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.result_file import SCHEMA_VERSION, Count, Size, as_rows, beside_zero, checked, pack, read_json
+from vsfsim.bench.result_file import (
+    SCHEMA_VERSION,
+    Count,
+    Size,
+    as_rows,
+    beside_zero,
+    checked,
+    pack,
+    pack_values,
+    read_json,
+)
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.plain_text import plain
 from vsfsim.core.system.interactive import html_table, new_figure
@@ -157,7 +167,8 @@ class Result:
         path = Path(path)
         table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(),
                  **{key: pack(getattr(self, key)) for key in ("queries", "readings", "maps")},
-                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data}
+                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data,
+                 "values": pack_values(self.values)}
         lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
                  for key, value in table.items()]
         write_atomic(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode(), error=TaskError)

@@ -126,6 +126,29 @@ def unpack(value: Mapping[str, Any]) -> dict[str, list]:
     return {name: [shown[one] if isinstance(one, str) else one for one in column] for name, column in columns.items()}
 
 
+def pack_values(values: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Any]:
+    """`vsfsim.bench.result.Result.values` as a JSON value: a column of the objects' names and one each metric and shot;
+    `unpack_values` takes it back."""
+    names = sorted({name for by_shot in values.values() for of in by_shot.values() for name in of})
+    return pack({"object": names, **{f"{metric} {shot}": [of.get(name) for name in names] for metric, by_shot in
+                                     values.items() for shot, of in by_shot.items()}} if names else {})
+
+
+def unpack_values(given: Mapping[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
+    """The values in a JSON value of `pack_values`.
+
+    Raises:
+        ValueError, KeyError: it is malformed.
+    """
+    columns, out = unpack(given), dict[str, dict[str, dict[str, float]]]()
+    names = columns.pop("object", [])
+    for key, column in msgspec.convert(columns, dict[str, list[Number | None]]).items():
+        metric, shot = key.split(" ")
+        out.setdefault(metric, {})[shot] = {
+            name: value for name, value in zip(names, column, strict=True) if value is not None}
+    return out
+
+
 def read_json(path: Path) -> Any:
     """The JSON in a result file.
 
@@ -157,9 +180,10 @@ def checked(given: Mapping[str, Any], kind: type) -> Any:
     tables["queries"] = columns(given["queries"], columns_of(Answer.READINGS))
     tables["answers"] = {name: columns(value, columns_of(Answer(name)), some=True)
                          for name, value in (given.get("answers") or {}).items()}
+    tables["values"] = unpack_values(given.get("values") or {})
     told = {key: value for key, value in given.items() if key not in (*tables, "data")}
     out: Any = msgspec.convert({**_cleaned(told), "queries": {}}, kind)
-    for metric, by_shot in out.scores.items():
+    for metric, by_shot in out.scores.items() if not tables["values"] else ():
         for shot, score in by_shot.items():
             if shot not in out.shots or len(score.per_seed) != len(out.seeds) or not math.isclose(
                     score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12):

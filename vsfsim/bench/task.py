@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -17,7 +17,7 @@ from vsfsim.bench.noise import NOISE_KINDS, Noise
 from vsfsim.bench.observations import Observation, observation
 from vsfsim.core import errors, table
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean
-from vsfsim.core.shelf import datasets, find_task
+from vsfsim.core.shelf import datasets, find_task, folder
 from vsfsim.core.table import Count, Positive, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
@@ -34,9 +34,8 @@ DEVELOPMENT = "development"
 OTHERS = re.compile(r"(.+)-(development|seed-\d+)")
 """Name of a task on other objects than its own (`Task.on`)."""
 
-_NOT_COUNTED = re.compile(r'(?m)^(superseded_by *=|unresolved *= *"scored").*\n')
-"""Lines that the sha256 of a task is not of: tasks were released before they said that unresolved frames count."""
-
+_NOT_COUNTED = re.compile(r'(?m)^unresolved *= *"scored".*\n')
+"""A line that the sha256 of a task is not of: tasks were released before they said that unresolved frames count."""
 
 _SAID = {"scene_sha256": "sha256 of the scene text", "sha256": "sha256 of the content"}
 
@@ -179,10 +178,7 @@ class Task:
     paper: tuple[PaperRow, ...]
     """Rows of the literature."""
     sha256: str
-    """Of the task file's text without the line of ``superseded_by``, so that results stay valid when a task is
-    superseded."""
-    superseded_by: str = ""
-    """Name of the task that corrects this one, or ""."""
+    """Of the task file's text."""
 
     @property
     def metric(self) -> Metric:
@@ -217,16 +213,27 @@ class Task:
                        sha256=text_sha256(f"{self.sha256}-{objects}"))
 
 
+def retired() -> dict[str, Any]:
+    """Tasks that left the tree, of `leaderboard/retired.toml`: which one replaces each (``by``), and the ``commit``
+    that holds it."""
+    path = folder("leaderboard") / "retired.toml"
+    return parse_toml(read_text(path, "retired tasks", TaskError), path, "retired tasks", TaskError)
+
+
 def load_task(given: str | Path) -> Task:
     """The task of this name, or in this TOML file. TASK-development and TASK-seed-N are TASK on other objects
     (`Task.on`).
 
     Raises:
-        TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range.
+        TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range; of a
+        retired task the message says what replaces it.
     """
     others = OTHERS.fullmatch(str(given))
     if others is not None:
         return load_task(others[1]).on(others[2])
+    if given in retired():
+        raise TaskError("task {} is retired: {by} replaces it, and commit {commit} of the repository holds it with its "
+                        "rows.".format(given, **retired()[str(given)]))
     path = find_task(str(given))
     return parse_task(read_text(path, "task", TaskError), path)
 
@@ -281,20 +288,20 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         TaskError: the dataset is missing (with the command that makes it), or is another one.
         DatasetError: it is damaged.
     """
-    folder = task.dataset.path() if path is None else Path(path)
+    place = task.dataset.path() if path is None else Path(path)
     try:
-        dataset = Dataset.open(folder)
+        dataset = Dataset.open(place)
     except DatasetError as error:
-        if (folder / "dataset.json").exists():
+        if (place / "dataset.json").exists():
             raise
-        raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(folder)}\n") from error
+        raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(place)}\n") from error
     asked = {key: value for key, value in asdict(task.dataset).items() if key != "folder" and value not in ("", "auto")}
     # a recipe names the tier that was chosen, never "auto"
     there = {key: dataset.sha256 if key == "sha256" else getattr(dataset.recipe, key) for key in asked}
     wrong = [f"{_SAID.get(key, key)} is {there[key]!r}, not {value!r}" for key, value in asked.items()
              if there[key] != value]
     if wrong:
-        raise TaskError(f"the dataset in {folder} is not the one of task {task.name}: {'; '.join(wrong)}. This makes "
+        raise TaskError(f"the dataset in {place} is not the one of task {task.name}: {'; '.join(wrong)}. This makes "
                         f"the right one:\n\n  {task.dataset.command()}\n")
     for split in (task.protocol.train, task.protocol.test) if not task.protocol.folds else ():
         dataset.names(split)

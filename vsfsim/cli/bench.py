@@ -26,7 +26,7 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
-from vsfsim.core.errors import MethodError
+from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.system.engines import HERE
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
 
 @command(app)
 def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool = False, html: Path | None = None,
-                ship: Path | None = None, json: JsonFile = None) -> None:
+                json: JsonFile = None) -> None:
     """Rank the methods of a task, from result files.
 
     The last column says which results came with vsfsim and which were made here.
@@ -197,8 +197,7 @@ def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool 
         results: More result files, or folders of them; default: results/TASK if there is one.
         task: Name of a task; default: all tasks.
         markdown: Print a Markdown page.
-        html (DIR): Write static pages that work offline into this folder.
-        ship (DIR): Write the rows as files that ship, DIR/TASK.json, and rows of studies beside them.
+        html (FILE): Write one page that works offline.
     """
     from vsfsim.bench import leaderboard as board
     from vsfsim.bench.task import load_task
@@ -214,21 +213,13 @@ def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool 
             if not paths and (Path("results") / wanted.name).is_dir():
                 paths = [Path("results") / wanted.name]
             boards.append(found := board.collect(wanted, paths))
-            if ship is not None:
-                shelf.checkout()
-                from papers.results import ship as ship_studies
-
-                board.ship(found, ship / f"{name}.json")
-                ship_studies(name, ship / "studies" / f"{name}.json")
             pages.append((board.markdown if markdown else board.text)(found))
             tables.append(board.table(found))
     if html is not None:
-        from vsfsim.bench.board.site import write_site
+        from vsfsim.data.disk import write_atomic
 
-        with Progress("pages") as progress:
-            files = write_site(boards, html, progress)
-        report(f"{len(files)} pages; open {files[0]}", tables[0] if task else tables, json)
-        return
+        write_atomic(html, board.page(boards).encode(), error=TaskError)
+        pages = [f"written to {html}"]
     report("\n\n".join(pages), tables[0] if task else tables, json)
 
 
@@ -279,19 +270,16 @@ def submit(result: Path, out: Path = Path("submission"), task: KnownTask = None,
 
 @command(lab)
 def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], results: Results = None,
-          dataset: DatasetFolder = None, fresh: Folders = None, source: Folders = None, ship: Path | None = None,
-          json: JsonFile = None) -> None:
+          dataset: DatasetFolder = None, fresh: Folders = None, json: JsonFile = None) -> None:
     """Measure whether a task measures what it says.
 
-    Four diagnostics: what methods reach that do not look at everything, which share of neighbouring ranks differ and
-    the least difference that can be told, and whether the ranks hold on fresh objects and with other training data.
+    Three diagnostics: what methods reach that do not look at everything, which share of neighbouring ranks differ and
+    the least difference that can be told, and whether the ranks hold on fresh objects.
 
     Args:
         task: Name of a task (`vsfsim list tasks`), or the path of its .toml file.
         results: More result files, or folders; default: results/TASK.
         fresh: Folder of results of the same methods on objects of another seed; may be given again.
-        source: Folder of results of the same methods trained on another scene; may be given again.
-        ship (DIR): For developers: write what needs data or further rows to DIR/audits/TASK.json.
     """
     from vsfsim.bench.commands import audit as module
     from vsfsim.bench.task import load_task
@@ -300,10 +288,33 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
     own = Path("results") / wanted.name
     with Progress("audit") as progress:
         found = module.audit(wanted, results or ([own] if own.is_dir() else []), dataset=dataset, fresh=fresh or (),
-                             source=source or (), progress=progress)
-    if ship is not None:
-        found.ship(ship / "audits" / f"{wanted.name}.json", wanted.sha256)
+                             progress=progress)
     report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), asdict(found), json)
+
+
+@command(lab)
+def release(only: KnownTask = None, dry: Annotated[bool, typer.Option("--dry-run")] = False, workers: AtLeastOne = 1,
+            json: JsonFile = None) -> None:
+    """Make every row, audit and study that ships, and the list of what made each.
+
+    For developers, in a checkout: rows go to leaderboard/, results stay in results/. What is there already is kept, and
+    the same command goes on after an interruption.
+
+    Args:
+        only: Name of a task; default: all of leaderboard/release.toml.
+        dry: Print what would be made, with its CPU minutes.
+        workers: Trainings and trials at the same time.
+    """
+    from vsfsim.bench.commands import release as module
+    from vsfsim.bench.commands.audit import audit as run_audit
+    from vsfsim.core import shelf
+
+    shelf.checkout()
+    from papers.results import release as studies
+
+    with Progress("release") as progress:
+        text, found = module.planned(only) if dry else module.release(only, workers, progress, studies, run_audit)
+    report(text, found, json)
 
 
 @command(lab)

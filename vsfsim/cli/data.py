@@ -68,17 +68,11 @@ def list_(what: Annotated[str, typer.Argument(autocompletion=lambda: list(KINDS)
         what (KIND): scenes, families, tasks, methods or formats.
     """
     one_of(what, KINDS, "KIND")
-    found = _catalogue(what)
-    report(str(found), found.table(), json)
-
-
-def _catalogue(what: str) -> Catalogue[Any]:
     from vsfsim.bench.commands import catalogue
     from vsfsim.core import shelf
 
-    if what in ("tasks", "methods"):
-        return catalogue.tasks() if what == "tasks" else catalogue.methods()
-    rows: list[tuple[str, ...]]
+    rows: list[tuple[str, ...]] = []
+    found: Catalogue[Any] = catalogue.tasks() if what == "tasks" else catalogue.methods()
     if what == "scenes":
         from vsfsim.core.scene import load_scene
 
@@ -88,13 +82,15 @@ def _catalogue(what: str) -> Catalogue[Any]:
     elif what == "families":
         rows = [(name, "family of objects", " ".join((shelf.family(name, "").__doc__ or "").split("\n\n")[0].split()))
                 for name in shelf.families()]
-    else:
+    elif what == "formats":
         from vsfsim.data.formats.export import FORMATS
 
         rows = [*((name, "export", f"vsfsim lab export DATASET --to {name}") for name in FORMATS),
                 ("openvsf", "import", "vsfsim lab import FOLDER --from openvsf")]
-    head = ("family" if what == "families" else what[:-1], "kind", "description")
-    return catalogue.Catalogue(what, {row[0]: row for row in rows}, head, rows)
+    if rows:
+        head = ("family" if what == "families" else what[:-1], "kind", "description")
+        found = catalogue.Catalogue(what, {row[0]: row for row in rows}, head, rows)
+    report(str(found), found.table(), json)
 
 
 @command(app)

@@ -191,10 +191,8 @@ def dataset_folder(scene: str, *, text: str, **recipe: Any) -> Path:
         recipe: seed, objects, views, touches and tier of the dataset.
     """
     asked = {"scene": scene, "scene_sha256": hashlib.sha256(text.encode()).hexdigest(), **recipe}
-    wanted = [tomllib.loads(path.read_text(encoding="utf-8")) for path in tasks().values()]
-    # The dataset of a task that another one corrects comes last.
-    for tree in sorted(wanted, key=lambda tree: "superseded_by" in tree):
-        want = tree["dataset"]
+    for path in tasks().values():
+        want = tomllib.loads(path.read_text(encoding="utf-8"))["dataset"]
         if all(want.get(key) in (value, None, "", "auto") for key, value in asked.items()):
             return datasets() / want["folder"]
     return datasets() / scene

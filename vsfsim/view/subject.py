@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.bench.board.charts import png_uri
+from vsfsim.bench.board.templates import png_uri
 from vsfsim.core.shape import ProbeShape, Sphere
 from vsfsim.data.records import ObjectView, Touch, Truth, View
 

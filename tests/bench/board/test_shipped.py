@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 import shutil
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -14,9 +15,10 @@ from vsfsim.bench import leaderboard
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
-from vsfsim.bench.board.rows import read_rows, row_sha256
+from vsfsim.bench.board.rows import row_sha256
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
+from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import as_rows, beside_zero
 from vsfsim.bench.task import load_task
 from vsfsim.core import shelf
@@ -33,48 +35,56 @@ def results(constant, tmp_path_factory):
 
 
 def test_a_board_that_ships_is_the_board_of_its_results(task, results, tmp_path, monkeypatch):
-    board = leaderboard.collect(task, [results])
-    leaderboard.ship(board, tmp_path / "toy-v1.json")
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
     monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
+    board = leaderboard.collect(task, [results])
+    leaderboard.ship({Path("toy-v1", row.path.name): (row.admitted(), "", 3.0) for row in board.rows}, tmp_path)
     shipped = leaderboard.collect(task)
-    assert leaderboard.markdown(shipped) == leaderboard.markdown(board)
     for row, was in zip(shipped.rows, board.rows, strict=True):
-        assert row.rank == was.rank and not row.result.queries["n"] and row.path.name == was.path.name
+        assert row.rank == was.rank and not row.result.rows and row.path.name == was.path.name
         for shot in task.protocol.labels:
             found, expected = (by_object(r.result, "rmse", shot) for r in (row, was))
             assert found == pytest.approx(expected, rel=1e-7) and len(found) == 2
     again = leaderboard.collect(task, [results])
     assert [row.origin for row in again.rows] == ["shipped, made again here"] * 2
+    assert {entry.cpu_s >= 3.0 for entry in rows.listed().values()} == {True}
     other = dataclasses.replace(task, sha256="other")
     assert {row.mark for row in leaderboard.collect(other).rows} == {"other text of the task"}
 
 
 @pytest.mark.parametrize("change", [
-    lambda t: t.update(version=9), lambda t: t["rows"]["constant-1.json"].pop("values"),
-    lambda t: t["rows"]["constant-1.json"].update(method=3),
-    lambda t: t["objects"].pop(), lambda t: t["rows"]["constant-1.json"]["scores"]["rmse"].update({"0": ["a", 1]})])
-def test_a_damaged_file_is_refused(task, results, tmp_path, change):
-    path = tmp_path / "toy-v1.json"
-    leaderboard.ship(leaderboard.collect(task, [results]), path)
+    lambda t: t.update(schema_version=9), lambda t: t.update(values=[]), lambda t: t.update(method=3),
+    lambda t: t["values"].update(size=7), lambda t: t["scores"]["rmse"]["0"].update(mean="a")])
+def test_a_damaged_file_is_refused(results, tmp_path, change):
+    path = tmp_path / "row.json"
+    rows.as_shipped(Result.load(results / "constant-1.json")).save(path)
     table = json.loads(path.read_text())
     change(table)
     path.write_text(json.dumps(table))
-    with pytest.raises(TaskError, match="is no leaderboard that ships"):
-        read_rows(path)
+    with pytest.raises(TaskError, match="Evaluate the method again"):
+        Result.load(path)
 
 
 def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
-    """Each row that every board should have is there or in `leaderboard/absent.toml`, never both."""
+    """Each row that every board should have is of the release or in `leaderboard/absent.toml`, never both."""
     wanted = {"resim", "fem-map", "fem-map-seen", "near-springs", "surface-gp", "cnp", "sbml"}
     known = methods().keys() | ceilings().keys()
+    assert set(rows.plan()) == set(shelf.tasks())
     for task in map(load_task, shelf.tasks()):
-        there = {one.method for one in read_rows(shelf.folder("leaderboard") / f"{task.name}.json").values()}
-        said = [name for names in rows.absent(task.name) for name in names.split(", ")]
-        assert len(said) == len(set(said)) and set(said) <= known and not there & set(said), task.name
-        assert task.superseded_by or wanted <= there | set(said), task.name
-    assert all(f"no row of {names}: {reason}" in leaderboard.text(board)
-               for names, reason in rows.absent(TASK).items())
+        planned = {key.partition(".")[0] for key in rows.plan()[task.name].rows}
+        absent = rows.absent(task.name, rows.plan()[task.name].rows)
+        said = [name for names in absent for name in names.split(", ")]
+        assert len(said) == len(set(said)) and planned | set(said) <= known and not planned & set(said), task.name
+        assert wanted <= planned | set(said), task.name
+    assert "no row of fem-map, fem-map-seen: 0.7 and 1.7 CPU hours" in leaderboard.text(board)
+    assert "lab release --only bag-punyo-v1" in leaderboard.text(leaderboard.collect(load_task("bag-punyo-v1")))
+
+
+def test_a_release_says_what_it_makes(vsfsim, tmp_path):
+    said = vsfsim("lab", "release", "--dry-run", "--only", "rope-punyo-v1", cwd=tmp_path).stdout
+    assert "neural-vsf.tuned" in said and "study rope" in said and said.strip().endswith("CPU hours")
+    wrong = vsfsim("lab", "release", "--dry-run", "--only", "rope-punyo", cwd=tmp_path)
+    assert wrong.returncode == 2 and "Did you mean 'rope-punyo-v1'" in wrong.stderr
 
 
 # ------------------------------------------------------------------ rows made by hand, from what ships alone
@@ -131,21 +141,21 @@ def test_a_forged_row_has_no_evidence_and_no_rank_of_a_method_that_ships(board, 
 def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board, tmp_path, monkeypatch):
     """A row added, a score changed, evidence written into a row; then a list with a receipt that is missing."""
     root = shelf.folder("leaderboard")
-    for name in (f"{TASK}.json", rows.LIST):
-        shutil.copy(root / name, tmp_path / name)
+    shutil.copytree(root / TASK, tmp_path / TASK)
+    shutil.copy(root / rows.LIST, tmp_path)
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
     monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
-    path, table = tmp_path / f"{TASK}.json", json.loads((root / f"{TASK}.json").read_text())
     ranks = [(row.result.method, row.result.preset, row.rank) for row in leaderboard.collect(board.task).rows]
     assert ranks == [(row.result.method, row.result.preset, row.rank) for row in board.rows]
-    one, other, *_ = table["rows"].values()
-    great = {**one, "method": "great", "entry": "great:Great", "evidence": "verified"}
-    better = {**other, "scores": {**other["scores"], "rmse_ratio": {"5": [0.1, 0.0]}}}
-    changed = dict(zip(table["rows"], (great, better)))
-    path.write_text(json.dumps({**table, "rows": {**table["rows"], **changed}}))
+    one, other, *_ = sorted((tmp_path / TASK).glob("*.json"))
+    great = json.loads(one.read_text()) | {"method": "great", "entry": "great:Great", "evidence": "verified"}
+    better = json.loads(other.read_text())
+    better["scores"] = {"rmse_ratio": {"5": {"mean": 0.1, "std": 0.0, "per_seed": []}}}
+    for path, table in ((one, great), (other, better)):
+        path.write_text(json.dumps(table))
     found = leaderboard.collect(board.task).rows
     odd = {row.result.method: row for row in found if row.mark == rows.EARLIER}
-    assert odd.keys() == {"great", other["method"]} and all(row.rank is None for row in odd.values())
+    assert odd.keys() == {"great", better["method"]} and all(row.rank is None for row in odd.values())
     assert {row.evidence for row in found} == {"open"} and "†" in leaderboard.text(leaderboard.collect(board.task))
     entry = next(iter(rows.listed().values()))
     rows.write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / rows.LIST)
@@ -155,14 +165,12 @@ def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board,
         rows.listed()
 
 
-def test_every_listed_row_ships_and_is_as_it_was_listed():
-    """No entry without its row; no row of today's tasks by the trainings whose records were rewritten."""
-    there, entries = {}, rows.listed()
-    for path in {shelf.folder("leaderboard") / of / f"{entry.task}.json" for entry in entries.values()
-                 for of in ("", "studies")}:
-        there |= {row_sha256(one): one for one in read_rows(path).values()}
-    assert entries and entries.keys() <= there.keys()
+def test_every_row_that_ships_is_listed_and_every_listed_row_ships():
+    """So all tables of README and pages come from rows whose command, commit and machine are known."""
+    root, entries = shelf.folder("leaderboard"), rows.listed()
+    files = [path for path in root.rglob("*.json") if path.name != rows.LIST and path.parent.name != "audits"]
+    there = {row_sha256(one): one for one in map(Result.load, files)}
+    assert entries and entries.keys() == there.keys() and len(files) == len(there)
     for sha256, entry in entries.items():
         assert (entry.task, entry.method) == (there[sha256].task, there[sha256].method)
         assert entry.commit == there[sha256].made_by["commit"] or entry.evidence == "verified"
-    assert not any("was set to the second" in note for one in there.values() for note in one.notes)

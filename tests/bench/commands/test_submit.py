@@ -75,13 +75,10 @@ def test_weaknesses_are_told(result, task, installed, tmp_path):
                                      "said": "it is a file of predictions, so that nobody can: it stays unverified"}
 
 
-def test_results_of_development_and_of_superseded_tasks_are_no_rows(result, task, installed, tmp_path):
+def test_results_of_development_are_no_rows(result, task, installed, tmp_path):
     dataclasses.replace(result, task="toy-v1-development").save(tmp_path / "r.json")
     with pytest.raises(TaskError, match="has other objects than"):
         submit(tmp_path / "r.json", tmp_path / "out", task=task)
-    result.save(tmp_path / "r.json")
-    with pytest.raises(TaskError, match="superseded by toy-v2"):
-        submit(tmp_path / "r.json", tmp_path / "out", task=dataclasses.replace(task, superseded_by="toy-v2"))
 
 
 def test_the_command_gives_the_parameters_back(result):

@@ -15,9 +15,7 @@ from vsfsim.bench.trials.jobs import Evaluation
 from vsfsim.bench.trials.training import Extra, Training
 from vsfsim.core.errors import TaskError
 
-MODELS = ("clog", "boot", "moccasin", "wader")
-CLASSES = {"clog": "slipper", "boot": "boot", "moccasin": "slipper", "wader": "boot"}
-SCENE = '[object.shape]\nmodel = { each = ["' + '", "'.join(MODELS) + '"] }\n'
+SCENE = '[object.shape]\nstyle = { each = ["slipper", "boot"] }\n'
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +38,8 @@ def learned(training, dataset, task):
 
 
 def test_classes_divide_the_objects(dataset, task):
-    same = learned(Training("same-class", classes=CLASSES), dataset, task)
-    other = learned(Training("other-classes", classes=CLASSES), dataset, task)
+    same = learned(Training("same-class"), dataset, task)
+    other = learned(Training("other-classes"), dataset, task)
     assert same["mock-0000-v0"] == [2] and same["mock-0003-v0"] == [1]
     assert other["mock-0000-v0"] == [1, 3] and other["mock-0001-v0"] == [0, 2]
     assert set(same) == set(other) == set(dataset.names())
@@ -89,9 +87,8 @@ def test_what_cannot_be_is_refused(given, message):
 
 
 @pytest.mark.parametrize(("training", "message"), [
-    (Training("same-class", classes={"clog": "slipper"}), "'boot' of the dataset in .* has no class"),
     (Training(test_views=(7,)), "has none of the views"),
-    (Training("same-class", classes={m: m for m in MODELS}), "no training view for mock-0000-v0")])
+    (Training("same-object"), "no training view for mock-0002-v0")])
 def test_what_the_dataset_lacks_is_said(dataset, task, training, message):
     with pytest.raises(TaskError, match=message):
         training.folds(dataset, task.protocol)

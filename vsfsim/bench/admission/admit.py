@@ -52,16 +52,16 @@ class Admission:
 
 
 def admit(result: Result, task: Task, record: Record | None, reference: str,
-          entries: Mapping[str, Entry], *, made_here: bool, packed: bool = False) -> Admission:
+          entries: Mapping[str, Entry], *, made_here: bool) -> Admission:
     """Look at a result before it is ranked: is it of the task, are its data the task's, are its scores those of its
     rows, and is it of the method whose name it has?
 
     Args:
         result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that only
         the same bits are ranked. reference: sha256 of the board's dataset. entries: the repository's list. made_here:
-        it does not ship, so that it is on no list. packed: it ships without its rows; its data were looked at before it
-        was listed.
+        it does not ship, so that it is on no list.
     """
+    packed = bool(result.values)  # without its rows; its data were looked at before it was listed
     if packed:
         scores, reason = result.scores, "" if result.task_sha256 == task.sha256 else OTHER_TEXT
     else:

@@ -1,9 +1,8 @@
 """The rows of a leaderboard: how they ship, what they rest on, whose they are, and whether two are one.
 
-The rows of a task ship as one file, `leaderboard/TASK.json`, without the rows of single touches: what a result says of
-itself, its scores, and the value of every metric of each object in single precision; query readings, which rows share,
-are there once. Who wants the rows of single touches or the maps of stiffness evaluates the method again. Rows of
-studies are in `leaderboard/studies/`.
+A row ships as `leaderboard/TASK/METHOD.json`, a result file without the rows of single touches: what a result says of
+itself, its scores, and the value of every metric of each object in single precision. Who wants the rows of single
+touches or the maps of stiffness evaluates the method again. Rows of studies are in `leaderboard/studies/TASK/`.
 
 What a row rests on is a fact of the repository: `leaderboard/evidence.json` lists the sha256s of its rows with what
 made them. What a result says of itself is never read. A row that ships and is not on the list is an earlier one, of a
@@ -18,7 +17,7 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,98 +27,37 @@ import numpy as np
 from vsfsim.bench.board.compare import ByObject, by_object, paired
 from vsfsim.bench.commands.catalogue import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
-from vsfsim.bench.metrics import METRICS, Answer, Score, columns_of, metrics_of
+from vsfsim.bench.metrics import METRICS, Answer, Score, metrics_of
 from vsfsim.bench.result import Result, readings_apart
-from vsfsim.bench.result_file import checked, pack, read_json, unpack
 from vsfsim.bench.task import Task
+from vsfsim.core import table
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import ceilings, folder, methods
 from vsfsim.core.table import parse_toml, read_text
 from vsfsim.data.disk import write_atomic
 
-FORMAT = "vsfsim-leaderboard"
-VERSION = 2
 
-
-def write_rows(rows: Mapping[str, Result], path: Path) -> None:
-    """Write the rows of a task, by the names of their result files.
-
-    Raises:
-        TaskError: the file cannot be written.
-    """
-    found = {name: _values(result) for name, result in rows.items()}
-    objects = sorted({name for values in found.values() for by_shot in values.values() for of in by_shot.values()
-                      for name in of})
-    packed = [pack(result.readings) for result in rows.values()]
-    readings = [one for k, one in enumerate(packed) if one not in packed[:k]]
-    table = {"format": FORMAT, "version": VERSION, "objects": objects, "readings": readings, "rows": {
-        name: {**_told(result), "readings": readings.index(of), "values": {
-            metric: {shot: [_single(values.get(one)) for one in objects] for shot, values in by_shot.items()}
-            for metric, by_shot in found[name].items()}}
-        for (name, result), of in zip(rows.items(), packed, strict=True)}}
-    write_atomic(path, (json.dumps(table, separators=(",", ":"), allow_nan=False) + "\n").encode(), error=TaskError)
-
-
-def read_rows(path: Path) -> dict[str, Result]:
-    """The rows of a task's file, with `Result.values` in place of the rows of single touches, by the names of the
-    result files that they were made from; none where there is no file.
-
-    Raises:
-        TaskError: it is damaged.
-    """
-    if not path.is_file():
-        return {}
-    table = read_json(path)
-    try:
-        if table["format"] != FORMAT or table["version"] != VERSION:
-            raise ValueError(f"format {plain(table['format'])}, version {plain(table['version'])}")
-        objects, readings = [plain(name) for name in table["objects"]], [unpack(part) for part in table["readings"]]
-        return {plain(name): _read(row, objects, readings[row["readings"]]) for name, row in table["rows"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        raise TaskError(f"{path} is no leaderboard that ships: {plain(error, longest=300)}. Restore the "
-                        f"file.") from error
+def as_shipped(result: Result) -> Result:
+    """What ships of a result: the value of every metric of each object, in single precision, in place of the rows of
+    single touches, and scores of nine digits."""
+    found = result.values or {metric: {shot: by_object(result, metric, shot) for shot in result.shots}
+                              for metric in METRICS}
+    known = {metric: {shot: {name: float(np.float32(value)) for name, value in of.items() if math.isfinite(value)}
+                      for shot, of in by_shot.items() if of} for metric, by_shot in found.items()}
+    scores = {metric: {shot: Score(float(f"{score.mean:.9g}"), float(f"{score.std:.9g}"), ())
+                       for shot, score in by_shot.items()} for metric, by_shot in result.scores.items()}
+    return dataclasses.replace(result, queries={}, answers={}, maps={}, data={}, scores=scores, values={
+        metric: by_shot for metric, by_shot in known.items() if by_shot})
 
 
 def row_sha256(result: Result) -> str:
-    """sha256 of all that a row says, as it ships: its fields as JSON values, the value of each object in single
-    precision, scores of nine digits."""
-    values = {metric: {shot: {name: float(np.float32(value)) for name, value in of.items() if math.isfinite(value)}
-                       for shot, of in by_shot.items()} for metric, by_shot in _values(result).items()}
-    return hashlib.sha256(json.dumps({**_told(result), "values": values}, sort_keys=True,
+    """sha256 of all that a row says, as it ships."""
+    row = as_shipped(result)
+    scores = {metric: {shot: [score.mean, score.std] for shot, score in by_shot.items()}
+              for metric, by_shot in row.scores.items()}
+    return hashlib.sha256(json.dumps({**row.summary(), "scores": scores, "values": row.values}, sort_keys=True,
                                      default=str).encode()).hexdigest()
-
-
-def _told(result: Result) -> dict[str, Any]:
-    """What a result says of itself, and its scores."""
-    return {**result.summary(), "scores": {
-        metric: {shot: [float(f"{score.mean:.9g}"), float(f"{score.std:.9g}")] for shot, score in by_shot.items()}
-        for metric, by_shot in result.scores.items()}}
-
-
-def _values(result: Result) -> Mapping[str, Mapping[str, Mapping[str, float]]]:
-    """Every metric of each object, by metric and shot."""
-    if result.values:
-        return result.values
-    found = {metric: {shot: by_object(result, metric, shot) for shot in result.shots} for metric in METRICS}
-    known = {metric: {shot: of for shot, of in by_shot.items() if of} for metric, by_shot in found.items()}
-    return {metric: by_shot for metric, by_shot in known.items() if by_shot}
-
-
-def _read(row: dict[str, Any], objects: Sequence[str], readings: Mapping[str, list]) -> Result:
-    values = {metric: {shot: {name: float(np.float32(value)) for name, value in zip(objects, column, strict=True)
-                              if value is not None} for shot, column in by_shot.items()}
-              for metric, by_shot in row.pop("values").items()}
-    scores = {metric: {shot: Score(float(mean), float(std), ()) for shot, (mean, std) in by_shot.items()}
-              for metric, by_shot in row["scores"].items()}
-    queries: dict[str, list] = {name: [] for name in columns_of(Answer.READINGS)}
-    result = checked({**row, "queries": queries, "scores": {}, "readings": readings}, Result)
-    return dataclasses.replace(result, scores=scores, values=values)
-
-
-def _single(value: float | None) -> float | None:
-    """In single precision, by the fewest digits that give it."""
-    return None if value is None or not math.isfinite(value) else float(str(np.float32(value)))
 
 
 # ---------------------------------------------------------------------- what rows rest on, and whose they are
@@ -151,6 +89,8 @@ class Entry(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     command: str
     commit: str
     machine: str
+    cpu_s: float = 0.0
+    """CPU seconds that it took; 0 where they were not counted."""
     other_bits: bool = False
     """Its dataset is the task's, made on a machine that rounds otherwise."""
     commitment: _Sha256 | None = None
@@ -230,24 +170,49 @@ def command_of(result: Result, *, whole: bool = False) -> str:
     return shlex.join([*words, "--task", result.task])
 
 
-def absent(task: str) -> dict[str, str]:
-    """Why a leaderboard lacks rows, of `leaderboard/absent.toml`, by the names of their methods, separated by commas;
-    {} where nothing is said.
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a release makes of a task, each with CPU minutes, which are estimates."""
 
-    Args:
-        task: name of the task.
+    dataset: float
+    rows: dict[str, float]
+    """By METHOD.PRESET, or the name of a ceiling."""
+    audit: float = 0.0
+    """0 for none."""
+    studies: dict[str, float] = {}
+    """By name: of their rows that are no rows of a board."""
+
+
+def plan() -> dict[str, Part]:
+    """What a release makes, by task (`leaderboard/release.toml`).
 
     Raises:
-        TaskError: the file is damaged.
+        TaskError: the table is damaged.
     """
-    path = folder("leaderboard") / "absent.toml"
+    return _table("release.toml", dict[str, Part])
+
+
+def absent(task: str, there: Collection[str]) -> dict[str, str]:
+    """Why a board lacks rows, by their names, separated by commas: those of the release that are not made, and those
+    that no release makes (`leaderboard/absent.toml`).
+
+    Args:
+        task: its name. there: the rows that it has, as `Part.rows` names them.
+
+    Raises:
+        TaskError: a table is damaged.
+    """
+    planned = plan()[task].rows if task in plan() else {}
+    missing = ", ".join(key for key in planned if key not in there)
+    said = {missing: f"not made at this release; `vsfsim lab release --only {task}` makes them"} if missing else {}
+    return said | _table("absent.toml", dict[str, dict[str, str]]).get(task, {})
+
+
+def _table(name: str, kind: Any) -> Any:
+    path = folder("leaderboard") / name
     if not path.is_file():
         return {}
-    said = parse_toml(read_text(path, "leaderboard", TaskError), path, "leaderboard", TaskError).get(task, {})
-    if not isinstance(said, dict):
-        raise TaskError(f"{path}: '{task}' is {said!r}; give a table of names of methods and reasons, as "
-                        f"[{task}] and below it fem-map = \"why\".")
-    return said
+    tree = parse_toml(read_text(path, "table", TaskError), path, "table", TaskError)
+    return table.value(tree, kind, str(path), TaskError)
 
 
 SAME_READINGS = 1e-3

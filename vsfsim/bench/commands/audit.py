@@ -1,10 +1,9 @@
-"""`vsfsim lab audit TASK`: does a task measure what it says? Four diagnostics, each a figure or why there is none.
+"""`vsfsim lab audit TASK`: does a task measure what it says? Three diagnostics, each a figure or why there is none.
 
 1. Shortcuts: the error of methods that do not look at everything (`baselines/shortcuts.py`) beside the best row.
 2. Ranks: the share of neighbouring rows that differ by two standard errors of their paired difference over objects,
    and the least difference that the task can tell.
 3. Over-fit: Spearman's correlation of the rows with those of the same methods on objects of a fresh seed.
-4. Source: the same with results of methods that were trained on another scene.
 
 What needs data or further rows ships as `leaderboard/audits/TASK.json`; the ranks are those of the rows that are there.
 """
@@ -22,8 +21,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import ByObject, Paired, by_object, interval, paired
+from vsfsim.bench.board.templates import filled
 from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.evaluate import evaluate_all
 from vsfsim.bench.leaderboard import collect, labels_of
@@ -74,8 +73,6 @@ class Audit:
     than two rows."""
     fresh: tuple[tuple[str, int, float], ...]
     """Of each folder of results on fresh objects: its name, rows in common, rank correlation."""
-    source: tuple[tuple[str, int, float], ...]
-    """The same of methods that were trained on another scene."""
     errors: Mapping[str, ByObject]
     """The task's metric of each object by shortcut, at the shot that ranks; {} where the data are not here and none
     ship."""
@@ -87,7 +84,7 @@ class Audit:
             TaskError: the file cannot be written.
         """
         errors = {sees: {name: float(f"{value:.7g}") for name, value in of.items()} for sees, of in self.errors.items()}
-        told = msgspec.json.encode(_Shipped("vsfsim-audit", task_sha256, self.fresh, self.source, errors))
+        told = msgspec.json.encode(_Shipped("vsfsim-audit", task_sha256, self.fresh, errors))
         write_atomic(path, msgspec.json.format(told, indent=1) + b"\n", error=TaskError)
 
 
@@ -95,21 +92,19 @@ class _Shipped(msgspec.Struct):
     format: Literal["vsfsim-audit"]
     task_sha256: str
     fresh: tuple[tuple[str, int, float], ...] = ()
-    source: tuple[tuple[str, int, float], ...] = ()
     errors: dict[str, dict[str, float]] = {}
 
 
 def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, fresh: Sequence[Path] = (),
-          source: Sequence[Path] = (), folder: Path | None = None, measure: bool = True,
+          folder: Path | None = None, measure: bool = True,
           progress: Callable[[int, int, str], None] = lambda *_: None) -> Audit:
     """Audit a task.
 
     Args:
         task: with cross-validation. results: further result files or folders, beside the rows that ship. dataset: its
-        folder, None for the task's. fresh: folders of results of the same methods on objects of other seeds. source:
-        folders of results of methods trained on other scenes. folder: where the results of shortcuts are kept; None for
-        results/TASK/audit. measure: evaluate the shortcuts; else, and without data, they are those that ship, as are
-        ``fresh`` and ``source`` where none are given. progress: as of `evaluate`.
+        folder, None for the task's. fresh: folders of results of the same methods on objects of other seeds. folder:
+        where the results of shortcuts are kept; None for results/TASK/audit. measure: evaluate the shortcuts; else, and
+        without data, they are those that ship, as is ``fresh`` where none are given. progress: as of `evaluate`.
 
     Raises:
         TaskError: the task is not scored object by object, or a file is not its result.
@@ -128,11 +123,10 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
         behind = paired(of, values[0]) if values else Paired(math.nan, math.nan, 0)
         shortcuts.append(Shortcut(sees, *interval(of), behind.mean / behind.error if behind.error > 0.0 else math.nan))
     means = {_key(row.result): row.scores[task.primary][task.ranking_shot].mean for row in ranked}
-    agree = [tuple(_agreement(means, path, task) for path in paths) for paths in (fresh, source)]
     return Audit(task.name, (labels_of(ranked) or [""])[0], tuple(shortcuts), len(ranked),
                  sum(pair.told_apart for pair in pairs),
                  2.0 * statistics.median(pair.error for pair in pairs) if pairs else math.nan,
-                 agree[0] or known.fresh, agree[1] or known.source, errors)
+                 tuple(_agreement(means, path, task) for path in fresh) or known.fresh, errors)
 
 
 def _shipped(task: Task) -> _Shipped:
@@ -147,7 +141,7 @@ def _shipped(task: Task) -> _Shipped:
     try:
         found = msgspec.json.decode(path.read_bytes(), type=_Shipped)
     except (OSError, msgspec.MsgspecError) as error:
-        raise TaskError(f"{path} is not what `audit --ship` wrote: {plain(error)}. Write it again.") from error
+        raise TaskError(f"{path} is not what `vsfsim lab release` wrote: {plain(error)}. Restore the file.") from error
     return found if found.task_sha256 == task.sha256 else nothing
 
 

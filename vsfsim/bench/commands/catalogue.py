@@ -47,16 +47,14 @@ class Catalogue(dict[str, T]):
 
 
 def tasks() -> Catalogue[Task]:
-    """The tasks that ship, by name; superseded ones are last.
+    """The tasks that ship, by name.
 
     Returns:
         A mapping; ``tasks()["fewshot-shoes-v3-mini-v1"].protocol.shots`` is a part of one.
     """
-    loaded = {name: load_task(name) for name in shelf.tasks()}
-    found = dict(sorted(loaded.items(), key=lambda one: bool(one[1].superseded_by)))
-    rows = [(name, t.observation.name, t.dataset.folder, t.description, t.superseded_by)
-                 for name, t in found.items()]
-    return Catalogue("task", found, ("task", "observation", "dataset", "description", "superseded by"), rows)
+    found = {name: load_task(name) for name in shelf.tasks()}
+    rows = [(name, t.observation.name, t.dataset.folder, t.description) for name, t in found.items()]
+    return Catalogue("task", found, ("task", "observation", "dataset", "description"), rows)
 
 
 def methods() -> Catalogue[str]:

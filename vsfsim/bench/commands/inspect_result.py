@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import by_object
+from vsfsim.bench.board.templates import filled
 from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result

@@ -9,9 +9,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from vsfsim.bench.board.charts import filled
 from vsfsim.bench.board.compare import paired
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
+from vsfsim.bench.board.templates import filled
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import Board, Row, collect, interval_text, score_table
 from vsfsim.bench.result import Result
@@ -70,8 +70,6 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
 def _findings(result: Result, task: Task, row: Row) -> Iterator[tuple[str, str, str]]:
     """What was looked at, what becomes of the row where something is wrong, and what is wrong, or ""."""
     refused, told = "refused", "told"
-    yield ("the task is a current one", refused, f"it is superseded by {task.superseded_by}; evaluate on that"
-           if task.superseded_by else "")
     yield ("complete, scored by its own rows, on the task's data", refused,
            row.mark if row.mark not in (CLAIMED, CEILING, EARLIER) else "")
     yield ("not on the board yet", refused, "a row with the same scores ships already" if row.origin != "made here" else

@@ -235,10 +235,8 @@ class Evaluation:
                   "adapt_s": sum(a.adapt_s for a in answers), "predict_s": sum(a.predict_s for a in answers),
                   "adapts": sum(a.adapt_s > 0.0 for a in answers),
                   "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
-        notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
         wanted = len(task.protocol.runs(seeded=said.seeded))
-        if len(self.runs) != wanted:
-            notes.append(f"{len(self.runs)} seeds instead of the task's {wanted}")
+        notes = [f"{len(self.runs)} seeds instead of the task's {wanted}"] * (len(self.runs) != wanted)
         opened = {name: file_sha256(Path(name)) for job in done for name in job.opened}
         result = result_of(
             answers, task, self.dataset, self.runs, method=self.method, entry=said.entry,

@@ -8,8 +8,8 @@ a smaller share is a part of a larger one.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,13 +37,7 @@ class Extra:
     dataset: Dataset
     """Where they are."""
     objects: int
-    """How many of them."""
-    first: int = 0
-    """Number of the first of them."""
-
-    def names(self) -> tuple[str, ...]:
-        """Of their object views."""
-        return tuple(e.name for e in self.dataset.entries if 0 <= e.object_index - self.first < self.objects)
+    """How many of them, the first ones."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +54,6 @@ class Training:
     """Numbers of the views of training objects; () for all."""
     test_views: tuple[int, ...] = ()
     """Numbers of the views that are scored; () for all."""
-    classes: Mapping[str, str] = field(default_factory=dict)
-    """Class of each model that the scene names; the rules about classes need it."""
     extra: tuple[Extra, ...] = ()
     """Further training objects."""
 
@@ -75,14 +67,14 @@ class Training:
     @property
     def is_plain(self) -> bool:
         """Whether it is what the task says."""
-        return replace(self, classes={}) == Training()
+        return self == Training()
 
     def table(self) -> dict[str, Any]:
         """For a result file: what differs from the task's own division, {} if nothing does."""
         if self.is_plain:
             return {}
-        extra = [{"task": e.task.name, "dataset_sha256": e.dataset.sha256, "objects": e.objects,
-                  "first": e.first} for e in self.extra]
+        extra = [{"task": e.task.name, "dataset_sha256": e.dataset.sha256, "objects": e.objects}
+                 for e in self.extra]
         return {"train": self.rule, "share_of_objects": self.objects, "share_of_touches": self.touches,
                 "train_views": list(self.train_views), "test_views": list(self.test_views), "extra": extra}
 
@@ -90,7 +82,7 @@ class Training:
         """Which views a method learns from when which others are scored; no view is in both.
 
         Raises:
-            TaskError: the dataset has too few objects or views for the rule, or its scene names no models.
+            TaskError: the dataset has too few objects or views for the rule, or its scene names no classes.
         """
         found = [(number, train, test) for number, (train, test) in enumerate(self._divided(dataset, protocol))]
         folds = []
@@ -116,29 +108,12 @@ class Training:
         if self.rule == "same-object":
             return [([e for e in entries if e.object_index == one.object_index and e.name != one.name], [one])
                     for one in entries]
-        of = self.classes_of(dataset)
+        of = classes_of(dataset)
         if self.rule == "same-class":
             return [([e for e in entries if of[e.object_index] == of[k] and e.object_index != k],
                      [e for e in entries if e.object_index == k]) for k in of]
         return [([e for e in entries if of[e.object_index] != kind], [e for e in entries if of[e.object_index] == kind])
                 for kind in dict.fromkeys(of.values())]
-
-    def classes_of(self, dataset: Dataset) -> dict[int, str]:
-        """Class of each object by its number, from the models that the dataset's scene names.
-
-        Raises:
-            TaskError: it names none, or one without a class.
-        """
-        tree = models_of(dataset.recipe.scene_text)
-        if not tree:
-            raise TaskError(f"the scene of the dataset in {dataset.path} names no models ([object.shape] model = "
-                            f"{{ each = [...] }}), so its objects have no classes.")
-        unknown = [model for model in tree if model not in self.classes]
-        if unknown:
-            raise TaskError(f"the model '{unknown[0]}' of the dataset in {dataset.path} has no class. "
-                            f"{did_you_mean(unknown[0], self.classes)}")
-        return {index: self.classes[tree[index % len(tree)]]
-                for index in sorted({e.object_index for e in dataset.entries})}
 
     def specimens(self, task: Task, dataset: Dataset, fold: int, train: Sequence[str], training: int,
                   read: Callable[[Task, Dataset, str], Specimen]) -> list[Specimen]:
@@ -158,7 +133,8 @@ class Training:
         if self.touches < 1.0:
             out = [self._some(s, task.protocol.seed, (4, number[s.name], views[s.name], training)) for s in out]
         for extra in self.extra:
-            out += [read(extra.task, extra.dataset, name) for name in extra.names()]
+            out += [read(extra.task, extra.dataset, e.name) for e in extra.dataset.entries
+                    if e.object_index < extra.objects]
         return out
 
     def _some(self, given: Specimen, seed: int, key: tuple[int, ...]) -> Specimen:
@@ -170,12 +146,19 @@ PLAIN = Training()
 """What the task says."""
 
 
-def models_of(scene_text: str) -> list[str]:
-    """The models that a scene names one after the other for its objects; [] if it names none."""
-    tree: Any = tomllib.loads(scene_text)
-    for key in ("object", "shape", "model", "each"):
+def classes_of(dataset: Dataset) -> dict[int, str]:
+    """Class of each object by its number: the style that the dataset's scene names for it.
+
+    Raises:
+        TaskError: it names none.
+    """
+    tree: Any = tomllib.loads(dataset.recipe.scene_text)
+    for key in ("object", "shape", "style", "each"):
         tree = tree.get(key, {}) if isinstance(tree, dict) else {}
-    return [str(model) for model in tree]
+    if not tree:
+        raise TaskError(f"the scene of the dataset in {dataset.path} names no classes ([object.shape] style = "
+                        f"{{ each = [...] }}), so its objects have none.")
+    return {index: str(tree[index % len(tree)]) for index in sorted({e.object_index for e in dataset.entries})}
 
 
 def _order(count: int, seed: int, key: tuple[int, ...]) -> list[int]:
