@@ -98,6 +98,7 @@ def test_ranks_are_joined_by_paired_differences():
     assert joined_ranks([level, level, shift]) == [1, 1, 3]
     two = {k: level[k] for k in ("o0", "o1")}
     assert not paired({k: v + 1.0 for k, v in two.items()}, two).told_apart, "two objects tell nothing"
+    assert paired({k: shift[k] for k in ("o0", "o1", "o2")}, {k: level[k] for k in ("o0", "o1", "o2")}).told_apart
 
 
 def test_a_standard_error_over_objects_has_n_minus_one_and_a_value_is_of_its_shot_alone():

@@ -46,11 +46,6 @@ def test_three_lines_are_enough():
             s.object.friction) == ("bottom", "auto", None, 0.45, 0.0)
 
 
-def test_what_is_missing_is_named():
-    with pytest.raises(SceneError, match=re.escape("x.toml: there is no [object]; a scene needs one")):
-        parse_scene("", Path("x.toml"))
-
-
 def test_a_distribution_stands_wherever_a_value_may():
     scene = parse_scene(text(
         "full", ("base = 1e5", "base = { loguniform = [1e4, 1e6] }"),

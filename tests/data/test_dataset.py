@@ -14,6 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from mock_dataset import contents
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
@@ -48,10 +49,6 @@ def built(tmp_path_factory):
 def made(built, tmp_path):
     """A copy of it in the test's own folder."""
     return Path(shutil.copytree(built, tmp_path / "d"))
-
-
-def contents(path):
-    return {p.name: p.read_bytes() for p in sorted(path.iterdir())}
 
 
 def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(built, tmp_path):

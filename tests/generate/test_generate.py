@@ -10,7 +10,7 @@ from mock_dataset import contents
 from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.data.streams import Stream, stream
 from vsfsim.data.verify import verify
-from vsfsim.generate.recipe import splits_for
+from vsfsim.generate.recipe import make_recipe, splits_for
 from vsfsim.generate.run import generate
 
 
@@ -99,6 +99,12 @@ def test_splits_keep_their_proportions(scene):
     assert splits_for(concrete, 2) == {"train": 1, "test": 1}
     assert splits_for(concrete, 10) == {"train": 5, "test": 5}
     assert sum(splits_for(concrete, 7).values()) == 7
+
+
+@pytest.mark.parametrize("given", [{"objects": 0}, {"views": 0}, {"touches": 0}, {"seed": -1}])
+def test_a_dataset_of_nothing_is_refused(scene, given):
+    with pytest.raises(SceneError, match="it must be at least 1"):
+        make_recipe(scene, **given)
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(loaded, tmp_path):

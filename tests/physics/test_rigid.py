@@ -10,7 +10,7 @@ import trimesh
 import warp as wp
 
 from vsfsim.core.errors import MeshError
-from vsfsim.core.shape import Box, Capsule, MeshFile, Sphere
+from vsfsim.core.shape import Capsule, MeshFile, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import has_edges, inner_radius
@@ -191,13 +191,3 @@ def test_a_tip_is_accounted_for_against_its_file(tmp_path):
                                grid.spacing, grid.coefficients, grid.distance)
         with pytest.raises(MeshError, match="so that it is within 10 % of the file"):
             account.refuse(found, "b.stl could not be taken as a probe", "Repair it")
-
-
-@pytest.mark.parametrize(("text", "word"), [("v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nf 1 2 3\n", "flat sheet"),
-                                            ("# nothing", "no faces"), (None, "cannot be read")])
-def test_files_that_are_no_solid_are_refused(tmp_path, text, word):
-    path = tmp_path / "x.obj"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(MeshError, match=word):
-        RigidBodies([Box((0.1, 0.1, 0.1)), MeshFile(str(path))])

@@ -46,6 +46,7 @@ def test_look_at_puts_the_target_in_the_middle_and_up_up():
     assert above[1] < 0 and above[0] == pytest.approx(0.0, abs=1e-12)
     assert pose[2, 3] - target[2] == pytest.approx(0.6 * math.sin(0.7))
     assert 2 * math.atan(0.5 * SPEC.height / intrinsics[1, 1]) == pytest.approx(SPEC.fov)
+    assert intrinsics[:2, 2].tolist() == [79.5, 59.5], "the middle of 160 x 120 pixels, whose centres are whole numbers"
 
 
 def test_depth_of_a_tilted_plane_is_exact():

@@ -50,3 +50,10 @@ def test_points_that_a_dome_reaches(dome):
     points = np.array([[0.0, 0.0, -0.001], [0.0, 0.0, -0.012], [0.05, 0.0, 0.0], [0.0, 0.0, 0.5]])
     assert reached(points, dome, down([-0.004, 0.005])).tolist() == [True, False, False, False]
     assert reached(points, dome, down([0.008])).tolist() == [True, True, False, False]
+
+
+def test_a_triangle_has_vertices_that_are_there(dome):
+    count = len(dome.vertices)
+    assert Dome(dome.vertices, ((0, 1, count - 1),)).height == dome.height
+    with pytest.raises(ValueError, match="of three vertices each that are there"):
+        Dome(dome.vertices, ((0, 1, count),))

@@ -92,6 +92,7 @@ def test_edges_of_a_mesh_are_found(tmp_path):
     tip = points[:, 2].argmin()
     assert length[tip] == 0.0 and outward[tip] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
     assert (length == 0.0).sum() == 5, "the tip and four corners"
+    assert length.max() <= 0.002 + 1e-12, "as far apart as asked at most"
     trimesh.creation.icosphere(subdivisions=3, radius=0.01).export(tmp_path / "ball.obj")
     assert not has_edges(MeshFile(str(tmp_path / "ball.obj"))) and has_edges(MeshFile(str(tmp_path / "pyramid.obj")))
 
