@@ -55,7 +55,7 @@ def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(built, tmp_path):
     script = tmp_path / "run.py"
     script.write_text(textwrap.dedent(f"""
         import sys, time
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path[:0] = {[str(p) for p in Path(__file__).parents[:2]]!r}
         from test_dataset import NAMES, RECIPE, VIEWS, DatasetWriter
         with DatasetWriter(sys.argv[1], RECIPE, NAMES) as writer:
             print("begun", flush=True)
@@ -143,7 +143,7 @@ def test_files_of_two_versions_of_the_code_are_not_mixed(tmp_path, monkeypatch):
 def test_a_worker_that_outlives_its_killed_parent_does_not_keep_the_lock(tmp_path):
     code = f"""
 import os, sys, time
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path[:0] = {[str(p) for p in Path(__file__).parents[:2]]!r}
 from test_dataset import NAMES, RECIPE, DatasetWriter
 writer = DatasetWriter({str(tmp_path / "d")!r}, RECIPE, NAMES)
 if os.fork() == 0:
