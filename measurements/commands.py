@@ -208,7 +208,7 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
         fingerprint.save_record(known := differing(found, known), path := fingerprint.record_path(one))
         measured = known.again
         assert measured is not None
-        print(f"{path}: {100.0 * measured.touches:.3g} % of the touches come to another end, the readings of a view "
+        print(f"{path}: {100.0 * measured.touches:.3g} % of the touches read otherwise, the readings of a view "
               f"are up to {100.0 * measured.size:.2g} % larger or smaller")
         return
     folder = Dataset.open(dataset).path.resolve().name
@@ -219,4 +219,4 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
     for one in wanted:
         path = fingerprint.record_path(one)
         fingerprint.save_record(made := fingerprint.make_record(one, open_dataset(one, dataset)), path)
-        print(f"{path}: {len(made.entries)} views, {made.touches} touches, {path.stat().st_size / 1e3:.0f} kB")
+        print(f"{path}: {len(made.entries)} views, {path.stat().st_size / 1e3:.0f} kB")

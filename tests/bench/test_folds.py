@@ -57,8 +57,8 @@ def test_all_views_of_an_object_are_in_one_fold(folded, dataset):
 def test_a_training_is_done_once_a_fold_and_seed(results):
     assert results["Constant"].seeds == (0, 1) and results["FoldMean"].seeds == (0, 1, 2, 3)
     # with 0 touches the answer is that of the training; it does not depend on the draw
-    assert results["FoldMean"].scores["mae"]["0"].per_seed[0] == results["FoldMean"].scores["mae"]["0"].per_seed[1]
-    assert results["FoldMean"].scores["mae"]["0"].per_seed[0] != results["FoldMean"].scores["mae"]["0"].per_seed[2]
+    assert results["FoldMean"].scores["rmse"]["0"].per_seed[0] == results["FoldMean"].scores["rmse"]["0"].per_seed[1]
+    assert results["FoldMean"].scores["rmse"]["0"].per_seed[0] != results["FoldMean"].scores["rmse"]["0"].per_seed[2]
 
 
 def test_each_object_is_predicted_from_the_others(folded, dataset, results):

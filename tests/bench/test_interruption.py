@@ -1,12 +1,14 @@
 """An evaluation that is stopped keeps its finished seeds and goes on; files are written whole or not at all."""
 
 import contextlib
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -70,32 +72,31 @@ def test_a_stopped_evaluation_goes_on(folder):
     assert not parts.exists() and found.computed() == found.scores and found.seeds == (0, 1, 2)
 
 
-def header(shape, dtype, spoiled=b""):
-    """An .npz whose header claims more than there is; ``spoiled`` is written over its closing brace."""
-    def write(path):
-        import io
-        import zipfile
-
+def header(shape, dtype, spoiled=b"}", more=b""):
+    """An .npz whose headers claim more than there is; ``spoiled`` is written over the closing brace of each."""
+    def write(path, keys):
         out = io.BytesIO()
         np.lib.format.write_array_header_1_0(out, {"descr": dtype, "fortran_order": False, "shape": shape})
         with zipfile.ZipFile(path, "w") as file:
-            file.writestr("mock-0001-v0/0/0/003.npy", out.getvalue().replace(b"}", spoiled or b"}"))
+            for key in keys:
+                file.writestr(f"{key}.npy", out.getvalue().replace(b"}", spoiled) + more)
     return write
 
 
 @pytest.mark.parametrize(("write", "message"), [
-    (lambda path: path.write_bytes(b"PK\x03\x04" + bytes(40)), "cannot be read"),
-    (header((5_000_000_000,), "<f8"), r"has shape \(5000000000,\) and dtype float64"),
-    (header((12, 1), "<f8"), "ends after 0 of 96 bytes"),
-    (header((12, 1), "|O"), "dtype object; it must be real numbers"),
+    (lambda path, keys: path.write_bytes(b"PK\x03\x04" + bytes(40)), "cannot be read"),
+    (lambda path, keys: np.save(path.open("wb"), np.zeros((12, 1))), "cannot be read"),
+    (header((5_000_000_000,), "<f8"), "cannot be read: "),
+    (header((12, 1), "<f8"), "cannot be read: "),
+    (header((12, 1), "<f8", more=bytes(1 << 20)), r"has 1048704 bytes; it must be real numbers of shape .* \(12, 1\)"),
+    (header((12, 1), "|O"), "cannot be read: "),
+    (header((12, 1), "<U1", more=bytes(48)), "is no array of real numbers"),
+    (header((12, 2), "<f8", more=bytes(192)), r"has shape \(12, 2\)"),
     (header((12, 1), "<f8", b" "), "cannot be read: "),  # numpy looks for the end of a Python statement
 ])
 def test_predictions_that_are_not(task, toy_dataset, tmp_path, write, message):
-    first = next(questions(task, toy_dataset)).keys[0]
     path = tmp_path / "p.npz"
-    write(path)
-    # the array under test is the one that is asked for first
-    path.write_bytes(path.read_bytes().replace(b"mock-0001-v0/0/0/003", first.encode()))
+    write(path, [key for question in questions(task, toy_dataset) for key in question.keys])
     with pytest.raises(MethodError, match=message):
         score_predictions(path, task, toy_dataset, name="x")
 

@@ -54,8 +54,7 @@ def test_the_same_data_made_elsewhere_are_ranked(results, task, toy_dataset, tmp
     for name, result in zip("abc", results):
         dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
     there = {**results[1].readings, "ss": [(1.0 + 2e-6) * v for v in results[1].readings["ss"]]}
-    queries = {**results[1].queries, "sse": [(1.0 + 2e-6) * v for v in results[1].queries["sse"]],
-               "sae": [(1.0 + 1e-6) * v for v in results[1].queries["sae"]]}
+    queries = {**results[1].queries, "sse": [(1.0 + 2e-6) * v for v in results[1].queries["sse"]]}
     elsewhere = dataclasses.replace(results[1], dataset_sha256="f" * 64, readings=there, data=record.table())
     dataclasses.replace(elsewhere, method="new").save(tmp_path / "d.json")
     # what was made again there, to the same numbers, is no second row; what came out otherwise is
@@ -75,9 +74,8 @@ def test_a_row_with_the_name_of_a_shipped_method_is_that_method_or_claimed(task,
             "same": {}, "source": {"contents": {**made.contents, "the method": "0" * 64}}, "silent": {"contents": {}},
             "settings": {"preset": "paper"}, "stranger": {"entry": "else:Where"}, "package": {"package": {"name": "p"}},
             "ceiling": {"method": "resim"}}.items()):
-        scaled = {key: [(1.0 + 0.1 * k) ** (2 if key == "sse" else 1) * v for v in made.queries[key]]
-                  for key in ("sae", "sse")}
-        one = dataclasses.replace(made, queries={**made.queries, **scaled}, **change)
+        scaled = [(1.0 + 0.1 * k) ** 2 * v for v in made.queries["sse"]]
+        one = dataclasses.replace(made, queries={**made.queries, "sse": scaled}, **change)
         dataclasses.replace(one, scores=one.computed()).save(tmp_path / f"{name}.json")
     board = leaderboard.collect(task, [tmp_path])
     assert {row.path.stem for row in board.rows if row.mark == CLAIMED} == {

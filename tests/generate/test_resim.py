@@ -33,7 +33,7 @@ def board(made, task, tmp_path_factory):
     """Of near-springs and the ceiling, whose files are in a folder."""
     folder = tmp_path_factory.mktemp("board")
     evaluate("near-springs", task, made, out=folder / "springs.json", sandbox="process")
-    evaluate("resim", task, made, out=folder / "resim.json", keep="predictions")
+    evaluate("resim", task, made, out=folder / "resim.json")
     return leaderboard.collect(task, [folder]), folder
 
 

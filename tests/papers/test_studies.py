@@ -31,7 +31,7 @@ def result(values, shot="0"):
     return Result(task=TASK, task_sha256="", dataset_sha256="", dataset_made_by={}, method="sbml", entry="",
                   parameters={}, observation="normal-force", unit="N", shots=(shot,), seeds=(0,), scores={},
                   queries={"object": names, "shot": [shot] * len(names), "seed": [0] * len(names), "touch": one,
-                           "n": one, "sse": [v**2 for v in values], "sae": list(values)},
+                           "n": one, "sse": [v**2 for v in values]},
                   timing={}, peak_memory_mib=0.0, machine={}, made_by={}, versions={},
                   readings={"object": names, "touch": one, "n": one, "ss": [1.0] * len(values)})
 

@@ -148,7 +148,7 @@ class Steep:
 
 @pytest.fixture(scope="module")
 def result(folder, tmp_path_factory):
-    """A result file with its predictions and maps, and its dataset."""
+    """A result file with its maps, and its dataset."""
     from vsfsim.bench.evaluate import evaluate
     from vsfsim.bench.task import parse_task
 
@@ -160,12 +160,12 @@ def result(folder, tmp_path_factory):
     before = os.getcwd()
     os.chdir(where)  # where the method is
     evaluate("steep:Steep", parse_task(folds, "toy-v1.toml"), dataset, check=False, sandbox="process",
-             keep="predictions", out=where / "steep.json")
+             out=where / "steep.json")
     os.chdir(before)
     return where / "steep.json", dataset
 
 
-def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp_path, monkeypatch):
+def test_a_result_shows_both_maps_and_the_touches(result, tmp_path, monkeypatch):
     from vsfsim.bench.result import Result
     from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
     from vsfsim.view import scored
@@ -174,8 +174,8 @@ def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp
     monkeypatch.setattr(scored, "_dataset", lambda result: dataset)
     view(str(path), tmp_path / "page.html")
     table = data_of((tmp_path / "page.html").read_bytes())
-    assert table["reading"] == "normal-force [N]" and table["shots"] == ["0", "1", "all"] and table["map"][1] == "N/m"
-    m, q = Result.load(path).maps, Result.load(path).queries
+    assert table["map"][1] == "N/m"
+    m = Result.load(path).maps
     assert m["object"], "the mock has probed points"
     for shown, of in zip(table["objects"], dataset, strict=True):
         mine = [k for k, name in enumerate(m["object"]) if name == of.name and m["truth"][k] > 0]
@@ -185,13 +185,7 @@ def test_a_result_shows_its_predictions_over_the_truth_and_both_maps(result, tmp
         assert np.allclose(values(shown["log_modulus"])[:, 0], np.log10(truth), atol=1e-3)
         told = values(shown["estimate"])[:, 0] - np.log10(mean)
         assert np.ptp(told) < 1e-3 and np.median(told) == pytest.approx(np.median(np.log10(truth / mean)), abs=1e-3)
-        asked = {t for t, o in zip(q["touch"], q["object"], strict=True) if o == of.name}
-        assert [t["number"] for t in shown["touches"]] == sorted(asked)
-        for t in shown["touches"]:
-            clean = -(of.touches[t["number"]].force @ of.touches[t["number"]].axis)
-            assert np.allclose(t["reading"], clean, atol=1e-4)
-            steps = np.arange(len(clean))
-            assert np.allclose(t["predicted"], [100.0 * steps, 200.0 * steps, 200.0 * steps], rtol=1e-6)
+        assert len(shown["touches"]) == len(of.touches)
 
 
 def test_a_result_without_its_dataset_shows_maps_and_one_without_either_says_what_to_do(result, tmp_path, monkeypatch):

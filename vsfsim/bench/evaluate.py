@@ -35,7 +35,6 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.bench.trials.answers import Reader
 from vsfsim.bench.trials.jobs import Evaluation, Job, Progress
-from vsfsim.bench.trials.score import curves_beside
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError, VsfsimError
 from vsfsim.core.shelf import ceilings
@@ -48,7 +47,7 @@ from vsfsim.data.dataset import Dataset
 def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "",
-             out: str | Path | None = None, preset: str = "", keep: str = "", check: bool = True,
+             out: str | Path | None = None, preset: str = "", check: bool = True,
              training: Training = PLAIN, progress: Progress = lambda *_: None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
@@ -68,8 +67,6 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished trainings are kept beside it until
         all are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper", "exact" or "tuned", settings of a method that ships; "" for none.
-        keep: "predictions" writes every prediction beside the truth, RESULT.predictions.npz, which `vsfsim show`
-        draws; "" writes none.
         check: test the method's contract on mock objects first.
         training: what the method learns from, where a study departs from the task: such a result is never ranked.
         progress: called with (trials done, of how many, what is going on).
@@ -78,16 +75,13 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         VsfsimError: the method, the task or the dataset is unknown or does not fit, or the method raised.
     """
     name = method if isinstance(method, str) else name_of(method)
-    if keep not in ("", "predictions") or (keep and out is None):
-        raise MethodError(f"keep is '{keep}' and out is {out}; keep is '' or 'predictions', which are written beside "
-                          f"the result file of out.")
     wanted = task if isinstance(task, Task) else load_task(task)
     given = chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters if preset else {}
     row = Choice(name, preset, {**given, **(parameters or {})})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json" if out is None else Path(out)
         (made,) = evaluate_all(wanted, {path: row}, dataset=dataset, again=True, seeds=seeds, workers=workers,
-                               timeout=timeout, memory=memory, sandbox=sandbox, keep=keep, check=check,
+                               timeout=timeout, memory=memory, sandbox=sandbox, check=check,
                                training=training, progress=progress)
     if made.failure is not None:
         raise made.failure
@@ -130,7 +124,7 @@ class Made:
 
 def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path | Dataset | None = None,
                  again: bool = False, seeds: int | None = None, workers: int = 1, timeout: float | None = None,
-                 memory: float | None = None, sandbox: str = "", keep: str = "", check: bool = True,
+                 memory: float | None = None, sandbox: str = "", check: bool = True,
                  training: Training = PLAIN, fan: Fan = HERE, progress: Progress = lambda *_: None
                  ) -> Iterator[Made]:
     """Make results on a task.
@@ -140,8 +134,8 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     Args:
         task: the task. rows: what to evaluate, by the result file. again: make results that are there again; else one
         is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
-        whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, keep, check, training: as of
-        `evaluate`; a row whose predictions are missing is made again. fan: where the trainings run. progress: called
+        whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, check, training: as of
+        `evaluate`. fan: where the trainings run. progress: called
         with (trials done of a row, of how many, what).
 
     Yields:
@@ -158,15 +152,15 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     isolation, wanted = Isolation(sandbox, timeout, memory), list[Evaluation]()
     for path, choice in rows.items():
         known = None if again else _kept(path, task, data.sha256, choice, seeds)
-        if known is not None and (not keep or curves_beside(path).is_file()):
+        if known is not None:
             yield Made(path, known, kept=True)
         elif choice.method not in ceilings():
             wanted.append(Evaluation(choice.method, task, data, path, choice.parameters, seeds, isolation, training,
-                                     choice.preset, keep))
+                                     choice.preset))
         elif fan.shard is None:  # a ceiling has no trainings; the call that scores makes it
             try:
                 yield Made(path, evaluate_ceiling(
-                    choice.method, task, data, path, parameters=choice.parameters, keep=keep, workers=workers,
+                    choice.method, task, data, path, parameters=choice.parameters, workers=workers,
                     progress=progress))
             except VsfsimError as error:
                 yield Made(path, failure=error)

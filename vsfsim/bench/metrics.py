@@ -5,12 +5,12 @@ metric is one row and one function of the records of one seed. Result files name
 
 Readings: y are noise-free, p predictions, s their standard deviations, all in the task's unit. Only valid (converged)
 frames of query touches count, and a reading of d numbers counts as d readings. A query touch is reduced to sums first
-(`touch_errors`, `touch_uncertainty`); a metric is a function of the sums of several touches. The result file keeps the
-sums of `touch_errors`.
+(`touch_errors`, `touch_uncertainty`), which the result file keeps; a metric is a function of the sums of several
+touches.
 
-Stiffness, at the probed points that some touch reached: s are a method's means (k,) in its own unit, t their standard
-deviations, k the truth: the force of a small cone over its displacement (SBML appendix C.4) [N/m]. Because s has no
-common unit, one scale an object is allowed (`scale_of`).
+Stiffness, at the probed points that some touch reached: s are a method's means (k,) in its own unit, k the truth: the
+force of a small cone over its displacement (SBML appendix C.4) [N/m]. Because s has no common unit, one scale an object
+is allowed (`scale_of`).
 """
 
 from __future__ import annotations
@@ -36,21 +36,18 @@ SMALLEST_STD = 1e-6
 """In the unit of the reading. A smaller standard deviation counts as this one, so that the likelihood stays finite."""
 FEWEST_POINTS = 3
 """An object with fewer reached points is not scored."""
-SMALLEST_SHARE = 1e-3
-"""As a fraction of the median truth. A smaller standard deviation counts as this one, so that the likelihood stays
-finite."""
 TIE = 1e-9
 """As a fraction of the largest value. Values closer together share a rank."""
 
 
 def touch_errors(prediction: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float]:
-    """Sums over one query touch: ``n`` readings, ``sse`` of squared errors, ``sae`` of absolute errors.
+    """Sums over one query touch: ``n`` readings, ``sse`` of squared errors.
 
     Args:
         prediction: (T, d). truth: noise-free readings (T, d). valid: (T,) bool, at least one True.
     """
     error = prediction[valid] - truth[valid]
-    return {"n": int(error.size), "sse": float(np.sum(error**2)), "sae": float(np.sum(np.abs(error)))}
+    return {"n": int(error.size), "sse": float(np.sum(error**2))}
 
 
 def touch_uncertainty(prediction: np.ndarray, std: np.ndarray, truth: np.ndarray,
@@ -69,11 +66,6 @@ def touch_uncertainty(prediction: np.ndarray, std: np.ndarray, truth: np.ndarray
 def rmse(touches: Sequence[Record]) -> float:
     """Mean over query touches of sqrt(mean_t (p - y)^2)."""
     return float(np.mean(np.sqrt(_column(touches, "sse") / _column(touches, "n"))))
-
-
-def rmse_pooled(touches: Sequence[Record]) -> float:
-    """sqrt(mean over all readings of all query touches of (p - y)^2)."""
-    return float(np.sqrt(_column(touches, "sse").sum() / _column(touches, "n").sum()))
 
 
 def rmse_norm(touches: Sequence[Record]) -> float | None:
@@ -116,16 +108,6 @@ def object_of(view: str) -> str:
     return re.sub(r"-v\d+$", "", view)
 
 
-def mae(touches: Sequence[Record]) -> float:
-    """Mean over query touches of mean_t |p - y|."""
-    return float(np.mean(_column(touches, "sae") / _column(touches, "n")))
-
-
-def mae_pooled(touches: Sequence[Record]) -> float:
-    """Mean over all readings of all query touches of |p - y|."""
-    return float(_column(touches, "sae").sum() / _column(touches, "n").sum())
-
-
 def mean_of(sums: str) -> Callable[[Sequence[Record]], float]:
     """The metric that is the sum called ``sums`` over the number of readings."""
     return lambda touches: sum(touch[sums] for touch in touches) / sum(touch["n"] for touch in touches)
@@ -153,29 +135,10 @@ def log10_error(mean: np.ndarray, truth: np.ndarray) -> float:
     return float(np.abs(np.log10(np.maximum(mean, floor)) - np.log10(truth) - scale).mean())
 
 
-def uncertainty(mean: np.ndarray, std: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Absolute errors (k,) and standard deviations (k,) [N/m] after the scale c on both."""
-    scale = 10.0 ** -scale_of(mean, truth)
-    return np.abs(scale * mean - truth), np.maximum(scale * std, SMALLEST_SHARE * float(np.median(truth)))
-
-
 def scale_of(estimate: np.ndarray, truth: np.ndarray) -> float:
     """The one allowed scale c [decades]: the median of log10 s - log10 k over s > 0, of which there must be one."""
     positive = estimate > 0
     return float(np.median(np.log10(estimate[positive]) - np.log10(truth[positive])))
-
-
-def stiff_points(truth: np.ndarray) -> np.ndarray:
-    """Which of the stiffnesses ``truth`` (k,) > 0 belong to the stiff one of two classes (k,) bool; none if all are
-    equal. The classes are those whose mean log10 k differs most (Otsu 1979)."""
-    order = np.sort(np.log10(truth))
-    count = np.arange(1, len(order))
-    below = np.cumsum(order)[:-1] / count
-    above = (order.sum() - np.cumsum(order)[:-1]) / (len(order) - count)
-    between = count * (len(order) - count) * (above - below) ** 2
-    if len(order) < 2 or not between.max() > 0.0:
-        return np.zeros(len(truth), bool)
-    return np.log10(truth) > order[int(np.argmax(between))]
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
@@ -223,8 +186,8 @@ class Answer(StrEnum):
     """`predict_std`. A record is a query touch: the sums of `touch_uncertainty`."""
 
     STIFFNESS = "stiffness"
-    """`stiffness` at the reached probe points. A record is an object: ``mean`` (k,), ``std`` (k,) or None where the
-    method gives none, ``truth`` (k,) [N/m]."""
+    """`stiffness` at the reached probe points. A record is an object: ``mean`` (k,), ``truth`` (k,)
+    [N/m]."""
 
     MASK = "mask"
     """`stiffness` under the pixels of a mask. A record is an object: ``value`` (p,) of the pixels, ``stiff`` (p,) bool,
@@ -253,23 +216,9 @@ class Metric:
     """A task may rank methods by it."""
 
 
-def _of_object(name: str, answer: Answer, score: Callable[[Record], float | None], doc: str, **more: Any) -> Metric:
-    """A metric that is the mean over objects of a score of one; None where that of one is None."""
-    def mean(records: Sequence[Record]) -> float | None:
-        values = [score(record) for record in records]
-        return None if None in values else float(np.mean(values))  # type: ignore[arg-type]
-
-    return Metric(name, answer, mean, doc, **more)
-
-
-def _of_std(name: str, score: Callable[[np.ndarray, np.ndarray], Any], doc: str, **more: Any) -> Metric:
-    """A metric of the errors and standard deviations of a stiffness; None where a method gives an object none."""
-    return _of_object(name, Answer.STIFFNESS, lambda r: None if r["std"] is None or not np.any(r["std"] > 0) else (
-        float(score(*uncertainty(r["mean"], r["std"], r["truth"])))), doc, **more)
-
-
-def _reading(name: str, score: Callable[[Sequence[Record]], float | None], doc: str) -> Metric:
-    return Metric(name, Answer.READINGS, score, doc, unit=None, ranks=True)
+def _of_object(name: str, answer: Answer, score: Callable[[Record], float], doc: str, **more: Any) -> Metric:
+    """A metric that is the mean over objects of a score of one."""
+    return Metric(name, answer, lambda records: float(np.mean([score(record) for record in records])), doc, **more)
 
 
 def _of_mask(name: str, place: int, doc: str) -> Metric:
@@ -279,16 +228,14 @@ def _of_mask(name: str, place: int, doc: str) -> Metric:
 
 METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
     m.name: m for m in (
-        _reading("rmse", rmse, "Root mean square error of a touch's readings, averaged over touches."),
-        _reading("rmse_pooled", rmse_pooled, "Root mean square error over all readings."),
+        Metric("rmse", Answer.READINGS, rmse, "Root mean square error of a touch's readings, averaged over touches.",
+               unit=None, ranks=True),
         Metric("rmse_ratio", Answer.READINGS, rmse_ratio,
                "Error of an object, `rmse`, over that of predicting zero on the same touches, averaged over objects.",
                ranks=True),
         Metric("rmse_norm", Answer.READINGS, rmse_norm,
                "`rmse` of the norm of the error of a reading of several numbers; of torques, of the norm of all seven.",
                unit=None, ranks=True),
-        _reading("mae", mae, "Mean absolute error of a touch's readings, averaged over touches."),
-        _reading("mae_pooled", mae_pooled, "Mean absolute error over all readings."),
         Metric("nll", Answer.READING_STD, mean_of("nll"),
                "Mean negative log-likelihood of the readings; a std that is too small and one that is too large both "
                "increase it."),
@@ -300,17 +247,6 @@ METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
                    "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
         _of_object("stiffness_log10", Answer.STIFFNESS, lambda r: log10_error(r["mean"], r["truth"]),
                    "Mean absolute error of log10 of the stiffness after one scale an object."),
-        _of_object("stiffness_f1", Answer.STIFFNESS, lambda r: mask_scores(r["mean"], stiff_points(r["truth"]))[0],
-                   "Best F1 score of a threshold that separates the stiff points from the soft ones.",
-                   higher_is_better=True),
-        _of_std("stiffness_nll", lambda error, std: np.mean(negative_log_likelihood(error, std)),
-                "Mean negative log-likelihood of the stiffness after one scale an object."),
-        _of_std("stiffness_coverage50", lambda error, std: np.mean(error <= HALF_WIDTH_50 * std),
-                "Fraction of points within 0.674 std of the estimate; 0.5 is right."),
-        _of_std("stiffness_coverage90", lambda error, std: np.mean(error <= HALF_WIDTH_90 * std),
-                "Fraction of points within 1.645 std of the estimate; 0.9 is right."),
-        _of_std("stiffness_std_spearman", spearman, "Spearman's rank correlation of absolute error and std.",
-                higher_is_better=True),
         _of_mask("mask_f1", 0, "F1 score of the mask of stiff pixels at the best threshold."),
         _of_mask("mask_precision", 1, "Precision of the mask at that threshold."),
         _of_mask("mask_recall", 2, "Recall of the mask at that threshold."),
@@ -339,7 +275,7 @@ def record_scores(answer: Answer, records: Sequence[Record]) -> dict[str, float 
 PER_OBJECT = (Answer.STIFFNESS, Answer.MASK, Answer.POSE)
 """Answers whose metrics are means over objects. Their row in a result file is one object, and holds its metrics."""
 
-SUMS = {Answer.READINGS: ("touch", "n", "sse", "sae"), Answer.READING_STD: ("touch", "n", "nll", "in50", "in90")}
+SUMS = {Answer.READINGS: ("touch", "n", "sse"), Answer.READING_STD: ("touch", "n", "nll", "in50", "in90")}
 """Columns of the rows of the other answers in a result file, besides ``object``, ``shot`` and ``seed``."""
 
 

@@ -17,6 +17,7 @@ import hashlib
 import io
 import json
 import lzma
+import math
 import secrets
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +26,7 @@ from pathlib import Path
 from tokenize import TokenError
 from types import SimpleNamespace
 from typing import Any, Literal, TypeVar
-from zipfile import BadZipFile, ZipFile
+from zipfile import BadZipFile
 
 import msgspec
 import numpy as np
@@ -47,6 +48,8 @@ from vsfsim.data.safety import check_name
 INDEX = "sealed.json"
 FEWEST_SEEDS = 10**11
 """A smaller seed can be found by making an object of each and comparing pictures."""
+_LARGEST_NUMBER, _LARGEST_HEADER = 16, 10_000
+"""Bytes of a number and of what stands before the numbers of an array in an .npz."""
 T = TypeVar("T")
 _VIEW = ("rgb", "depth", "mask", "intrinsics", "camera_pose")
 
@@ -122,79 +125,41 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
     if not path.exists():
         raise MethodError(no_such_file("file of predictions", path))
     data = fingerprint.beside_record(task, dataset)
-    answers: dict[str, list[Answers]] = {}
-    asked: set[str] = set()
-    with PredictionFile(path) as given:
-        for question in questions(task, dataset):
-            shapes = [(len(action.time), action.size) for action in question.actions]
-            read = [given.read(key, shape) for key, shape in zip(question.keys, shapes, strict=True)]
-            predictions = checked_prediction(read, question.actions, question.keys)
-            trial = Trial(question.name, question.shot, question.seed, ())
-            answers.setdefault(question.name, []).append(Answers(trial, tuple(predictions)))
-            asked.update(question.keys)
-        for key in given.keys:
-            if key not in asked:
-                raise MethodError(f"predictions {path} have '{plain(key, longest=100)}', which the task does not ask. "
-                                  f"Keys are <object>/<shot>/<seed>/<touch>.")
-    every = [one for mine in answers.values() for one in mine]
-    return result_of(every, task, dataset, task.protocol.runs(seeded=False), method=plain(name),
+    asked = [(Trial(q.name, q.shot, q.seed, ()), q.keys, q.actions) for q in questions(task, dataset)]
+    given = read_predictions(path, {key: (len(action.time), action.size) for _, keys, actions in asked
+                                     for key, action in zip(keys, actions, strict=True)})
+    answers = [Answers(trial, tuple(checked_prediction([given[key] for key in keys], actions, keys)))
+               for trial, keys, actions in asked]
+    return result_of(answers, task, dataset, task.protocol.runs(seeded=False), method=plain(name),
                      entry="predictions file", notes=("scored from a file of predictions",), data=data)
 
 
-class PredictionFile:
-    """An .npz of predictions. An array is read only if its header says the shape that was asked for, so that a file
-    cannot make the reader allocate more.
-
-    Args:
-        path: the file.
+def read_predictions(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    """The arrays of an .npz, which must be of these keys and shapes. None is read that has more bytes than its shape
+    needs, so that a file cannot make the reader allocate more.
 
     Raises:
-        MethodError: it is no .npz.
+        MethodError: it is no .npz, a key is missing or unknown, or an array is another one.
     """
-
-    def __init__(self, path: Path):
-        self.path = path
-        try:
-            self._file = ZipFile(path)
-        except (OSError, ValueError, BadZipFile, NotImplementedError) as error:
-            raise MethodError(f"predictions {path} cannot be read: {plain(error)}. Give an .npz as "
-                              f"numpy.savez writes it.") from error
-        self.keys = [name.removesuffix(".npy") for name in self._file.namelist()]
-
-    def __enter__(self) -> PredictionFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def read(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
-        """The array called ``key``, which must have this shape and hold real numbers.
-
-        Raises:
-            MethodError: there is none, or it is another one.
-        """
-        if key not in self.keys:
-            raise MethodError(f"predictions {self.path} have no '{key}'. One array (T, d) a query is needed; "
-                              f"`vsfsim.bench.predictions.questions` lists the keys.")
-        try:
-            with self._file.open(f"{key}.npy") as file:
-                version = np.lib.format.read_magic(file)
-                header = np.lib.format.read_array_header_1_0 if version == (1, 0) else (
-                    np.lib.format.read_array_header_2_0)
-                found, fortran, dtype = header(file)
-                if dtype.kind not in "fiub" or found != shape:
-                    raise MethodError(f"predictions {self.path}: '{key}' has shape {found} and dtype {dtype}; it must "
-                                      f"be real numbers of shape (T, d) = {shape}.")
-                size = int(np.prod(shape)) * dtype.itemsize
-                content = file.read(size)
-        except (OSError, ValueError, EOFError, KeyError, BadZipFile, NotImplementedError, RuntimeError, SyntaxError,
-                TypeError, TokenError, zlib.error, lzma.LZMAError) as error:  # numpy parses a header as Python
-            raise MethodError(f"predictions {self.path}: '{key}' cannot be read: {plain(error)}. Write the file "
-                              f"again.") from error
-        if len(content) != size:
-            raise MethodError(f"predictions {self.path}: '{key}' ends after {len(content)} of {size} bytes. Write the "
-                              f"file again.")
-        return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
+    where, out = f"predictions {path}", {}
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in file.zip.infolist()}
+            for key in (*shapes, *sizes):
+                if key not in sizes or key not in shapes:
+                    raise MethodError(f"{where} have no '{key}'. One array (T, d) a query is needed; "
+                                      f"`vsfsim.bench.predictions.questions` lists the keys." if key in shapes else
+                                      f"{where} have '{plain(key, longest=100)}', which the task does not ask. Keys "
+                                      f"are <object>/<shot>/<seed>/<touch>.")
+            for key, shape in shapes.items():
+                if sizes[key] > _LARGEST_NUMBER * math.prod(shape) + _LARGEST_HEADER:
+                    raise MethodError(f"{where}: '{key}' has {sizes[key]} bytes; it must be real numbers of shape "
+                                      f"(T, d) = {shape}.")
+                out[key] = file[key]
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, BadZipFile, NotImplementedError, RuntimeError,
+            SyntaxError, TypeError, TokenError, MemoryError, zlib.error, lzma.LZMAError) as error:  # NumPy's and zip's
+        raise MethodError(f"{where} cannot be read: {plain(error)}. Give an .npz as numpy.savez writes it.") from error
+    return out
 
 
 def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:

@@ -283,8 +283,6 @@ class Answers:
     """Their standard deviations (T, d)."""
     mean: np.ndarray | None = None
     """Stiffness at the reached points (k,)."""
-    std: np.ndarray | None = None
-    """Its standard deviation (k,)."""
     column_mean: np.ndarray | None = None
     """Stiffness in the columns of the mask (q,)."""
     pose: np.ndarray | None = None

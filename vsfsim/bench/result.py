@@ -67,7 +67,7 @@ class Result:
     """By metric and shot."""
     queries: Mapping[str, list]
     """Columns with one row a query touch, shot and seed: object, shot, seed, touch, number of readings n, sum of
-    squared errors sse [unit^2] and of absolute errors sae [unit]."""
+    squared errors sse [unit^2]."""
     timing: Mapping[str, Size]
     """Seconds meta_fit_s, adapt_s and predict_s, and the numbers of calls fits, adapts and predicts."""
     peak_memory_mib: Size
@@ -103,8 +103,8 @@ class Result:
     """Name of the settings that were asked for (`vsfsim.bench.commands.catalogue`), "" for none."""
     maps: Mapping[str, list] = dataclasses.field(default_factory=dict)
     """Of a task with cross-validation, the stiffness that the method gave in its first run at the shot that ranks,
-    columns with one row a probed point: object, place x, y, z [0.1 mm from -3 m], truth [N/m], mean and std in the
-    method's unit, std 0 where it gave none."""
+    columns with one row a probed point: object, place x, y, z [0.1 mm from -3 m], truth [N/m], mean in the
+    method's unit."""
     study: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What the method learned from where that is not what the task says (`vsfsim.bench.trials.training.Training`),
     else {}. A result with it is a study's and is never ranked."""

@@ -28,7 +28,7 @@ READING_COLUMNS = ("object", "touch", "n", "ss")
 """Of `vsfsim.bench.result.Result.readings`."""
 
 
-MAP_COLUMNS = ("object", "x", "y", "z", "truth", "mean", "std")
+MAP_COLUMNS = ("object", "x", "y", "z", "truth", "mean")
 """Of `vsfsim.bench.result.Result.maps`."""
 
 MAP_STEP, MAP_ORIGIN = 1e-4, 30_000
@@ -48,7 +48,7 @@ def stored(rows: Sequence[dict[str, Any]]) -> None:
     """Round the sums of errors to single precision (6e-8), as the results of tasks with cross-validation store them,
     so that scores are those of the stored rows."""
     for row in rows:
-        row.update({name: float(np.float32(row[name])) for name in ("sse", "sae", "nll") if name in row})
+        row.update({name: float(np.float32(row[name])) for name in ("sse", "nll") if name in row})
 
 
 def beside_zero(rows: Sequence[Record], readings: Mapping[str, Sequence], size: int) -> list[dict[str, Any]]:
@@ -81,9 +81,9 @@ Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 53)]
 Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
 _COLUMNS: dict[str, Any] = {
-    **dict.fromkeys(("object", "shot"), list[str]), **dict.fromkeys(("sse", "sae", "ss", "truth", "std"), list[Size]),
+    **dict.fromkeys(("object", "shot"), list[str]), **dict.fromkeys(("sse", "ss", "truth", "mean"), list[Size]),
     **dict.fromkeys(("seed", "touch", "in50", "in90", "x", "y", "z"), list[Count]), "nll": list[Number],
-    "n": list[Annotated[int, msgspec.Meta(ge=1, lt=1 << 53)]], "mean": list[Size]}
+    "n": list[Annotated[int, msgspec.Meta(ge=1, lt=1 << 53)]]}
 """Types of columns; a metric's column is of numbers and None."""
 
 

@@ -44,7 +44,7 @@ def evaluate(task: TaskName,
              method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method)] = None,
              every: Annotated[bool, typer.Option("--all")] = False, preset: str = "", dataset: DatasetFolder = None,
              out: Path | None = None, seeds: Several = None, parameters: Parameters = None, workers: AtLeastOne = 1,
-             timeout: float | None = None, memory: float | None = None, keep: str = "", sandbox: str = "",
+             timeout: float | None = None, memory: float | None = None, sandbox: str = "",
              json: JsonFile = None) -> None:
     """Score methods on a task.
 
@@ -63,8 +63,6 @@ def evaluate(task: TaskName,
         workers: Trainings and trials that run at the same time, each in a process of its own.
         timeout: Seconds that one call of the method may take; default: no limit.
         memory: Memory that a process of the method may allocate [GiB]; default: what the machine has.
-        keep: predictions: also write every prediction beside the truth, RESULT.predictions.npz, which `vsfsim show
-            RESULT --out page.html` draws.
         sandbox: namespaces: in a container, which hides your files and the network; process: in a process of its own;
             default: $VSFSIM_SANDBOX, or the strongest that works here.
     """
@@ -100,7 +98,7 @@ def evaluate(task: TaskName,
     made, show, tables = [], str(json) != "-", not every and fan == HERE
     with Progress(" ".join(["evaluate", *names])) as progress:
         for one in evaluate_all(wanted, paths, dataset=dataset, again=tables, seeds=seeds, workers=workers,
-                                timeout=timeout, memory=memory, sandbox=sandbox, keep=keep, fan=fan, progress=progress):
+                                timeout=timeout, memory=memory, sandbox=sandbox, fan=fan, progress=progress):
             if tables and one.failure is not None:
                 raise one.failure
             if show and not tables:
@@ -109,7 +107,7 @@ def evaluate(task: TaskName,
     if tables:
         results = [(one.result, one.path) for one in made if one.result is not None]
         numbers = [{**result.summary(), "written": str(path)} for result, path in results]
-        report("\n\n".join(_scored(result, path, wanted, keep) for result, path in results),
+        report("\n\n".join(_scored(result, path, wanted) for result, path in results),
                numbers[0] if len(numbers) == 1 else numbers, json)
         return
     write_json([{"method": paths[one.path].method, "preset": paths[one.path].preset, "state": one.state,
@@ -125,7 +123,7 @@ def evaluate(task: TaskName,
               f"without a --shard scores them.")
 
 
-def _scored(result: Result, path: Path, task: Task, keep: str) -> str:
+def _scored(result: Result, path: Path, task: Task) -> str:
     """What is printed of a result."""
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.trials.jobs import log_of
@@ -137,8 +135,7 @@ def _scored(result: Result, path: Path, task: Task, keep: str) -> str:
              f"{learns}predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; {len(result.seeds)} seeds; peak "
              f"memory {result.peak_memory_mib:.0f} MiB", *(f"note: {note}" for note in result.notes)]
     lines += [f"what the method printed is in {log}"] if log.exists() else []
-    lines += [f"written to {path}"] + ([f"\nvsfsim show {path} --out page.html   # draws them"] if keep else [])
-    return "\n".join(lines)
+    return "\n".join([*lines, f"written to {path}"])
 
 
 @command(lab)

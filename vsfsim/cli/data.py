@@ -28,7 +28,7 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
 
     A page (--out NAME.html) is one file for a browser that needs no network: the object, to be turned and cut; touches,
     forces and pressures frame by frame; the RGB-D picture. Of a result it has the true and the estimated stiffness side
-    by side, and after `evaluate --keep predictions` the predicted readings over the true ones.
+    by side.
 
     Args:
         what (DATASET|SCENE|RESULT): Folder of a dataset, a scene, or a result file (.json).

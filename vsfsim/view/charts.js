@@ -1,12 +1,11 @@
 // Beside the object: curves over travel, the picture with its targets, and the legend.
 
-// Values over travel: the chosen touch with its frames, the others faint, predictions dashed and named by their shot; a
-// frame that did not converge is a cross.
-function curve(canvas, title, of, predicted = []) {
+// Values over travel: the chosen touch with its frames, the others faint; a frame that did not converge is a cross.
+function curve(canvas, title, of) {
   const pen = fitted(canvas), d = devicePixelRatio, {width, height} = canvas;
   const [left, right, top, bottom] = [44 * d, width - 10 * d, 20 * d, height - 30 * d];
   const all = shown.o.touches.filter(t => of(t));
-  const x = all.flatMap(t => t.travel), y = [...all.flatMap(of), ...predicted.flat()].filter(v => v !== null).concat(0);
+  const x = all.flatMap(t => t.travel), y = all.flatMap(of).filter(v => v !== null).concat(0);
   const [x0, x1, y0, y1] = [Math.min(...x), Math.max(...x), Math.min(...y), Math.max(...y)];
   const at = (t, k, value) => [left + (t.travel[k] - x0) / (x1 - x0 || 1) * (right - left),
                                bottom - ((value ?? 0) - y0) / (y1 - y0 || 1) * (bottom - top)];
@@ -26,15 +25,6 @@ function curve(canvas, title, of, predicted = []) {
   pen.globalAlpha = 0.25;
   all.filter(t => t !== chosen).forEach(t => line(pen, path(t), colour("touch"), 1));
   pen.globalAlpha = 1;
-  predicted.forEach((told, s) => {                       // more touches, longer dashes
-    const points = told.map((v, k) => [v, k]).filter(([v]) => v !== null).map(([v, k]) => at(chosen, k, v));
-    pen.setLineDash([(2 + 4 * s) * d, 3 * d]);
-    line(pen, points, colour("front"), 1.2);
-    pen.setLineDash([]);
-    const peak = points.reduce((a, b) => b[1] < a[1] ? b : a, points[0] ?? [left, bottom]);
-    pen.fillStyle = colour("front");
-    pen.fillText(`${data.shots[s]}-shot`, Math.min(peak[0] + 4 * d, right - 40 * d), peak[1] + 4 * d);
-  });
   line(pen, path(chosen), colour("chosen"), 2);
   chosen.travel.forEach((_, k) => {
     const [px, py] = spot(chosen, k), r = (k === state.frame ? 5 : 2.5) * d;

@@ -62,8 +62,7 @@ def page(title: str, objects: Sequence[dict[str, Any]], **about: Any) -> bytes:
     Args:
         title: of the page.
         objects: what `vsfsim.view.subject` makes of each.
-        about: of all objects, see `vsfsim.view.scored`: ``map``, what their colours are and its unit; ``reading``, name
-            and unit of the predicted readings; ``shots``, their labels.
+        about: of all objects, see `vsfsim.view.scored`: ``map``, what their colours are and its unit.
     """
     part = {name: files(__package__).joinpath(name).read_text(encoding="utf-8")
             for name in ("page.html", "page.css", "page.js", "charts.js", "draw.js")}

@@ -175,8 +175,7 @@ function drawFrame(pen, view, touch) {
   $("reading").textContent = `frame ${k}: travel ${number(1e3 * touch.travel[k])} mm, normal force ` +
     `${number(touch.normal_force[k])} N${pressure}${good ? "" : ", NOT CONVERGED"}`;
   $("reading").style.color = good ? "" : colour("bad");
-  if (touch.predicted) curve($("force"), data.reading, t => t.reading, touch.predicted);
-  else curve($("force"), "normal force [N]", t => t.normal_force);
+  curve($("force"), "normal force [N]", t => t.normal_force);
   $("pressure").hidden = !touch.pressure;
   if (touch.pressure) curve($("pressure"), "pressure change [Pa]", t => t.pressure);
 }

@@ -1,4 +1,4 @@
-"""What the page shows of a result: true and estimated stiffness side by side, and predicted readings over true ones."""
+"""What the page shows of a result: true and estimated stiffness side by side."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from vsfsim.bench.metrics import scale_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import load_task
-from vsfsim.bench.trials.score import Curves, load_curves
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.records import ObjectView
-from vsfsim.view.subject import of_body, of_view, quantised, rounded
+from vsfsim.view.subject import of_body, of_view, quantised
 
 _FLOOR = 1e-2  # an estimate is shown down to this share of the smallest true stiffness of its object
 
@@ -32,8 +30,7 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
         TaskError: the file is no result, or neither its dataset nor an estimate of the stiffness is there to show.
     """
     result = Result.load(path)
-    kept, dataset = load_curves(result, path), _dataset(result)
-    maps = _maps(result)
+    dataset, maps = _dataset(result), _maps(result)
     names = sorted({*(result.queries.get("object", ()) if dataset else ()), *maps})
     if not names:
         raise TaskError(f"{path}: there is nothing to show. It holds no estimate of the stiffness, "
@@ -41,16 +38,12 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
                         "$VSFSIM_DATASETS to the folder that has it.")
     shown = []
     for number, name in enumerate(names[:objects]):
-        shown.append(_object(name, dataset, kept, maps.get(name)))
+        shown.append(_object(name, dataset, maps.get(name)))
         if progress is not None:
             progress(number + 1, min(len(names), objects), "object views")
     parts = ["true and estimated stiffness" if maps else "no estimate of the stiffness",
-             "predictions over readings" if kept and dataset else
-             "no predictions (evaluate --keep predictions keeps them)" if dataset else
-             "no touches, because the dataset is not on this machine"]
+             *([] if dataset else ["no touches, because the dataset is not on this machine"])]
     about: dict[str, Any] = {"map": ["stiffness under a small cone", "N/m"]} if maps else {}
-    if kept is not None:
-        about |= {"reading": f"{result.observation} [{result.unit}]", "shots": list(result.shots)}
     return (f"{result.method} on {result.task}",
             f"{len(shown)} of {len(names)} object views: {', '.join(parts)}", shown, about)
 
@@ -81,28 +74,10 @@ def _maps(result: Result) -> dict[str, np.ndarray]:
     return out
 
 
-def _object(name: str, dataset: Dataset | None, kept: Curves | None, found: np.ndarray | None
-            ) -> dict[str, Any]:
-    view = None if dataset is None else dataset.load(name)
-    one = of_view(view) if view is not None else {"name": name, "touches": [], "picture": None}
+def _object(name: str, dataset: Dataset | None, found: np.ndarray | None) -> dict[str, Any]:
+    one = of_view(dataset.load(name)) if dataset is not None else {"name": name, "touches": [], "picture": None}
     if found is not None:
         one |= of_body(found[:, :3], found[:, 3], np.zeros(len(found), int))
         one |= {"estimate": quantised(np.log10(found[:, 4:])),
                 "about": f"{len(found)} probed places; the estimate is scaled by one factor"}
-    if view is not None and kept is not None:
-        one["touches"] = [{**one["touches"][index], **_curve(view, index, *arrays)}
-                          for (of, index), arrays in kept.items() if of == name]
     return one
-
-
-def _curve(view: ObjectView, index: int, truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
-    """Readings of a query touch in its recorded frames: true, and predicted by shot, means over runs. Of a reading of
-    several numbers its norm."""
-    touch = view.touches[index]
-    plan = np.arange(len(touch.time)) if touch.planned_frame is None else touch.planned_frame
-
-    def told(values: np.ndarray) -> Any:
-        size = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
-        return rounded(np.where(plan >= 0, size[plan], np.nan), 4)
-
-    return {"number": index, "reading": told(truth), "predicted": [told(by_run.mean(axis=0)) for by_run in predicted]}

@@ -3,7 +3,6 @@ it get no rank of a shipped method, and no evidence."""
 
 import dataclasses
 import json
-import math
 import shutil
 from pathlib import Path
 
@@ -101,8 +100,8 @@ def forged(board, share, **more):
         for shot in one.shots:
             for seed in one.seeds:
                 sse = float(np.float32(ss * share**2 * rng.uniform(0.8, 1.2) / (1 if shot == "0" else 2)))
-                rows.append((name, shot, seed, touch, n, sse, float(np.float32(math.sqrt(sse * n) * 0.8))))
-    queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse", "sae"), map(list, zip(*rows)), strict=True))
+                rows.append((name, shot, seed, touch, n, sse))
+    queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse"), map(list, zip(*rows)), strict=True))
     scores = scores_of(Answer.READINGS, beside_zero(as_rows(queries), one.readings, 1), one.shots, one.seeds)
     return dataclasses.replace(one, queries=queries, answers={}, maps={}, values={}, data={}, scores=scores,
                                dataset_sha256=record.dataset_sha256, **more)

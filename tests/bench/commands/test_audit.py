@@ -27,9 +27,9 @@ def row(task, name, errors, folder):
     """A result whose objects err by these shares of predicting zero, at every number of touches."""
     objects = [f"mock-{k:04d}-v0" for k in range(len(errors)) for _ in range(4)]
     touches = [touch for _ in errors for touch in range(4)]
-    parts = [(o, shot, 0, touch, 5, 5.0 * errors[k // 4] ** 2, 5.0 * errors[k // 4])
+    parts = [(o, shot, 0, touch, 5, 5.0 * errors[k // 4] ** 2)
              for shot in task.protocol.labels for k, (o, touch) in enumerate(zip(objects, touches))]
-    queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse", "sae"), map(list, zip(*parts)), strict=True))
+    queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse"), map(list, zip(*parts)), strict=True))
     readings = {"object": objects, "touch": touches, "n": [5] * len(objects), "ss": [5.0] * len(objects)}
     made = Result(task=task.name, task_sha256=task.sha256, dataset_sha256="d" * 64, dataset_made_by={}, method=name,
                   entry="m:M", parameters={}, observation="normal-force", unit="N", shots=task.protocol.labels,

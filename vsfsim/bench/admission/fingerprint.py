@@ -1,4 +1,5 @@
-"""The record of a task's dataset: short fingerprints of everything that a method may see or is scored on.
+"""The record of a task's dataset: short fingerprints of its pictures, and of the direction and the readings of each
+touch. A touch at another place, of another object or by another probe reads otherwise.
 
 A fingerprint of a vector v (n,) is its norm and three projections r_k . v on fixed vectors of signs. If two vectors
 differ by d, each number differs by about |d|, so rounding changes them as little as it changes the data, and another
@@ -13,7 +14,6 @@ other data with the same fingerprints, nor against somebody who writes a result 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,11 +25,10 @@ from vsfsim.bench.result_file import pack, unpack
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
-from vsfsim.core.shape import probe_table
 from vsfsim.core.shelf import folder
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
-from vsfsim.data.records import ObjectView, Touch, View
+from vsfsim.data.records import Touch
 
 LARGEST_FILE = 16 << 20
 """A record with more bytes is not read."""
@@ -37,10 +36,8 @@ LARGEST_FILE = 16 << 20
 _BLOCK = 8  # pixels
 SCALE = 4096.0
 """Projections are stored as multiples of norm / SCALE, within 8 norms."""
-MARK = "converged frames"
-"""Kind of the vector that says which frames converged."""
-READING = "reading"
-"""Kind of the vector that a task reads."""
+IMAGES, DIRECTION, READING = ("colour", "depth"), "direction", "reading"
+"""Kinds of vectors: two of an object view, the press direction of a touch, and its noise-free readings."""
 _PROJECTIONS = ("along_0", "along_1", "along_2")
 _COLUMNS = ("view", "touch", "kind", "norm", *_PROJECTIONS)
 _VECTOR = np.dtype([("view", "O"), ("touch", "i8"), ("kind", "O"), ("norm", "f8"), ("along", "f8", len(_PROJECTIONS))])
@@ -66,7 +63,7 @@ class Again(msgspec.Struct, frozen=True):
     that decides which of several equilibria an object reaches: a branch that snaps off a link of the arm, or slips."""
 
     touches: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-    """Share of the touches in which anything differs that the physics decides [-]."""
+    """Share of the touches that read otherwise [-]."""
     size: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
     """Largest relative difference, over object views, of the root mean square of the readings [-]."""
     made_by: dict[str, Any]
@@ -77,7 +74,7 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     """The fingerprints of a dataset as one task reads it."""
 
     format: Literal["vsfsim-task-record"]
-    version: Literal[2]
+    version: Literal[3]
     task: str
     """Name of the task."""
     task_sha256: str
@@ -99,11 +96,6 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     def table(self) -> dict[str, Any]:
         """As JSON values; msgspec converts them back."""
         return msgspec.to_builtins(self)
-
-    @property
-    def touches(self) -> int:
-        """Number of touches."""
-        return len({(one["view"], one["touch"]) for one in self.fingerprints() if one["touch"]})
 
     def fingerprints(self) -> np.ndarray:
         """A row a vector (n,), structured: view, touch, kind, norm, along (3,).
@@ -134,11 +126,12 @@ def make_record(task: Task, dataset: Dataset) -> Record:
         query = divide(view, task.protocol).query if name in asked else ()
         entries.append(Entry(view.name, view.split, view.object_index, view.view_index, query))
         queries += [view.touches[k] for k in query]
-        rows += [(name, 0, kind, *_print(vector)) for kind, vector in _vectors_of_view(view)]
+        rows += [(name, 0, kind, *_print(_in_blocks(np.asarray(image, float)))) for kind, image in zip(
+            IMAGES, (view.view.rgb, view.view.depth), strict=True)]
         for k, (touch, clean) in enumerate(zip(view.touches, record(view, task).clean, strict=True), start=1):
-            rows += [(name, k, kind, *_print(vector)) for kind, vector in _vectors_of_touch(touch, clean)]
+            rows += [(name, k, DIRECTION, *_print(touch.axis)), (name, k, READING, *_print(np.nan_to_num(clean)))]
     vectors = pack(dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True)))
-    return Record("vsfsim-task-record", 2, task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
+    return Record("vsfsim-task-record", 3, task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
                   tuple(entries), vectors, share_unresolved(queries))
 
 
@@ -192,53 +185,11 @@ def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:
     return make_record(task, dataset).table()
 
 
-# ---------------------------------------------------------------------- vectors
-
-
-def _vectors_of_view(view: ObjectView) -> Iterator[tuple[str, np.ndarray]]:
-    image: View = view.view
-    for name, values in (("colour", image.rgb), ("depth", image.depth), ("mask", image.mask)):
-        yield name, _in_blocks(np.asarray(values, float))
-    yield "intrinsics", image.intrinsics
-    yield "camera's rotation", image.camera_pose[:3, :3]
-    yield "camera's position", image.camera_pose[:3, 3]
-    yield "probe", np.array([number for shape in view.probes for number in _numbers(probe_table(shape))])
-    if view.truth is not None:
-        yield "probed points", view.truth.probe_points
-        yield "probed stiffness", view.truth.probe_stiffness
-
-
-def _vectors_of_touch(touch: Touch, clean: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    yield "time", touch.time
-    yield "rotation", touch.mount_pose[:, :3, :3]
-    yield "position", touch.mount_pose[:, :3, 3]
-    yield "direction", touch.axis
-    yield MARK, touch.converged
-    yield READING, np.nan_to_num(clean)
-    yield "joint angles", np.zeros(0) if touch.q is None else touch.q
-    if touch.planned_pose is not None and touch.planned_frame is not None:
-        yield "plan", touch.planned_pose
-        yield "frames as planned", touch.planned_frame
-    for name, values in (("skin", touch.node_position), ("skin's force", touch.node_force)):
-        yield name, np.zeros(0) if values is None else np.nan_to_num(values)
-
-
 def _in_blocks(image: np.ndarray) -> np.ndarray:
     """Means over blocks of 8 x 8 pixels of an image (H, W) or (H, W, c)."""
     height, width = (n // _BLOCK * _BLOCK for n in image.shape[:2])
     cut = image[:height, :width].reshape(height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK, -1)
     return cut.mean(axis=(1, 3))
-
-
-def _numbers(item: Any) -> Iterator[float]:
-    if isinstance(item, Mapping):
-        for key in sorted(item):
-            yield from _numbers(item[key])
-    elif isinstance(item, (list, tuple)):
-        for part in item:
-            yield from _numbers(part)
-    elif isinstance(item, (int, float)):
-        yield float(item)
 
 
 def _print(vector: np.ndarray) -> list[float]:

@@ -35,7 +35,7 @@ from vsfsim.bench.protocol import Answers, Trial, divide, record, support, test_
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import load, save
-from vsfsim.bench.trials.score import result_of, save_curves
+from vsfsim.bench.trials.score import result_of
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
@@ -52,15 +52,14 @@ def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
 
 
 def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, parameters: Mapping[str, Any],
-                     workers: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None,
-                     keep: str = "") -> Result:
+                     workers: int = 1, progress: Callable[[int, int, str], None] = lambda *_: None
+                     ) -> Result:
     """The result of a ceiling: the same answers at every number of touches, unless it takes a support.
 
     Args:
         name: of an entry point of `vsfsim.ceilings`. task: the task. dataset: its dataset. out: result file; finished
         answers are kept beside it until all are made, and taken up again. parameters: over those of its function.
-        workers: answers at the same time. progress: called with (answers made, of how many, object). keep: as of
-        `vsfsim.bench.evaluate.evaluate`.
+        workers: answers at the same time. progress: called with (answers made, of how many, object).
 
     Raises:
         MethodError: an unknown parameter.
@@ -104,8 +103,6 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
                                "predicts": sum(len(queries) for queries, _ in asked.values())})
     result.save(out)
     shutil.rmtree(part, ignore_errors=True)
-    if keep:
-        save_curves(answers, task, dataset, result.seeds, out)
     return result
 
 

@@ -16,7 +16,6 @@ from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task
-from vsfsim.bench.trials.score import Curves, load_curves
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.scene import load_scene
@@ -36,16 +35,15 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
         The text to print, and the same for JSON.
 
     Raises:
-        TaskError: the file is not a result, its predictions are of another one, or it has no such shot.
+        TaskError: the file is not a result, or it has no such shot.
     """
     result = Result.load(path)
-    kept = load_curves(result, path)
     metric, ranking = _asked(result)
     shot = shot or ranking
     if shot not in result.shots:
         raise TaskError(f"--shot is '{shot}'. {did_you_mean(shot, result.shots)}")
     objects = {label: by_object(result, metric, label) for label in result.shots}
-    touches = _touches(result, shot, kept)
+    touches = _touches(result, shot)
     order = sorted(objects[shot], key=lambda name: objects[shot][name], reverse=not METRICS[metric].higher_is_better)
     kinds = by_kind(result, load_task(result.task)) if result.task in shelf.tasks() else {}
     page = filled("inspect.txt", scores=Markup(score_table(result, metric)), result=result, metric=metric, shot=shot,
@@ -53,9 +51,9 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
                   objects=[[name, *(_written(of.get(name)) for of in objects.values())] for name in order],
                   units=[f"{label}-shot [{result.unit}]" for label in result.shots],
                   touches=[[t["view"], str(t["touch"]), *(_written(t["rmse"][label]) for label in result.shots),
-                            _written(t["share"]), _written(t["gain"])] for t in touches[:MOST_LINES]],
+                            _written(t["share"])] for t in touches[:MOST_LINES]],
                   presses=[[name, *(_written(of[label]) for label in result.shots)] for name, of in kinds.items()],
-                  drawn=kept is not None, path=str(path))
+                  path=str(path))
     return page, {"task": result.task, "method": result.method, "metric": metric, "shot": shot, "objects": objects,
                   "presses": kinds, "touches": touches}
 
@@ -91,10 +89,9 @@ def _asked(result: Result) -> tuple[str, str]:
     return ("rmse_ratio" if "rmse_ratio" in result.scores else "rmse"), result.shots[-2 if len(result.shots) > 1 else 0]
 
 
-def _touches(result: Result, shot: str, kept: Curves | None) -> list[dict[str, Any]]:
-    """The query touches, means over runs, the worst first: the root mean square error by shot [unit]; the share of it
-    at ``shot`` of what predicting zero errs on the object's touches [-]; and the gain, the factor of the truth that
-    comes nearest to the prediction [-]. The last two are NaN where they are not known."""
+def _touches(result: Result, shot: str) -> list[dict[str, Any]]:
+    """The query touches, means over runs, the worst first: the root mean square error by shot [unit]; and the share of
+    it at ``shot`` of what predicting zero errs on the object's touches [-], NaN where it is not known."""
     errors: dict[tuple[str, int], dict[str, list[float]]] = {}
     zero: dict[str, dict[tuple[str, int], float]] = {}
     for row in result.rows:
@@ -102,15 +99,11 @@ def _touches(result: Result, shot: str, kept: Curves | None) -> list[dict[str, A
         errors.setdefault(key, {}).setdefault(row["shot"], []).append(math.sqrt(row["sse"] / row["n"]))
         if row["ss"] is not None:
             zero.setdefault(object_of(row["object"]), {})[key] = math.sqrt(row["ss"] / row["n"])
-    gains = {}
-    for key, (truth, predicted) in (kept or {}).items():
-        size, mean = float(np.nansum(truth**2)), predicted[result.shots.index(shot)].mean(axis=0)
-        gains[key] = float(np.nansum(truth * mean)) / size if size > 0.0 else math.nan
     out = []
     for (view, touch), by_shot in errors.items():
         means = {label: math.fsum(v) / len(v) for label, v in by_shot.items()}
         known = list(zero.get(object_of(view), {}).values())
         level = math.fsum(known) / len(known) if known else 0.0
-        out.append({"view": view, "touch": touch, "rmse": means, "gain": gains.get((view, touch), math.nan),
+        out.append({"view": view, "touch": touch, "rmse": means,
                     "share": means[shot] / level if level > 0.0 else math.nan})
     return sorted(out, key=lambda t: -(t["share"] if math.isfinite(t["share"]) else t["rmse"][shot]))

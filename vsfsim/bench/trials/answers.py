@@ -109,7 +109,7 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
     """
     where = trial.where
     names, actions = [f"touch {i} of {where}" for i in subject.draw.query], subject.actions
-    mean = std = column_mean = pose = readings_std = None
+    mean = column_mean = pose = readings_std = None
     support = [subject.recording.readings[i] for i in trial.support if not trial.offered]
     with host.trial(learned, subject.view, support, where) as process:
         offers = _adapt(process, where)
@@ -121,16 +121,16 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
             if any((given < 0.0).any() for given in readings_std):
                 raise MethodError(f"predict_std for {where} is negative; a standard deviation is 0 or greater.")
         if "stiffness" in offers and subject.asks_stiffness:
-            mean, std = _stiffness(process, subject.points, where)
+            mean = _stiffness(process, subject.points, where)
             if (mean < 0).any():
                 raise MethodError(f"stiffness for {where} must be a non-negative mean a point; its smallest is "
                                   f"{mean.min()}.")
         if "stiffness" in offers and subject.columns is not None:
-            column_mean, _ = _stiffness(process, subject.columns.points, where)
+            column_mean = _stiffness(process, subject.columns.points, where)
         if "locate" in offers and subject.columns is None and subject.inclusions is not None:
             pose = _pose(process, subject.inclusions.known_object()[:2], where)
     took = process.seconds
-    return Answers(trial, readings, readings_std, mean, std, column_mean, pose, took["adapt"],
+    return Answers(trial, readings, readings_std, mean, column_mean, pose, took["adapt"],
                    sum(took[name] for name in ("choose", "predict", "predict_std", "stiffness", "locate")))
 
 
@@ -166,20 +166,17 @@ def _predicted(process: Process, function: str, actions: Sequence[Action], names
     return tuple(checked_prediction(reply.arrays, actions, names))
 
 
-def _stiffness(process: Process, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean (k,) and std (k,) of the method's stiffness at ``points`` (k, 3) [m]; no std where it gives none."""
+def _stiffness(process: Process, points: np.ndarray, where: str) -> np.ndarray:
+    """Mean (k,) of the method's stiffness at ``points`` (k, 3) [m]."""
     arrays = process.ask("stiffness", points, f"stiffness for {where}").arrays
-    if len(arrays) != 2:
-        raise MethodError(f"stiffness for {where} was not answered with a mean and a std.")
-    mean, std = arrays
+    mean = arrays[0] if len(arrays) == 1 else np.zeros(0)
     if mean.shape != (len(points),) or not np.isfinite(mean).all():
         raise MethodError(f"stiffness for {where} must be a finite mean a point, ({len(points)},); it has shape "
                           f"{mean.shape}.")
     if np.abs(mean).max(initial=0.0) > 1e100:
         raise MethodError(f"stiffness for {where} has a mean of {np.abs(mean).max():g}; its logarithm is scored, and "
                           f"it must be at most 1e100.")
-    given = std.shape == mean.shape and bool(np.isfinite(std).all()) and bool((np.abs(std) <= 1e100).all())
-    return mean, std if given else None
+    return mean
 
 
 def _pose(process: Process, hidden: tuple[np.ndarray, np.ndarray], where: str) -> np.ndarray:

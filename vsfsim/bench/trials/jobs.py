@@ -24,7 +24,7 @@ from vsfsim.bench.protocol import Answers, Trial
 from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import ALL, Task
 from vsfsim.bench.trials.answers import Done, Reader, asked_of, load, run_trial, save
-from vsfsim.bench.trials.score import result_of, save_curves
+from vsfsim.bench.trials.score import result_of
 from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.system.content import differences, file_sha256
@@ -82,9 +82,6 @@ class Evaluation:
     """What the method learns from, and which objects are scored."""
     preset: str = ""
     """Name of the settings, for the leaderboard; they are in ``parameters`` already."""
-    keep: str = ""
-    """"predictions": all of them are written beside the truth, into a file beside the result
-    (`vsfsim.bench.trials.score.Curves`)."""
     said: Description = UNKNOWN
     """What the method said of itself, once `look` was called."""
     contents: Mapping[str, str] = field(default_factory=dict)
@@ -229,8 +226,6 @@ class Evaluation:
         """
         answers, done = self.answers()
         said, task, study = self.said, self.task, self.training.table()
-        if self.keep:
-            save_curves(answers, task, self.dataset, self.runs, self.path)
         timing = {"meta_fit_s": sum(job.meta_fit_s for job in done), "fits": len(done),
                   "adapt_s": sum(a.adapt_s for a in answers), "predict_s": sum(a.predict_s for a in answers),
                   "adapts": sum(a.adapt_s > 0.0 for a in answers),

@@ -1,19 +1,14 @@
-"""Answers beside the truth, which is read here, after the method has answered: the result with its rows; and the curves
-of `vsfsim evaluate --keep predictions`, predictions beside the truth in one small .npz, which `vsfsim show` draws."""
+"""Answers beside the truth, which is read here, after the method has answered: the result with its rows."""
 
 from __future__ import annotations
 
-import io
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from vsfsim.bench.metrics import Answer, can_be_scored, record_scores, scores_of, touch_errors, touch_uncertainty
-from vsfsim.bench.protocol import Answers, Recording, Subject, divide, record
+from vsfsim.bench.protocol import Answers, Recording, Subject
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.result_file import (
     MAP_COLUMNS,
@@ -26,16 +21,8 @@ from vsfsim.bench.result_file import (
     stored,
 )
 from vsfsim.bench.task import Task
-from vsfsim.core.errors import TaskError
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import made_by
-
-_SINGLE = 1e-4  # relative difference of an error that single precision makes
-Curves = dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]
-"""Of each query touch, by the name of its object view and its index there: the noise-free readings (T, d) in the task's
-unit, NaN in frames that are not scored, and the readings that the method predicted at S shots in R runs (S, R, T, d).
-The arrays of the file are called ``OBJECT/TOUCH/truth`` and ``OBJECT/TOUCH/predicted``."""
 
 
 def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: tuple[int, ...], **said: Any) -> Result:
@@ -95,11 +82,10 @@ def _add(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset, ro
                 keep(Answer.READING_STD, given, {
                     "touch": index, **touch_uncertainty(given.readings[k], given.readings_std[k], clean, valid)})
         if given.mean is not None and can_be_scored(given.mean[usable], known[usable]):
-            stiffness = {"mean": given.mean[usable], "truth": known[usable],
-                         "std": None if given.std is None else given.std[usable]}
+            stiffness = {"mean": given.mean[usable], "truth": known[usable]}
             keep(Answer.STIFFNESS, given, record_scores(Answer.STIFFNESS, [stiffness]))
         if given.mean is not None and (given.trial.shot, given.trial.seed) == mapped:
-            _extend(maps, _map_of(name, subject.points, known, given.mean, given.std))
+            _extend(maps, _map_of(name, subject.points, known, given.mean))
         if given.column_mean is not None and columns is not None and inclusions is not None:
             values = {"value": columns.largest(given.column_mean), "stiff": columns.covers(inclusions)}
             keep(Answer.MASK, given, record_scores(Answer.MASK, [values]))
@@ -114,12 +100,10 @@ def _extend(columns: dict[str, list], more: Mapping[str, list]) -> None:
         columns.setdefault(column, []).extend(values)
 
 
-def _map_of(name: str, places: np.ndarray, truth: np.ndarray, mean: np.ndarray, std: np.ndarray | None
-            ) -> dict[str, list]:
+def _map_of(name: str, places: np.ndarray, truth: np.ndarray, mean: np.ndarray) -> dict[str, list]:
     """Columns of `Result.maps`, with three digits of each number."""
     steps = np.clip(np.rint(places / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
-    numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (
-        truth, mean, np.zeros(len(mean)) if std is None else std)]
+    numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (truth, mean)]
     return dict(zip(MAP_COLUMNS, [[name] * len(steps), *steps.T.tolist(), *numbers], strict=True))
 
 
@@ -130,53 +114,3 @@ def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, l
     columns = ([name for name, _, _ in rows], [int(index) for _, index, _ in rows], [int(v.size) for _, _, v in rows],
                [float(np.sum(v**2)) for _, _, v in rows])
     return dict(zip(READING_COLUMNS, columns, strict=True))
-
-
-def save_curves(answers: Iterable[Answers], task: Task, dataset: Dataset, seeds: tuple[int, ...], result: Path) -> None:
-    """Write all answers of an evaluation, in single precision, beside its result file; the truth is read here.
-
-    Raises:
-        TaskError: the file cannot be written.
-    """
-    given = {(one.trial.subject, one.trial.shot, one.trial.seed): one.readings for one in answers}
-    arrays, out = {}, io.BytesIO()
-    for name in dict.fromkeys(name for name, _, _ in given):
-        view = dataset.load(name)
-        queries = record(view, task).queries
-        for k, touch in enumerate(divide(view, task.protocol).query):
-            arrays[f"{name}/{touch}/truth"] = np.where(queries[touch].scored[:, None], queries[touch].clean, np.nan)
-            arrays[f"{name}/{touch}/predicted"] = np.array([
-                [given[name, shot, run][k] for run in seeds] for shot in task.protocol.labels])
-    np.savez_compressed(out, **{name: array.astype(np.float32) for name, array in arrays.items()})  # type: ignore
-    write_atomic(curves_beside(result), out.getvalue(), error=TaskError)
-
-
-def load_curves(result: Result, path: Path) -> Curves | None:
-    """The curves beside a result file ``path``; None where there are none.
-
-    Raises:
-        TaskError: the file is damaged, or is of another evaluation.
-    """
-    path = curves_beside(path)
-    if not path.is_file():
-        return None
-    rows, again = result.rows, "Evaluate again with --keep predictions, or remove the file."
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {(name, touch): (file[f"{name}/{touch}/truth"], file[f"{name}/{touch}/predicted"])
-                     for name, touch in dict.fromkeys((row["object"], row["touch"]) for row in rows)}
-        errors = {touch: np.sqrt(np.nanmean((predicted - truth) ** 2, axis=(2, 3)))
-                  for touch, (truth, predicted) in found.items()}
-        same = all(math.isclose(math.sqrt(row["sse"] / row["n"]), errors[row["object"], row["touch"]][
-            result.shots.index(row["shot"]), result.seeds.index(row["seed"])], rel_tol=_SINGLE, abs_tol=_SINGLE)
-            for row in rows)
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile, EOFError, IndexError) as error:
-        raise TaskError(f"{path} cannot be read: {error}. {again}") from error
-    if not same:
-        raise TaskError(f"{path} is of another evaluation than the result beside it. {again}")
-    return found
-
-
-def curves_beside(result: Path) -> Path:
-    """The file of predictions of a result file."""
-    return result.with_name(result.name.removesuffix(".json") + ".predictions.npz")
