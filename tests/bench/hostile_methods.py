@@ -79,20 +79,9 @@ class Learns(Hostile):
         self.learned += 1
 
 
-class LearnsUnpicklable(Learns):
+class Unpicklable(Hostile):
     def meta_fit(self, specimens):
-        super().meta_fit(specimens)
         self.function = lambda: None
-
-    def save(self, folder):
-        (folder / "learned.json").write_text(json.dumps(self.learned))
-
-    def load(self, folder):
-        self.learned = json.loads((folder / "learned.json").read_text())
-
-
-class Unsaved(LearnsUnpicklable):
-    save = load = None
 
 
 class Overwrites(Hostile):

@@ -56,12 +56,6 @@ class Constant:
     def stiffness(self, points):
         return Estimate(1.0 + points[:, 0] - points[:, 0].min(), np.ones(len(points)))
 
-    def save(self, folder):
-        (folder / "constant.json").write_text(json.dumps(self.value))
-
-    def load(self, folder):
-        self.value = json.loads((folder / "constant.json").read_text())
-
 
 class Choosy(Oracle):
     """Writes what it is offered, and chooses the last or answers with ``answer``."""

@@ -111,8 +111,8 @@ class Method(Protocol):
     - ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world transform (4, 4)`` of a stiff object of known shape
       (closed meshes that may overlap), hidden in the one that was touched.
 
-    Optional as well: ``save(folder: Path)`` and ``load(folder: Path)``, which write and read what `meta_fit` learned. A
-    constructor takes keyword arguments only. If one of them is called ``seed``, the method is built and meta-fitted
+    What `meta_fit` learned reaches each trial as a pickled copy of the method. A constructor takes keyword arguments
+    only. If one of them is called ``seed``, the method is built and meta-fitted
     anew for every seed of the task.
     """
 

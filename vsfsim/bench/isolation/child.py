@@ -4,8 +4,8 @@
 within milliseconds and finds no trace of another one. For each, the scorer sends one end of a line, one end of a second
 line by which the process is ended, and the file for what is printed. The process goes into its container and answers
 requests (`_answer`): it looks at the method, lets it learn, or makes a trial. What the method learned leaves it as
-bytes (the pickled method, or the files of its `save`, and what it put into its caches), and each trial begins with
-these bytes and with nothing else.
+bytes (the pickled method, and what it put into its caches), and each trial begins with these bytes and with nothing
+else.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.isolation import box, limits
-from vsfsim.bench.isolation.wire import Reply, encoded, files_in, packed, unpacked, write_files
+from vsfsim.bench.isolation.wire import Reply, encoded, packed
 from vsfsim.bench.method import (
-    Method,
     build_method,
     checked_choice,
     checked_prediction,
@@ -230,8 +229,6 @@ class _Server:
         self.parameters = dict[str, Any]()
         self.factory: Any = None
         self.method: Any = None
-        self.view: Any = None
-        self.support: list[Any] = []
         self.opened = set[str]()
 
     def watch(self, event: str, operands: tuple[Any, ...]) -> None:
@@ -255,48 +252,41 @@ class _Server:
         return Reply({"failed": [[f.clause, f.detail] for f in findings if f.outcome == "failed"]})
 
     def do_build(self, seed: int | None) -> None:
-        self.method = self.build(seed)
-
-    def build(self, seed: int | None) -> Method:
-        return build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
+        self.method = build_method(self.factory, {**self.parameters, **({} if seed is None else {"seed": seed})})
 
     def do_meta_fit(self, specimens: Any) -> None:
         _use_threads(int(os.environ.get("OMP_NUM_THREADS") or os.cpu_count() or 1))
         self.method.meta_fit(specimens)
 
     def do_state(self, _: Any) -> Reply:
+        cache = Path(os.environ["XDG_CACHE_HOME"])
+        cached = {str(path.relative_to(cache)): path.read_bytes() for path in sorted(cache.rglob("*"))
+                  if path.is_file() and not path.is_symlink()}
         return Reply({"host": getattr(self.method, "trials_on_host", False) is True, "opened": sorted(self.opened)},
-                     blob=pickle.dumps((packed(self.method), files_in(Path(os.environ["XDG_CACHE_HOME"])))))
-
-    def do_restore(self, payload: Any) -> None:
-        seed, state = payload
-        learned, cached = pickle.loads(state)
-        write_files(cached, Path(os.environ["XDG_CACHE_HOME"]))
-        self.method = unpacked(learned, lambda: self.build(seed))
-        _use_threads(1)
+                     blob=pickle.dumps((packed(self.method), cached)))
 
     # ------------------------------------------------------------------ one trial
 
-    def do_object(self, payload: Any) -> None:
-        self.view, self.support = payload
+    def do_restore(self, state: bytes) -> None:
+        learned, cached = pickle.loads(state)
+        for name, content in cached.items():
+            path = Path(os.environ["XDG_CACHE_HOME"], name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)  # a link to a kernel of the user's
+            path.write_bytes(content)
+        self.method = pickle.loads(learned)
+        _use_threads(1)
 
-    def do_adapt(self, _: Any) -> Reply:
-        self.method.adapt(self.view, self.support)
+    def do_adapt(self, operands: Any) -> Reply:
+        self.method.adapt(*operands)
         return Reply({"offers": [name for name in OPTIONAL if callable(getattr(self.method, name, None))]})
 
-    def do_choose(self, offered: Any) -> Reply:
-        return Reply({"chosen": checked_choice(self.method.choose(self.view, list(self.support), offered),
-                                               len(offered))})
+    def do_choose(self, operands: Any) -> Reply:
+        return Reply({"chosen": checked_choice(self.method.choose(*operands), len(operands[-1]))})
 
-    def do_made(self, reading: Any) -> None:
-        self.support = [*self.support, reading]
-
-    def do_predict(self, payload: Any, function: str = "predict") -> Reply:
-        actions, names = payload
+    def do_predict(self, operands: Any) -> Reply:
+        function, actions, names = operands
         return Reply(arrays=tuple(checked_prediction(getattr(self.method, function)(actions), actions, names)))
-
-    def do_predict_std(self, payload: Any) -> Reply:
-        return self.do_predict(payload, "predict_std")
 
     def do_stiffness(self, points: np.ndarray) -> Reply:
         given = self.method.stiffness(points)

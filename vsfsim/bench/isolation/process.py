@@ -79,8 +79,6 @@ class Learned:
     """Files that its process opened."""
     seconds: float
     """That `meta_fit` took."""
-    seed: int | None
-    """That it was built with."""
     environment: Mapping[str, str]
     """Variables that it was given."""
 
@@ -147,8 +145,8 @@ class MethodHost:
         Raises:
             MethodError: it is unknown, or breaks its contract; with every clause that it breaks.
         """
-        with self._process(self.hides, {}) as process:
-            head, limit = process.find(self.name).head, self.isolation.timeout
+        with self._process(self.hides, {}, self.name) as process:
+            head, limit = process.about, self.isolation.timeout
             try:
                 parameters = dict(json.loads(json.dumps(head["parameters"], allow_nan=False)))
                 said = Description(plain(head["entry"]), parameters, bool(head["seeded"]), *package_of(self.name))
@@ -171,7 +169,6 @@ class MethodHost:
         """
         given = environment or {}
         with self._process(self.hides, given) as process:
-            process.find()
             process.ask("build", seed, "its constructor")
             process.ask("meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
             reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
@@ -182,28 +179,27 @@ class MethodHost:
                        if not name.startswith(("/proc/", "/sys/")) and not name.endswith(".pyc")
                        and any(Path(name).is_relative_to(path) for path in shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened, process.seconds["meta_fit"],
-                       seed, given)
+                       given)
 
     @contextmanager
-    def trial(self, learned: Learned, view: Any, support: Sequence[Any], where: str) -> Iterator[Process]:
-        """A process with a fresh copy of the method that learned, which holds one view and one support set.
-
-        Args:
-            learned: by the method. view: of the object. support: the touches that were made. where: for messages.
-        """
+    def trial(self, learned: Learned) -> Iterator[Process]:
+        """A process with a fresh copy of the method that learned."""
         with self._process(self.hides or learned.on_host, learned.environment) as process:
-            process.find()
-            process.ask("restore", (learned.seed, learned.state), "the copy of what it learned")
-            process.ask("object", (view, list(support)), where)
+            process.ask("restore", learned.state, "the copy of what it learned")
             yield process
 
     # ------------------------------------------------------------------ processes
 
     @contextmanager
-    def _process(self, hide: bool, environment: Mapping[str, str]) -> Iterator[Process]:
-        process = self._start(hide, environment)
+    def _process(self, hide: bool, environment: Mapping[str, str], name: str = "") -> Iterator[Process]:
+        """A process that has imported the method, by its own ``name`` if it is given, as whoever looks at it first has
+        the better message."""
+        process, limit = self._start(hide, environment), self.isolation.timeout
         self.processes.add(process)
         try:
+            found = name or (self.name if ":" in self.name else methods()[self.name].value)
+            process.about = process.ask("find", {"name": found, "parameters": self.parameters, "folder": os.getcwd()},
+                                        "its import", limit=None if limit is None else limit + _IMPORT).head
             yield process
         finally:
             self.processes.discard(process)
@@ -266,17 +262,12 @@ class Process:
         self._line, self._closing = Connection(line.detach()), threading.Lock()
         self._timed_out = ""
         self._said: dict[str, Any] = {}
+        self.about: dict[str, Any] = {}
+        """What the method says of itself."""
         self.seconds = defaultdict[str, float](float)
         """That each operation took, by its name."""
         self.peak_memory_mib = 0.0
         """Largest resident size that it has had, once it has ended [MiB]."""
-
-    def find(self, name: str = "") -> Reply:
-        """Import the method, by its own name if it is given, as whoever looks at it first has the better message."""
-        limit, called = self._host.isolation.timeout, self._host.name
-        found = name or (called if ":" in called else methods()[called].value)
-        return self.ask("find", {"name": found, "parameters": self._host.parameters, "folder": os.getcwd()},
-                        "its import", limit=None if limit is None else limit + _IMPORT)
 
     def ask(self, operation: str, payload: Any, what: str, *, most: int = 1 << 26, limit: float | None = -1.0
             ) -> Reply:

@@ -8,10 +8,7 @@ method must not run in the scorer.
 from __future__ import annotations
 
 import pickle
-import tempfile
-from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -76,47 +73,17 @@ def decoded(content: bytes, kind: Any) -> Any:
         raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
-def packed(method: Method) -> tuple[bytes, dict[str, bytes]]:
-    """What a method has learned: the pickled method, or the files of its `save`; `unpacked` makes it again.
+def packed(method: Method) -> bytes:
+    """What a method has learned: the pickled method.
 
     Raises:
-        MethodError: it can neither be pickled nor saved.
+        MethodError: it cannot be pickled.
     """
     try:
-        return pickle.dumps(method), {}
+        return pickle.dumps(method)
     except Exception as error:  # of what a method holds, anything may refuse to be pickled
-        if not (callable(getattr(method, "save", None)) and callable(getattr(method, "load", None))):
-            raise MethodError(f"what the method learned cannot be handed to its trials: it cannot be pickled ({error}) "
-                              f"and has no save() and load(). Give it both.") from error
-        with tempfile.TemporaryDirectory() as folder:
-            method.save(Path(folder))  # type: ignore[attr-defined]
-            return b"", files_in(Path(folder))
-
-
-def unpacked(learned: tuple[bytes, dict[str, bytes]], build: Callable[[], Method]) -> Method:
-    """The method that `packed` handed on; ``build`` makes one that has not learned. It runs the method's code."""
-    if learned[0]:
-        return pickle.loads(learned[0])
-    method: Any = build()
-    with tempfile.TemporaryDirectory() as folder:
-        write_files(learned[1], Path(folder))
-        method.load(Path(folder))
-    return method
-
-
-def files_in(folder: Path) -> dict[str, bytes]:
-    """The files below a folder, by relative path, without links."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.is_symlink()}
-
-
-def write_files(files: Mapping[str, bytes], folder: Path) -> None:
-    """What `files_in` read, into another folder; a link of the same name is replaced."""
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)
-        path.write_bytes(content)
+        raise MethodError(f"what the method learned cannot be handed to its trials: it cannot be pickled ({error}). "
+                          f"Give it __getstate__() and __setstate__().") from error
 
 
 def _bytes_of(array: Any) -> tuple[tuple[int, ...], bytes]:

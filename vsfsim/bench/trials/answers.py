@@ -17,7 +17,7 @@ import numpy as np
 
 from vsfsim.bench.isolation.process import Learned, MethodHost, Process
 from vsfsim.bench.isolation.wire import decoded, encoded
-from vsfsim.bench.method import Action, Specimen, checked_choice, checked_prediction
+from vsfsim.bench.method import Action, Reading, Specimen, checked_choice, checked_prediction
 from vsfsim.bench.protocol import Answers, Subject, Trial, record, specimen_of, support
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import MethodError
@@ -111,8 +111,8 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
     names, actions = [f"touch {i} of {where}" for i in subject.draw.query], subject.actions
     mean = column_mean = pose = readings_std = None
     support = [subject.recording.readings[i] for i in trial.support if not trial.offered]
-    with host.trial(learned, subject.view, support, where) as process:
-        offers = _adapt(process, where)
+    with host.trial(learned) as process:
+        offers = _adapt(process, subject, support, where)
         if trial.offered:
             trial = replace(trial, support=_choose(process, subject, trial, "choose" in offers))
         readings = _predicted(process, "predict", actions, names, where)
@@ -131,12 +131,12 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
             pose = _pose(process, subject.inclusions.known_object()[:2], where)
     took = process.seconds
     return Answers(trial, readings, readings_std, mean, column_mean, pose, took["adapt"],
-                   sum(took[name] for name in ("choose", "predict", "predict_std", "stiffness", "locate")))
+                   sum(took[name] for name in ("choose", "predict", "stiffness", "locate")))
 
 
-def _adapt(process: Process, where: str) -> list[str]:
-    """Adapt to the view and the support set of the trial; the optional functions that the method has."""
-    offers = process.ask("adapt", None, f"adapt to {where}").head.get("offers")
+def _adapt(process: Process, subject: Subject, support: list[Reading], where: str) -> list[str]:
+    """Adapt to the view and a support set; the optional functions that the method has."""
+    offers = process.ask("adapt", (subject.view, support), f"adapt to {where}").head.get("offers")
     return offers if isinstance(offers, list) else []
 
 
@@ -146,23 +146,22 @@ def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> 
     Returns:
         Their indices, in order.
     """
-    left, made = list(trial.offered), list[int]()
+    left, made, known = list(trial.offered), list[int](), subject.recording
     for index in trial.support:
         if chooses:
-            offered = [subject.recording.queries[k].action for k in left]
-            answer = process.ask("choose", offered, f"choose for {trial.where}").head.get("chosen")
-            index = left.pop(checked_choice(answer, len(left)))
+            so_far, offered = [known.readings[k] for k in made], [known.queries[k].action for k in left]
+            answer = process.ask("choose", (subject.view, so_far, offered), f"choose for {trial.where}").head
+            index = left.pop(checked_choice(answer.get("chosen"), len(left)))
         made.append(index)
-        process.ask("made", subject.recording.readings[index], f"a touch for {trial.where}")
         if chooses or len(made) == len(trial.support):
-            _adapt(process, trial.where)
+            _adapt(process, subject, [known.readings[k] for k in made], trial.where)
     return tuple(made)
 
 
 def _predicted(process: Process, function: str, actions: Sequence[Action], names: Sequence[str], where: str
                ) -> tuple[np.ndarray, ...]:
     """What ``predict`` or ``predict_std`` answers; the process has checked it, but may have been tampered with."""
-    reply = process.ask(function, (actions, names), f"{function} for {where}")
+    reply = process.ask("predict", (function, actions, names), f"{function} for {where}")
     return tuple(checked_prediction(reply.arrays, actions, names))
 
 
