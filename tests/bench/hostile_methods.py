@@ -185,9 +185,13 @@ class LeavesSession(Hostile):
 
 
 class PrintsMuch(Hostile):
+    def __init__(self, *, count=1):
+        super().__init__()
+        self.count = count
+
     def predict(self, touches):
-        for _ in range(1100):
-            print("x" * 1_000_000)
+        for _ in range(self.count):
+            print("x" * 100_000)
         return super().predict(touches)
 
 

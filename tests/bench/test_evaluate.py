@@ -47,18 +47,6 @@ def test_a_constant_scores_what_a_hand_computes(constant, task, toy_views):
     assert len(constant.queries["n"]) == 2 * 4 * 4 * 3  # objects x query touches x shots x seeds
 
 
-def test_an_std_is_scored_where_it_is_given(task, toy_dataset, toy_views, constant):
-    result = evaluate("toy_methods:Sure", task, toy_dataset, parameters={"value": 2.0}, seeds=1, check=False)
-    errors = np.concatenate(query_errors(task, toy_views))
-    want = {"nll": np.mean(0.5 * (errors / 2.0) ** 2) + np.log(2.0) + 0.5 * np.log(2 * np.pi),
-            "coverage50": np.mean(errors <= 0.6744897501960817 * 2.0),
-            "coverage90": np.mean(errors <= 1.6448536269514722 * 2.0)}
-    for metric, value in want.items():
-        for label in result.shots:
-            assert result.scores[metric][label].mean == pytest.approx(value, rel=1e-12), (metric, label)
-    assert "nll" not in constant.scores
-
-
 def test_support_and_query_never_meet_and_the_query_never_changes(toy_views, oracle):
     adapted, asked = oracle[1][0::2], oracle[1][1::2]
     by_object = {}

@@ -13,7 +13,6 @@ from vsfsim.bench.metrics import (
     record_scores,
     spearman,
     touch_errors,
-    touch_uncertainty,
 )
 from vsfsim.bench.observations import OBSERVATIONS, observation
 from vsfsim.bench.protocol import record
@@ -57,23 +56,6 @@ def test_the_f1_of_a_mask_is_the_best_there_is():
     assert mask_scores(np.array([9.0, 1.0, 5.0, 5.0, 0.0]), stiff) == pytest.approx((0.8, 2 / 3, 1.0))
     assert mask_scores(np.ones(5), stiff)[0] == pytest.approx(2 * 2 / 7)
     assert mask_scores(np.ones(3), np.zeros(3, bool)) == (0.0, 0.0, 0.0)
-
-
-def test_uncertainty_by_hand():
-    one = touch_uncertainty(np.array([[1.0], [4.0], [7.0]]), np.array([[2.0], [2.0], [np.nan]]),
-                            np.array([[0.0], [0.0], [0.0]]), np.array([True, True, False]))
-    assert one["n"] == 2 and (one["in50"], one["in90"]) == (1, 1)
-    log = np.log(2.0) + 0.5 * np.log(2 * np.pi)
-    assert record_scores(Answer.READING_STD, [one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log,
-                                                                      "coverage50": 0.5, "coverage90": 0.5})
-    # A calibrated std: the shares are what they are called, and any other std costs likelihood.
-    rng = np.random.default_rng(0)
-    std = rng.uniform(0.5, 5.0, (20_000, 1))
-    error, valid = std * rng.standard_normal((20_000, 1)), np.ones(20_000, bool)
-    sums = [touch_uncertainty(error, f * std, np.zeros_like(error), valid) for f in (1.0, 0.5, 2.0)]
-    right, bold, timid = (record_scores(Answer.READING_STD, [one]) for one in sums)
-    assert right["coverage50"] == pytest.approx(0.5, abs=0.02) and right["coverage90"] == pytest.approx(0.9, abs=0.01)
-    assert right["nll"] < min(bold["nll"], timid["nll"])
 
 
 def test_observations_by_hand():

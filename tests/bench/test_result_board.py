@@ -26,8 +26,7 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
     assert back == results[0]
     assert back.computed() == back.scores, "from what is stored"
     assert scores_of(Answer.READINGS, back.rows, back.shots, back.seeds) == {
-        metric.name: dict(back.scores[metric.name]) for metric in metrics_of(Answer.READINGS)
-        if metric.name != "rmse_norm"}, "from the raw values; a force is one number and has no norm of its own"
+        metric.name: dict(back.scores[metric.name]) for metric in metrics_of(Answer.READINGS)}, "from the raw values"
     assert back.task_sha256 == task.sha256 and back.made_by["vsfsim"] and back.versions["numpy"] == np.__version__
     assert back.timing["adapts"] == 2 * (1 + 3 + 3 + 1)
 

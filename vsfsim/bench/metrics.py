@@ -3,10 +3,9 @@
 The harness collects one record for each answer of a method to one object, shot and seed, and asks the table. A new
 metric is one row and one function of the records of one seed. Result files name metrics by `Metric.name`.
 
-Readings: y are noise-free, p predictions, s their standard deviations, all in the task's unit. Only valid (converged)
-frames of query touches count, and a reading of d numbers counts as d readings. A query touch is reduced to sums first
-(`touch_errors`, `touch_uncertainty`), which the result file keeps; a metric is a function of the sums of several
-touches.
+Readings: y are noise-free, p predictions, in the task's unit. Only valid (converged) frames of query touches count, and
+a reading of d numbers counts as d readings. A query touch is reduced to sums first (`touch_errors`), which the result
+file keeps; a metric is a function of the sums of several touches.
 
 Stiffness, at the probed points that some touch reached: s are a method's means (k,) in its own unit, k the truth: the
 force of a small cone over its displacement (SBML appendix C.4) [N/m]. Because s has no common unit, one scale an object
@@ -24,16 +23,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.stats import rankdata
 
 from vsfsim.core.rotation import pose_errors
 from vsfsim.core.shelf import Registry
 
 Record = Mapping[str, Any]
 
-HALF_WIDTH_50, HALF_WIDTH_90 = 0.6744897501960817, 1.6448536269514722
-"""Half-widths of the central 50 % and 90 % of a normal distribution, in standard deviations."""
-SMALLEST_STD = 1e-6
-"""In the unit of the reading. A smaller standard deviation counts as this one, so that the likelihood stays finite."""
 FEWEST_POINTS = 3
 """An object with fewer reached points is not scored."""
 TIE = 1e-9
@@ -50,29 +46,9 @@ def touch_errors(prediction: np.ndarray, truth: np.ndarray, valid: np.ndarray) -
     return {"n": int(error.size), "sse": float(np.sum(error**2))}
 
 
-def touch_uncertainty(prediction: np.ndarray, std: np.ndarray, truth: np.ndarray,
-                      valid: np.ndarray) -> dict[str, float]:
-    """Sums over one query touch: ``n`` readings, ``nll`` of negative log-likelihoods, and the numbers ``in50`` and
-    ``in90`` of readings inside the central 50 % and 90 %.
-
-    Args:
-        prediction, std, truth: (T, d). valid: (T,) bool, at least one True.
-    """
-    error, s = np.abs(prediction - truth)[valid], np.maximum(std[valid], SMALLEST_STD)
-    return {"n": int(error.size), "nll": float(np.sum(negative_log_likelihood(error, s))),
-            "in50": int(np.sum(error <= HALF_WIDTH_50 * s)), "in90": int(np.sum(error <= HALF_WIDTH_90 * s))}
-
-
 def rmse(touches: Sequence[Record]) -> float:
     """Mean over query touches of sqrt(mean_t (p - y)^2)."""
     return float(np.mean(np.sqrt(_column(touches, "sse") / _column(touches, "n"))))
-
-
-def rmse_norm(touches: Sequence[Record]) -> float | None:
-    """Mean over query touches of sqrt(mean_t |p - y|^2), |.| the norm of the d numbers of a reading; None for d = 1,
-    where it is `rmse`, and where d is not known."""
-    size = touches[0].get("size") or 1
-    return None if size == 1 else float(np.sqrt(size)) * rmse(touches)
 
 
 def rmse_ratio(touches: Sequence[Record]) -> float | None:
@@ -108,16 +84,6 @@ def object_of(view: str) -> str:
     return re.sub(r"-v\d+$", "", view)
 
 
-def mean_of(sums: str) -> Callable[[Sequence[Record]], float]:
-    """The metric that is the sum called ``sums`` over the number of readings."""
-    return lambda touches: sum(touch[sums] for touch in touches) / sum(touch["n"] for touch in touches)
-
-
-def negative_log_likelihood(error: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """1/2 (e / s)^2 + log s + 1/2 log 2 pi of a normal distribution, entry by entry."""
-    return 0.5 * (error / std) ** 2 + np.log(std) + 0.5 * np.log(2.0 * np.pi)
-
-
 def _column(touches: Sequence[Record], name: str) -> np.ndarray:
     return np.array([touch[name] for touch in touches], float)
 
@@ -147,20 +113,16 @@ def spearman(a: np.ndarray, b: np.ndarray) -> float:
     Values closer together than `TIE` count as equal: an estimator gives many points one value up to rounding, and
     rounding differs between machines.
     """
-    ra, rb = _ranks(a), _ranks(b)
-    ra, rb = ra - ra.mean(), rb - rb.mean()
+    ra, rb = (rank - rank.mean() for rank in (_ranks(a), _ranks(b)))
     norm = np.sqrt((ra @ ra) * (rb @ rb))
     return float(ra @ rb / norm) if norm > 0 else 0.0
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
     order = np.argsort(values, kind="stable")
-    ordered = values[order]
     group = np.zeros(len(values), int)
-    group[order[1:]] = np.cumsum(np.diff(ordered) > TIE * np.abs(values).max(initial=0.0))
-    counts = np.bincount(group)
-    last = np.cumsum(counts)
-    return (last - (counts - 1) / 2.0)[group]
+    group[order[1:]] = np.cumsum(np.diff(values[order]) > TIE * np.abs(values).max(initial=0.0))
+    return rankdata(group)
 
 
 def mask_scores(value: np.ndarray, stiff: np.ndarray) -> tuple[float, float, float]:
@@ -181,9 +143,6 @@ class Answer(StrEnum):
 
     READINGS = "readings"
     """`predict`. A record is a query touch: the sums of `touch_errors`."""
-
-    READING_STD = "reading std"
-    """`predict_std`. A record is a query touch: the sums of `touch_uncertainty`."""
 
     STIFFNESS = "stiffness"
     """`stiffness` at the reached probe points. A record is an object: ``mean`` (k,), ``truth`` (k,)
@@ -233,16 +192,6 @@ METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
         Metric("rmse_ratio", Answer.READINGS, rmse_ratio,
                "Error of an object, `rmse`, over that of predicting zero on the same touches, averaged over objects.",
                ranks=True),
-        Metric("rmse_norm", Answer.READINGS, rmse_norm,
-               "`rmse` of the norm of the error of a reading of several numbers; of torques, of the norm of all seven.",
-               unit=None, ranks=True),
-        Metric("nll", Answer.READING_STD, mean_of("nll"),
-               "Mean negative log-likelihood of the readings; a std that is too small and one that is too large both "
-               "increase it."),
-        Metric("coverage50", Answer.READING_STD, mean_of("in50"),
-               "Fraction of readings within 0.674 std of the prediction; 0.5 is right."),
-        Metric("coverage90", Answer.READING_STD, mean_of("in90"),
-               "Fraction of readings within 1.645 std of the prediction; 0.9 is right."),
         _of_object("stiffness_spearman", Answer.STIFFNESS, lambda r: spearman(r["mean"], r["truth"]),
                    "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
         _of_object("stiffness_log10", Answer.STIFFNESS, lambda r: log10_error(r["mean"], r["truth"]),
@@ -272,22 +221,20 @@ def record_scores(answer: Answer, records: Sequence[Record]) -> dict[str, float 
     return {metric.name: metric.score(records) for metric in metrics_of(answer)}
 
 
-PER_OBJECT = (Answer.STIFFNESS, Answer.MASK, Answer.POSE)
-"""Answers whose metrics are means over objects. Their row in a result file is one object, and holds its metrics."""
-
-SUMS = {Answer.READINGS: ("touch", "n", "sse"), Answer.READING_STD: ("touch", "n", "nll", "in50", "in90")}
-"""Columns of the rows of the other answers in a result file, besides ``object``, ``shot`` and ``seed``."""
+SUMS = ("touch", "n", "sse")
+"""Columns of the rows of `Answer.READINGS` in a result file, besides ``object``, ``shot`` and ``seed``."""
 
 
 def columns_of(answer: Answer) -> tuple[str, ...]:
     """Names of the columns of an answer's rows in a result file."""
-    own = tuple(m.name for m in metrics_of(answer)) if answer in PER_OBJECT else SUMS[answer]
+    own = SUMS if answer is Answer.READINGS else tuple(m.name for m in metrics_of(answer))
     return ("object", "shot", "seed", *own)
 
 
 def score_of_rows(metric: Metric, rows: Sequence[Record]) -> float | None:
-    """A metric over the rows of one seed at one shot as a result file keeps them; None where a row lacks it."""
-    if metric.answer not in PER_OBJECT:
+    """A metric over the rows of one seed at one shot as a result file keeps them, the sums of touches or the metrics of
+    objects; None where a row lacks it."""
+    if metric.answer is Answer.READINGS:
         return metric.score(rows)
     values = [row[metric.name] for row in rows if row.get(metric.name) is not None]
     return float(np.mean(values)) if len(values) == len(rows) else None

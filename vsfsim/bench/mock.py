@@ -24,7 +24,7 @@ _CLEARANCE, _DEPTH = 0.006, 0.008
 
 
 def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 0,
-              stiffness: float = 1.0, dark: int = 0, colours: np.ndarray | None = None) -> ObjectView:
+              stiffness: float = 1.0) -> ObjectView:
     """One mock object with its touches and truth.
 
     Args:
@@ -33,15 +33,13 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
         touches: how many; the last one misses the block.
         seed: root of the random streams.
         stiffness: factor on every spring [-].
-        dark: the half that the picture shows darker: 0 the stiff one, 1 the soft one.
-        colours: of the two halves in the picture (2, 3) uint8, soft one first, in place of a light and a dark one.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     points = particles()
     spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 300.0, 60.0)
     spring = spring * rng.uniform(0.8, 1.2, len(points))
     made = tuple(_touch(points, spring, rng, miss=k == touches - 1) for k in range(touches))
-    return ObjectView(f"mock-{index:04d}-v0", index, 0, split, BALL, camera_view(dark, colours), made,
+    return ObjectView(f"mock-{index:04d}-v0", index, 0, split, BALL, camera_view(), made,
                       _truth(points, spring))
 
 
@@ -60,17 +58,13 @@ def displacement(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return offset * (push / np.maximum(distance, 1e-12))[:, None]
 
 
-def camera_view(dark: int = 0, colours: np.ndarray | None = None) -> View:
-    """The block from straight above, 0.4 m over its base, 64 x 64 pixels; ``dark`` and ``colours`` as of
-    `mock_view`."""
+def camera_view() -> View:
+    """The block from straight above, 0.4 m over its base, 64 x 64 pixels; the stiff half is darker."""
     size, focal, height, centre, depth = 64, 300.0, 0.4, 31.5, 0.4 - BLOCK[2]
     u = (np.arange(size) - centre) / focal * depth
     mask = (np.abs(u)[:, None] <= BLOCK[1] / 2) & (np.abs(u)[None, :] <= BLOCK[0] / 2)
     rgb = np.where(mask[..., None], np.array([150, 120, 90], np.uint8), np.uint8(0)).astype(np.uint8)
-    half = slice(size // 2, None) if dark == 0 else slice(None, size // 2)
-    rgb[:, half] //= 2  # columns of a high number show x > 0, the stiff half
-    if colours is not None:
-        rgb[mask] = colours[(np.nonzero(mask)[1] >= size // 2).astype(int)]
+    rgb[:, size // 2:] //= 2  # columns of a high number show x > 0, the stiff half
     intrinsics = np.array([[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]])
     pose = np.array([[1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, -1.0, height], [0, 0, 0, 1.0]])
     return View(rgb, np.where(mask, depth, 0.0).astype(np.float32), mask, intrinsics, pose)

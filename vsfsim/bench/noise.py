@@ -110,7 +110,6 @@ _PUNYO = {
 
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
     "punyo": _PUNYO, "punyo-window": {**_PUNYO, "tracking_std": 1.5e-4, "window": 0.836},
-    "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},
     "gen3-posed": {"force_std": 0.0, "torque_std": 0.08, "torque_pose_std": 0.4, "torque_pose_length": 0.3,
                    "torque_hysteresis": 0.3},
 }
@@ -119,10 +118,8 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
 "punyo": measured on 150 frames of a real Punyo at 30 Hz.
 "punyo-window": the same with what its inside camera sees and how well it follows it: 227 of 326 inner nodes, which is
 the dome out to 0.8 to 0.88 of its rim, and a drift across the ray of 0.1 to 0.2 mm over a touch, an assumption.
-"gen3": the joint torques of a Kinova Gen3, whose maker publishes no noise. Offset: users zero their torques by hand
-after every start and find offsets of newton metres (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237).
-White noise and drift are assumptions: 0.1 % of the peak torque, and a tenth of that after a second.
-"gen3-posed": the same arm's errors as far as a real data set shows them. In openvsf's notebook
+"gen3-posed": the joint torques of a Kinova Gen3, whose maker publishes no noise: its errors as far as a real data set
+shows them. White noise is an assumption, 0.1 % of the peak torque. In openvsf's notebook
 demos/vsf_playground.ipynb a touch that meets almost nothing leaves 0.45 N m a joint after the tare, a norm of 1.2, and
 the offset moves by 0.39 N m from touch to touch. Kortex issue 145 shows that readings depend on the direction of
 motion. The division into an error of the gravity model and hysteresis of the drives is an assumption that gives those
@@ -179,15 +176,8 @@ def delayed(signal: np.ndarray, time: np.ndarray, lag: float) -> np.ndarray:
     good = np.isfinite(flat).all(axis=1)
     if lag == 0.0 or not good.any():
         return signal.copy()
-    known, at = np.asarray(time, float)[good], np.asarray(time, float) - lag
-    after = np.clip(np.searchsorted(known, at), 1, max(len(known) - 1, 1))
-    values = flat[good]
-    if len(known) == 1:
-        out = np.repeat(values, len(flat), axis=0)
-    else:
-        share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)[:, None]
-        out = (1.0 - share) * values[after - 1] + share * values[after]
-    return np.where(good[:, None], out, np.nan).reshape(signal.shape)
+    late = np.stack([np.interp(time - lag, time[good], column) for column in flat[good].T], axis=1)
+    return np.where(good[:, None], late, np.nan).reshape(signal.shape)
 
 
 _WAVES = 256  # of the drift: their sum is normal to a few per cent of its spread

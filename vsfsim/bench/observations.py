@@ -7,9 +7,9 @@ brings its `Channel`. Every observation is scored by the metrics of `vsfsim.benc
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
 
 import numpy as np
 
@@ -66,9 +66,8 @@ class Observation:
         Raises:
             TaskError: it cannot be imported.
         """
-        module, _, attribute = self.rows.partition(":")
         try:
-            return getattr(importlib.import_module(module), attribute)
+            return EntryPoint("", self.rows, "").load()
         except (ImportError, AttributeError) as error:
             raise TaskError(f"observation '{self.name}': its rows '{self.rows}' cannot be loaded: {error}.") from error
 

@@ -279,8 +279,6 @@ class Answers:
     """Which."""
     readings: tuple[np.ndarray, ...]
     """Predicted (T, d), one a query touch."""
-    readings_std: tuple[np.ndarray, ...] | None = None
-    """Their standard deviations (T, d)."""
     mean: np.ndarray | None = None
     """Stiffness at the reached points (k,)."""
     column_mean: np.ndarray | None = None

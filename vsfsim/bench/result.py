@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.metrics import Answer, Score, scores_of
-from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result_file import (
     SCHEMA_VERSION,
     Count,
@@ -197,8 +196,7 @@ class Result:
     def rows(self) -> list[dict[str, Any]]:
         """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.result_file.beside_zero`). They
         are made once, and are not the caller's to change."""
-        row = OBSERVATIONS.get(self.observation)
-        return beside_zero(as_rows(self.queries), self.readings, 1 if row is None else row.size)
+        return beside_zero(as_rows(self.queries), self.readings)
 
     def computed(self) -> dict[str, dict[str, Score]]:
         """The scores, computed again from `queries` and `answers`; what `scores` says is not looked at."""

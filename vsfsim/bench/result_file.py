@@ -48,19 +48,18 @@ def stored(rows: Sequence[dict[str, Any]]) -> None:
     """Round the sums of errors to single precision (6e-8), as the results of tasks with cross-validation store them,
     so that scores are those of the stored rows."""
     for row in rows:
-        row.update({name: float(np.float32(row[name])) for name in ("sse", "nll") if name in row})
+        row["sse"] = float(np.float32(row["sse"]))
 
 
-def beside_zero(rows: Sequence[Record], readings: Mapping[str, Sequence], size: int) -> list[dict[str, Any]]:
-    """Rows of `Answer.READINGS` with the sum of squares of the true readings, ``ss``, and the ``size`` d of a reading.
+def beside_zero(rows: Sequence[Record], readings: Mapping[str, Sequence]) -> list[dict[str, Any]]:
+    """Rows of `Answer.READINGS` with the sum of squares of the true readings, ``ss``.
 
     Args:
         rows: as a result keeps them. readings: `vsfsim.bench.result.Result.readings`, {} if they are not kept.
-        size: of a reading.
     """
     known = {(name, touch): ss for name, touch, ss in zip(readings["object"], readings["touch"], readings["ss"],
                                                           strict=True)} if readings else {}
-    return [{**row, "ss": known.get((row["object"], row["touch"])), "size": size} for row in rows]
+    return [{**row, "ss": known.get((row["object"], row["touch"]))} for row in rows]
 
 
 def as_rows(columns: Mapping[str, Sequence]) -> list[dict[str, Any]]:
@@ -82,7 +81,7 @@ Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
 _COLUMNS: dict[str, Any] = {
     **dict.fromkeys(("object", "shot"), list[str]), **dict.fromkeys(("sse", "ss", "truth", "mean"), list[Size]),
-    **dict.fromkeys(("seed", "touch", "in50", "in90", "x", "y", "z"), list[Count]), "nll": list[Number],
+    **dict.fromkeys(("seed", "touch", "x", "y", "z"), list[Count]),
     "n": list[Annotated[int, msgspec.Meta(ge=1, lt=1 << 53)]]}
 """Types of columns; a metric's column is of numbers and None."""
 
@@ -178,8 +177,9 @@ def checked(given: Mapping[str, Any], kind: type) -> Any:
     tables: dict[str, Any] = {key: columns(given.get(key) or {}, names) for key, names in (
         ("readings", READING_COLUMNS), ("maps", MAP_COLUMNS))}
     tables["queries"] = columns(given["queries"], columns_of(Answer.READINGS))
-    tables["answers"] = {name: columns(value, columns_of(Answer(name)), some=True)
-                         for name, value in (given.get("answers") or {}).items()}
+    kept = given.get("answers") or {}
+    tables["answers"] = {answer.value: columns(kept[answer.value], columns_of(answer), some=True)
+                         for answer in Answer if answer.value in kept}
     tables["values"] = unpack_values(given.get("values") or {})
     told = {key: value for key, value in given.items() if key not in (*tables, "data")}
     out: Any = msgspec.convert({**_cleaned(told), "queries": {}}, kind)

@@ -102,7 +102,7 @@ def forged(board, share, **more):
                 sse = float(np.float32(ss * share**2 * rng.uniform(0.8, 1.2) / (1 if shot == "0" else 2)))
                 rows.append((name, shot, seed, touch, n, sse))
     queries = dict(zip(("object", "shot", "seed", "touch", "n", "sse"), map(list, zip(*rows)), strict=True))
-    scores = scores_of(Answer.READINGS, beside_zero(as_rows(queries), one.readings, 1), one.shots, one.seeds)
+    scores = scores_of(Answer.READINGS, beside_zero(as_rows(queries), one.readings), one.shots, one.seeds)
     return dataclasses.replace(one, queries=queries, answers={}, maps={}, values={}, data={}, scores=scores,
                                dataset_sha256=record.dataset_sha256, **more)
 

@@ -46,7 +46,6 @@ def test_a_good_row_is_written_with_its_pull_request(result, task, installed, tm
     (lambda r: {"method": "gaussian"}, "'gaussian' is a method that ships"),
     (lambda r: {"contents": {**r.contents, "the method": "0" * 64}}, "the method changed since"),
     (lambda r: {"contents": {}}, "does not say of which source"),
-    (lambda r: {"scores": {**r.scores, "rmse": r.scores["stiffness_spearman"]}}, "its rmse at 0-shot is not that of"),
     (lambda r: {"study": {"objects": 0.5}}, "a study's"),
 ])
 def test_what_the_board_would_not_rank_is_refused_and_nothing_is_written(result, task, installed, tmp_path, change,

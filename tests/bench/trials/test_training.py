@@ -8,6 +8,7 @@ import pytest
 from vsfsim.bench import leaderboard
 from vsfsim.bench.evaluate import evaluate, make
 from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import Fold
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.bench.trials import answers
@@ -56,7 +57,7 @@ def test_views_divide_the_objects(dataset, task):
 def test_a_share_is_a_part_of_a_larger_one(dataset, task):
     def of(**given):
         fold = Training(**given).folds(dataset, task.protocol)[0]
-        return Training(**given).specimens(task, dataset, fold.number, fold.train, 1, answers.Reader().specimen)
+        return Training(**given).specimens(task, dataset, fold, 1, answers.Reader().specimen)
 
     every, some, few = of(), of(touches=0.5), of(touches=0.1)
     assert [len(s.touches) for s in every] == [12] * len(every)
@@ -67,14 +68,15 @@ def test_a_share_is_a_part_of_a_larger_one(dataset, task):
     names = {s.name[:9] for s in of(objects=0.5)}
     assert len(names) == 1 and names < {s.name[:9] for s in every}
     half, read = Training(objects=0.5), answers.Reader().specimen
-    assert {tuple(s.name for s in half.specimens(task, dataset, 0, dataset.names(), k, read)) for k in (0, 2, 3)
+    whole = Fold(0, tuple(dataset.names()), ())
+    assert {tuple(s.name for s in half.specimens(task, dataset, whole, k, read)) for k in (0, 2, 3)
             } != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
 
 
 def test_objects_of_another_dataset_are_added(dataset, task):
     extra = Training(extra=(Extra(task, dataset, 2),))
     fold = extra.folds(dataset, task.protocol)[0]
-    found = extra.specimens(task, dataset, fold.number, fold.train, 0, answers.Reader().specimen)
+    found = extra.specimens(task, dataset, fold, 0, answers.Reader().specimen)
     assert len(found) == len(fold.train) + 4 and extra.table()["extra"][0]["objects"] == 2
 
 

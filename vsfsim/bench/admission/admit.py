@@ -13,7 +13,6 @@ record (`Again`); a dataset is the task's if it differs no more than that.
 from __future__ import annotations
 
 import dataclasses
-import math
 import shlex
 from collections import Counter
 from collections.abc import Mapping
@@ -24,7 +23,7 @@ import numpy as np
 
 from vsfsim.bench.admission.fingerprint import IMAGES, READING, SCALE, Again, Record
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, Entry, claimed, is_ceiling, row_sha256
-from vsfsim.bench.metrics import METRICS, Score
+from vsfsim.bench.metrics import Score
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import as_rows
 from vsfsim.bench.task import Task
@@ -32,8 +31,6 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 
 OTHER_TEXT = "other text of the task"
-ROUNDING = 1e-6
-"""Relative difference up to which a stored score is the one that its rows give; sums are stored to 16 digits."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +49,8 @@ class Admission:
 
 def admit(result: Result, task: Task, record: Record | None, reference: str,
           entries: Mapping[str, Entry], *, made_here: bool) -> Admission:
-    """Look at a result before it is ranked: is it of the task, are its data the task's, are its scores those of its
-    rows, and is it of the method whose name it has?
+    """Look at a result before it is ranked: is it of the task, are its rows complete and its data the task's, and is it
+    of the method whose name it has? Its scores are computed from its rows; what it says of them is not read.
 
     Args:
         result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that only
@@ -68,7 +65,7 @@ def admit(result: Result, task: Task, record: Record | None, reference: str,
             scores, other = result.computed(), result.dataset_sha256 != reference
         except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
             return Admission("its rows cannot be scored", {}, True)
-        reason = (_other_task(result, task) or _wrong_rows(result, task, record) or _wrong_scores(result, scores)
+        reason = (_other_task(result, task) or _wrong_rows(result, task, record)
                   or ("" if task.ranking_shot in scores.get(task.primary, {}) else
                       f"no {task.primary} at {task.ranking_shot}-shot")
                   or (_other_data(result, record) if other else ""))
@@ -116,18 +113,6 @@ def _wrong_rows(result: Result, task: Task, record: Record | None) -> str:
     sizes = {(row["object"], row["touch"]): row["n"] for row in rows}
     if any(row["n"] != sizes[row["object"], row["touch"]] for row in rows):
         return "another number of readings of a touch at some shot and seed"
-    return ""
-
-
-def _wrong_scores(result: Result, scores: Mapping[str, Mapping[str, Score]]) -> str:
-    """Whether the stored scores are those of the rows."""
-    for name, by_shot in result.scores.items():
-        for shot, score in by_shot.items() if name in METRICS else ():
-            found = scores.get(name, {}).get(shot)
-            if found is None or not all(math.isclose(a, b, rel_tol=ROUNDING, abs_tol=1e-12) for a, b in zip(
-                    (score.mean, *score.per_seed), (found.mean, *found.per_seed), strict=True)) or not math.isclose(
-                    score.std, found.std, rel_tol=1e-3, abs_tol=ROUNDING * max(abs(score.mean), 1e-6)):
-                return f"its {name} at {shot}-shot is not that of its rows"
     return ""
 
 

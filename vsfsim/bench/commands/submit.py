@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     install = shlex.join(["pip", "install", f"{package['name']}=={package['version']}"]) if (
         package.get("name") not in (None, "", "vsfsim")) else ""
     page = filled("pull_request.md", result=result, task=task, place=place, file=str(target.relative_to(out)),
-                  score_table=Markup(score_table(result, task.primary)), install=install,
+                  score_table=Markup(score_table(replace(result, scores=row.scores), task.primary)), install=install,
                   again=command_of(result, whole=True), findings=checks)
     write_atomic(text, f"{page}\n".encode(), error=TaskError)
     words = (f"{told}\n\n{place}\n\nrow: {target}\npull request: {text}\n\nCopy the folder leaderboard/ of {out} into "

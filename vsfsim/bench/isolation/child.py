@@ -47,7 +47,7 @@ from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
 
 _DEATH_SIGNAL, _DUMPABLE, _SUBREAPER = 1, 4, 36
-OPTIONAL = ("predict_std", "stiffness", "locate", "choose")
+OPTIONAL = ("stiffness", "locate", "choose")
 """Functions of a method that the scorer asks for where they exist."""
 
 
@@ -124,11 +124,11 @@ def _watch(given: dict[str, Any], line: int, end: int, log: int) -> None:
             _begin({**given, "folder": folder})
         os.close(line)
         os.close(write)
-        status, usage, much = _keep(process, read, end, log, given["most"])
-        said = {"code": os.waitstatus_to_exitcode(status), "much": much,
+        status, usage = _keep(process, read, end, log, given["most"])
+        said = {"code": os.waitstatus_to_exitcode(status),
                 "peak_mib": usage.ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)}
     except OSError as error:
-        said = {"code": 1, "much": False, "peak_mib": 0.0, "why": str(error)}
+        said = {"code": 1, "peak_mib": 0.0, "why": str(error)}
     shutil.rmtree(folder, ignore_errors=True)
     with contextlib.suppress(OSError):
         os.write(end, json.dumps(said).encode())
@@ -159,33 +159,34 @@ def _begin(given: dict[str, Any]) -> None:
         os._exit(0)
 
 
-def _keep(process: int, read: int, end: int, log: int, most: int) -> tuple[int, Any, bool]:
-    """Copy what is printed until the process has ended or is to end; then end its descendants.
+def _keep(process: int, read: int, end: int, log: int, most: int) -> tuple[int, Any]:
+    """Copy what is printed, until the log has ``most`` bytes, while the process runs and is not to end; then end its
+    descendants.
 
     Returns:
-        The status of its end, what it used (`resource.struct_rusage`), and whether it printed more than ``most`` bytes.
+        The status of its end, and what it used (`resource.struct_rusage`).
     """
-    handles, much, ended = [read, end], False, os.wait4(process, os.WNOHANG)
+    handles, ended = [read, end], os.wait4(process, os.WNOHANG)
     while ended[0] == 0:
         ready = select.select(handles, [], [], 0.05)[0]
-        if read in ready:
-            text = os.read(read, 1 << 16)
-            much = len(text) > _append(log, text, most)
-            if not text:
-                handles.remove(read)
-        if end in ready or much:
+        if read in ready and not _copy(read, log, most):
+            handles.remove(read)
+        if end in ready:
             os.kill(process, signal.SIGKILL)
-        ended = os.wait4(process, 0 if end in ready or much else os.WNOHANG)
+        ended = os.wait4(process, 0 if end in ready else os.WNOHANG)
     end_descendants()
     os.set_blocking(read, False)
     with contextlib.suppress(OSError):
-        while text := os.read(read, 1 << 16):
-            _append(log, text, most)
-    return ended[1], ended[2], much
+        while _copy(read, log, most):
+            pass
+    return ended[1], ended[2]
 
 
-def _append(log: int, text: bytes, most: int) -> int:
-    return os.write(log, text[:max(most - os.fstat(log).st_size, 0)])
+def _copy(read: int, log: int, most: int) -> bytes:
+    """What was printed now, b"" at its end."""
+    text = os.read(read, 1 << 16)
+    os.write(log, text[:max(most - os.fstat(log).st_size, 0)])
+    return text
 
 
 def end_descendants() -> None:
@@ -285,8 +286,8 @@ class _Server:
         return Reply({"chosen": checked_choice(self.method.choose(*operands), len(operands[-1]))})
 
     def do_predict(self, operands: Any) -> Reply:
-        function, actions, names = operands
-        return Reply(arrays=tuple(checked_prediction(getattr(self.method, function)(actions), actions, names)))
+        actions, names = operands
+        return Reply(arrays=tuple(checked_prediction(self.method.predict(actions), actions, names)))
 
     def do_stiffness(self, points: np.ndarray) -> Reply:
         given = self.method.stiffness(points)

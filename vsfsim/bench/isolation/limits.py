@@ -28,7 +28,7 @@ SANDBOXES = ("namespaces", "process")
 VARIABLE = "VSFSIM_SANDBOX"
 """Environment variable that names the sandbox where none is asked for."""
 LARGEST_LOG = 64 << 20
-"""A method may print no more in one evaluation [bytes]."""
+"""What a method prints beyond it in one evaluation is not kept [bytes]."""
 LARGEST_FOLDER = 2 * GIB
 """A process may write no more into its folder in memory, nor a larger file [bytes]."""
 _KEPT = ("PATH", "LANG", "TZ", "LD_LIBRARY_PATH", "VSFSIM_DINOV2", "TORCH_HOME", "HF_HOME")

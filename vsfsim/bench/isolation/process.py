@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.identity import named_by, package_of
+from vsfsim.bench.identity import named_by
 from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
 from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply
 from vsfsim.bench.method import Specimen
@@ -57,13 +57,9 @@ class Description:
     """Of the constructor, all of them."""
     seeded: bool
     """Its constructor takes a ``seed``."""
-    package: str
-    """The installed package that it is from, "" for a file that is not installed."""
-    version: str
-    """Of that package."""
 
 
-UNKNOWN = Description("", {}, False, "", "")
+UNKNOWN = Description("", {}, False)
 """Of a method that was not looked at."""
 
 
@@ -149,7 +145,7 @@ class MethodHost:
             head, limit = process.about, self.isolation.timeout
             try:
                 parameters = dict(json.loads(json.dumps(head["parameters"], allow_nan=False)))
-                said = Description(plain(head["entry"]), parameters, bool(head["seeded"]), *package_of(self.name))
+                said = Description(plain(head["entry"]), parameters, bool(head["seeded"]))
                 found = process.ask("check", self.name, "the check of its contract",
                                     limit=limit and _CALLS * limit).head["failed"] if check else []
                 failed = "; ".join(f"{plain(clause)}: {plain(detail)}" for clause, detail in found)
@@ -326,8 +322,6 @@ class Process:
         self._finish()
         if self._timed_out:
             return self._timed_out
-        if self._said.get("much"):
-            return f"the method has printed more than {LARGEST_LOG >> 20} MiB, the last of it in {what}. Print less."
         if "why" in self._said:
             return f"the container of {self._host.name} cannot be made: {self._said['why']}."
         code, lines = int(self._said.get("code", 1)), self._host.tail(3)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import zlib
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 
 from vsfsim.bench.isolation.process import Learned, MethodHost, Process
 from vsfsim.bench.isolation.wire import decoded, encoded
-from vsfsim.bench.method import Action, Reading, Specimen, checked_choice, checked_prediction
+from vsfsim.bench.method import Reading, Specimen, checked_choice, checked_prediction
 from vsfsim.bench.protocol import Answers, Subject, Trial, record, specimen_of, support
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.core.errors import MethodError
@@ -109,17 +109,15 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
     """
     where = trial.where
     names, actions = [f"touch {i} of {where}" for i in subject.draw.query], subject.actions
-    mean = column_mean = pose = readings_std = None
+    mean = column_mean = pose = None
     support = [subject.recording.readings[i] for i in trial.support if not trial.offered]
     with host.trial(learned) as process:
         offers = _adapt(process, subject, support, where)
         if trial.offered:
             trial = replace(trial, support=_choose(process, subject, trial, "choose" in offers))
-        readings = _predicted(process, "predict", actions, names, where)
-        if "predict_std" in offers:
-            readings_std = _predicted(process, "predict_std", actions, names, where)
-            if any((given < 0.0).any() for given in readings_std):
-                raise MethodError(f"predict_std for {where} is negative; a standard deviation is 0 or greater.")
+        reply = process.ask("predict", (actions, names), f"predict for {where}")
+        # the process has checked it, but may have been tampered with
+        readings = tuple(checked_prediction(reply.arrays, actions, names))
         if "stiffness" in offers and subject.asks_stiffness:
             mean = _stiffness(process, subject.points, where)
             if (mean < 0).any():
@@ -130,7 +128,7 @@ def run_trial(host: MethodHost, learned: Learned, subject: Subject, trial: Trial
         if "locate" in offers and subject.columns is None and subject.inclusions is not None:
             pose = _pose(process, subject.inclusions.known_object()[:2], where)
     took = process.seconds
-    return Answers(trial, readings, readings_std, mean, column_mean, pose, took["adapt"],
+    return Answers(trial, readings, mean, column_mean, pose, took["adapt"],
                    sum(took[name] for name in ("choose", "predict", "stiffness", "locate")))
 
 
@@ -156,13 +154,6 @@ def _choose(process: Process, subject: Subject, trial: Trial, chooses: bool) -> 
         if chooses or len(made) == len(trial.support):
             _adapt(process, subject, [known.readings[k] for k in made], trial.where)
     return tuple(made)
-
-
-def _predicted(process: Process, function: str, actions: Sequence[Action], names: Sequence[str], where: str
-               ) -> tuple[np.ndarray, ...]:
-    """What ``predict`` or ``predict_std`` answers; the process has checked it, but may have been tampered with."""
-    reply = process.ask("predict", (function, actions, names), f"{function} for {where}")
-    return tuple(checked_prediction(reply.arrays, actions, names))
 
 
 def _stiffness(process: Process, points: np.ndarray, where: str) -> np.ndarray:

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.identity import contents_of, versions_of
+from vsfsim.bench.identity import contents_of, package_of, versions_of
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import UNKNOWN, Description, MethodHost
-from vsfsim.bench.protocol import Answers, Trial
+from vsfsim.bench.protocol import Answers, Fold, Trial
 from vsfsim.bench.result import Result, versions
 from vsfsim.bench.task import ALL, Task
 from vsfsim.bench.trials.answers import Done, Reader, asked_of, load, run_trial, save
@@ -39,12 +39,8 @@ class Job:
 
     name: str
     """Of the file in which its answers are kept."""
-    fold: int
-    """Number of the fold."""
-    train: tuple[str, ...]
-    """Names of the views that the method learns from."""
-    test: tuple[str, ...]
-    """Names of the views that are scored."""
+    fold: Fold
+    """The views that the method learns from, and those that are scored."""
     seed: int | None
     """That the method is built with; None for a method without one."""
     runs: tuple[int, ...]
@@ -53,7 +49,7 @@ class Job:
     def asked(self, labels: Iterable[str]) -> list[tuple[int, str, str]]:
         """Run, view and shot of each trial. The support set of 0 touches and that of all of them are the same in every
         run, so that they are asked in the first."""
-        return [(run, name, label) for run in self.runs for name in self.test for label in labels
+        return [(run, name, label) for run in self.runs for name in self.fold.test for label in labels
                 if run == self.runs[0] or label not in ("0", ALL)]
 
 
@@ -154,8 +150,8 @@ class Evaluation:
         protocol, seeded, runs = self.task.protocol, self.said.seeded, self.runs
         of = protocol.training_of if protocol.folds else (lambda run: run if seeded else 0)
         folds = self.training.folds(self.dataset, protocol)
-        return tuple(Job(f"fold-{fold.number:02d}-training-{k:02d}", fold.number, fold.train, fold.test,
-                         k if seeded else None, tuple(run for run in runs if of(run) == k))
+        return tuple(Job(f"fold-{fold.number:02d}-training-{k:02d}", fold, k if seeded else None,
+                         tuple(run for run in runs if of(run) == k))
                      for k in sorted(set(map(of, runs))) for fold in folds)
 
     def trials(self, job: Job) -> int:
@@ -182,9 +178,8 @@ class Evaluation:
             MethodError: the method raises, answers with something that cannot be scored, or was changed meanwhile.
             TaskError: the dataset has too few touches.
         """
-        subjects = {name: reader.subject(self.task, self.dataset, name) for name in job.test}
-        specimens = self.training.specimens(self.task, self.dataset, job.fold, job.train, job.seed or 0,
-                                            reader.specimen)
+        subjects = {name: reader.subject(self.task, self.dataset, name) for name in job.fold.test}
+        specimens = self.training.specimens(self.task, self.dataset, job.fold, job.seed or 0, reader.specimen)
         self._check_contents()
         tell(0, f"{self.parts.stem} {job.name}: meta-fit")
         learned = pool.submit(self.host.learn, specimens, seed=job.seed, environment=environment).result()
@@ -237,7 +232,7 @@ class Evaluation:
             answers, task, self.dataset, self.runs, method=self.method, entry=said.entry,
             parameters=dict(said.parameters), timing=timing, notes=tuple(notes), preset=self.preset,
             peak_memory_mib=round(max(job.peak_memory_mib for job in done), 1),
-            package={"name": said.package, "version": said.version}, isolation=self.isolation.sandbox,
+            package=dict(zip(("name", "version"), package_of(self.method))), isolation=self.isolation.sandbox,
             contents={**self.contents, **opened}, study=study,
             data={} if study else fingerprint.beside_record(task, self.dataset),
             versions={**versions_of(self.method), **versions()})
@@ -263,7 +258,7 @@ class Evaluation:
         first = {run: job.runs[0] for job in self.jobs for run in job.runs}
         out = []
         for run in self.runs:
-            for name in dict.fromkeys(n for job in self.jobs for n in job.test):
+            for name in dict.fromkeys(n for job in self.jobs for n in job.fold.test):
                 for label in self.task.protocol.labels:
                     same = known.get((name, label, run)) or known[name, label, first[run]]
                     out.append(same if same.trial.seed == run else same.of(Trial(name, label, run, same.trial.support)))
@@ -274,8 +269,8 @@ class Evaluation:
         """Of the answers that the same operands, sources and files gave."""
         decided = {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.method,
                    "entry": self.said.entry, "parameters": dict(self.said.parameters),
-                   "package": [self.said.package, self.said.version], "sandbox": self.isolation.sandbox,
-                   "contents": dict(self.contents), "training": self.training.table(),
+                   "sandbox": self.isolation.sandbox, "contents": dict(self.contents),
+                   "training": self.training.table(),
                    "shots": list(self.task.protocol.labels), "runs": len(self.runs)}
         return self.parts / hashlib.sha256(json.dumps(decided, sort_keys=True).encode()).hexdigest()[:16]
 

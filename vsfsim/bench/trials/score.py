@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.metrics import Answer, can_be_scored, record_scores, scores_of, touch_errors, touch_uncertainty
+from vsfsim.bench.metrics import Answer, can_be_scored, record_scores, scores_of, touch_errors
 from vsfsim.bench.protocol import Answers, Recording, Subject
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.result_file import (
@@ -40,8 +40,8 @@ def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: t
     for of_answer in rows.values():
         of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
     if task.protocol.folds:
-        stored([*rows[Answer.READINGS], *rows[Answer.READING_STD]])
-    asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings, task.observation.size)}
+        stored(rows[Answer.READINGS])
+    asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings)}
     scores = {metric: by_shot for answer in Answer
               for metric, by_shot in scores_of(answer, asked[answer], task.protocol.labels, seeds).items()}
     fields: dict[str, Any] = {"parameters": {}, "timing": {}, "peak_memory_mib": 0.0, "versions": versions(), **said}
@@ -78,9 +78,6 @@ def _add(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset, ro
         for k, index in enumerate(subject.draw.query):
             clean, valid = subject.recording.queries[index].clean, subject.recording.queries[index].scored
             keep(Answer.READINGS, given, {"touch": index, **touch_errors(given.readings[k], clean, valid)})
-            if given.readings_std is not None:
-                keep(Answer.READING_STD, given, {
-                    "touch": index, **touch_uncertainty(given.readings[k], given.readings_std[k], clean, valid)})
         if given.mean is not None and can_be_scored(given.mean[usable], known[usable]):
             stiffness = {"mean": given.mean[usable], "truth": known[usable]}
             keep(Answer.STIFFNESS, given, record_scores(Answer.STIFFNESS, [stiffness]))

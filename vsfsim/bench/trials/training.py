@@ -115,20 +115,20 @@ class Training:
         return [([e for e in entries if of[e.object_index] != kind], [e for e in entries if of[e.object_index] == kind])
                 for kind in dict.fromkeys(of.values())]
 
-    def specimens(self, task: Task, dataset: Dataset, fold: int, train: Sequence[str], training: int,
+    def specimens(self, task: Task, dataset: Dataset, fold: Fold, training: int,
                   read: Callable[[Task, Dataset, str], Specimen]) -> list[Specimen]:
         """The training objects of one training, as a method receives them.
 
         Args:
-            task, dataset: of the evaluation. fold: its number. train: names of its training views. training: number of
-            the training. read: what reads an object view by its name (`vsfsim.bench.trials.answers.Reader.specimen`).
+            task, dataset: of the evaluation. fold: whose training views. training: its number. read: what reads an
+            object view by its name (`vsfsim.bench.trials.answers.Reader.specimen`).
         """
         number = {e.name: e.object_index for e in dataset.entries}
-        objects = sorted({number[name] for name in train})
+        objects = sorted({number[name] for name in fold.train})
         if self.objects < 1.0:
-            order = _order(len(objects), task.protocol.seed, (3, fold, training))
+            order = _order(len(objects), task.protocol.seed, (3, fold.number, training))
             objects = [objects[k] for k in order[:max(1, round(self.objects * len(objects)))]]
-        out = [read(task, dataset, name) for name in train if number[name] in objects]
+        out = [read(task, dataset, name) for name in fold.train if number[name] in objects]
         views = {e.name: e.view_index for e in dataset.entries}
         if self.touches < 1.0:
             out = [self._some(s, task.protocol.seed, (4, number[s.name], views[s.name], training)) for s in out]
