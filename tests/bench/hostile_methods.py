@@ -41,7 +41,11 @@ class ReadsFrames(Hostile):
 
 
 class ReadsMemory(Hostile):
-    """Looks through every object that the garbage collector knows of."""
+    """Looks through every object that the garbage collector knows of, the support set among them."""
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        self.support = support
 
     def predict(self, touches):
         gc.collect()

@@ -80,7 +80,7 @@ def test_the_earliest_query_touch_is_made_again(name):
     readings = shipped_row(name, of=()).readings
     touch, view_name, n, ss = min(zip(*(readings[key] for key in ("touch", "object", "n", "ss")), strict=True))
     view, _ = view_made_again(task, view_name, touch + 1)
-    ((_, _, found_n, found_ss),) = zip(*readings_of([(record(view, task), [touch])]).values(), strict=True)
+    ((_, _, found_n, found_ss),) = zip(*readings_of(record(view, task), [touch]).values(), strict=True)
     print(f"{name}: {view_name}, touch {touch}: {math.sqrt(found_ss / ss) - 1.0:.1e} of the shipped reading's norm")
     assert found_n == n and math.sqrt(found_ss) == pytest.approx(math.sqrt(ss), rel=TOLERANCE)
 
@@ -88,7 +88,7 @@ def test_the_earliest_query_touch_is_made_again(name):
 def test_the_dataset_is_made_again(released):
     task, shipped, dataset = released
     view = dataset.load(shipped.readings["object"][0])
-    found = readings_of([(record(view, task), divide(view, task.protocol).query)])
+    found = readings_of(record(view, task), divide(view, task.protocol).query)
     rows = [row for row in zip(*shipped.readings.values(), strict=True) if row[0] == view.name]
     assert len(rows) == task.protocol.query
     for (name, touch, n, ss), (_, stored_touch, stored_n, stored_ss) in zip(

@@ -20,6 +20,7 @@ from vsfsim.bench.method import (
     find_method,
     frozen,
     frozen_view,
+    numbers,
     parameters_of,
     plain_parameters,
 )
@@ -28,6 +29,7 @@ from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, VsfsimError
+from vsfsim.core.text_table import text_table
 
 MOCK_TASK = """
 name = "mock-v1"
@@ -75,12 +77,10 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None, brief: bool
 
 def report(name: str, findings: Sequence[Finding]) -> str:
     """The findings for a terminal."""
-    width = max(len(f.clause) for f in findings)
-    lines = [f"{f.outcome:<12}{f.clause:<{width}}  {f.detail}".rstrip() for f in findings]
     failed = sum(f.outcome == "failed" for f in findings)
-    lines.append(f"{name} conforms" if not failed
-                 else f"{name} does not conform: {failed} of {len(findings)} clauses failed")
-    return "\n".join(lines)
+    verdict = "conforms" if not failed else f"does not conform: {failed} of {len(findings)} clauses failed"
+    rows = [(f.outcome, f.clause, f.detail) for f in findings]
+    return f"{text_table(('outcome', 'clause', 'what was observed'), rows)}\n{name} {verdict}"
 
 
 def table(name: str, findings: Sequence[Finding]) -> dict[str, Any]:
@@ -209,11 +209,8 @@ class _Contract:
             estimate = function(np.array([[-0.02, 0.0, 0.03], [0.0, 0.0, 0.03], [0.02, 0.01, 0.03]]))
             for key in ("mean", "std"):
                 given = getattr(estimate, key, None)
-                try:
-                    values = np.asarray(given, float)
-                except (TypeError, ValueError):
-                    values = np.zeros(0)
-                if given is None or values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
+                values = numbers(given, f"stiffness has a {key}")
+                if values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
                     raise MethodError(f"stiffness of 3 points has {key} {given!r}; it must return an Estimate with 3 "
                                       f"finite numbers >= 0.")
 

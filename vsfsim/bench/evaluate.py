@@ -44,7 +44,7 @@ from vsfsim.core.system.file_lock import release, take
 from vsfsim.data.dataset import Dataset
 
 
-def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
+def evaluate(method: str, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "",
              out: str | Path | None = None, preset: str = "", check: bool = True,
@@ -52,8 +52,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
     Args:
-        method: name of an installed method, module:attribute, or a class of an importable module. It runs in a process
-            of its own. "resim" and "fem-map" are ceilings (`vsfsim.bench.commands.ceiling`).
+        method: name of an installed method, or module:attribute; it runs in a process of its own. "resim" and "fem-map"
+            are ceilings (`vsfsim.bench.commands.ceiling`).
         task: name of a shipped task, path of a .toml file, or a loaded task; TASK-development or TASK-seed-N is TASK on
         other objects (`vsfsim.bench.task.load_task`).
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
@@ -74,10 +74,12 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     Raises:
         VsfsimError: the method, the task or the dataset is unknown or does not fit, or the method raised.
     """
-    name = method if isinstance(method, str) else name_of(method)
+    if not isinstance(method, str):
+        raise MethodError(f"method is {method!r}; give the name of an installed method, or module:attribute of one in "
+                          "a file (in a notebook: %%writefile mine.py as the first line of its cell).")
     wanted = task if isinstance(task, Task) else load_task(task)
-    given = chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters if preset else {}
-    row = Choice(name, preset, {**given, **(parameters or {})})
+    given = chosen(method, preset, wanted.observation.name, wanted.metric.answer.value).parameters if preset else {}
+    row = Choice(method, preset, {**given, **(parameters or {})})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json" if out is None else Path(out)
         (made,) = evaluate_all(wanted, {path: row}, dataset=dataset, again=True, seeds=seeds, workers=workers,
@@ -87,20 +89,6 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         raise made.failure
     assert made.result is not None
     return made.result
-
-
-def name_of(method: type) -> str:
-    """The name module:attribute of a class.
-
-    Raises:
-        MethodError: it cannot be imported under that name, e.g. because it was written into a notebook's cell.
-    """
-    module, attribute = getattr(method, "__module__", None), getattr(method, "__qualname__", str(method))
-    if module is None or module == "__main__" or "." in attribute:
-        raise MethodError(f"the method {attribute} is not an attribute of a module that can be imported. Save it in a "
-                          f"file, e.g. mine.py (in a notebook: %%writefile mine.py as the first line of the cell), and "
-                          f"give 'mine:{attribute.rpartition('.')[2]}'.")
-    return f"{module}:{attribute}"
 
 
 @dataclass(frozen=True)

@@ -61,17 +61,17 @@ def scorer_sha256() -> str:
 def files_of(name: str, folder: str | Path = "") -> dict[str, Path]:
     """The files that `method_sha256` is of: modules by their names, and all other files of the method's packages."""
     files = source_files(_module(name), folder or os.getcwd(), of_vsfsim=_passes)
-    for package in packages_of(files):
+    for package in filter(Path.is_dir, packages_of(files)):
         files |= {f"{package.name}/{path.relative_to(package)}": path for path in sorted(package.rglob("*"))
                   if path.is_file() and path.suffix != ".pyc"}
     return files
 
 
 def packages_of(files: Mapping[str, Path]) -> list[Path]:
-    """The folders of the packages, besides vsfsim, that modules by name belong to."""
-    tops = [path.parents[name.count(".") - 1 + (path.name == "__init__.py")] for name, path in files.items()
-            if name.partition(".")[0] != "vsfsim" and ("." in name or path.name == "__init__.py")]
-    return list(dict.fromkeys(tops))
+    """The folders of the packages, besides vsfsim, that modules by name belong to, and the files of other modules."""
+    others = {name: path for name, path in files.items() if name.partition(".")[0] != "vsfsim" and "/" not in name}
+    return list(dict.fromkeys(Path(*path.parts[:len(path.parts) - name.count(".") - (path.name == "__init__.py")])
+                              for name, path in others.items()))
 
 
 def imports_of(name: str, folder: str | Path = "") -> dict[str, Path]:

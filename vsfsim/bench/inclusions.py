@@ -50,15 +50,14 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
         points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m]. q: joint angles (T, dof) [rad]
         of an arm, which is reached by all of its capsules.
     """
-    out = np.zeros(len(points), bool)
-    if not isinstance(probe, Chain):
-        _mark(out, points, probe, poses, reach)
-        return out
-    assert q is not None, "an arm's touch has joint angles"
-    at = probe.capsule_poses(probe.links(q))
-    for k, c in enumerate(probe.capsules):
-        if probe.moves(c.link).any():
-            _mark(out, points, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k], reach)
+    out, parts = np.zeros(len(points), bool), [(probe, poses)]
+    if isinstance(probe, Chain):
+        assert q is not None, "an arm's touch has joint angles"
+        at = probe.capsule_poses(probe.links(q))
+        parts = [(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k])
+                 for k, c in enumerate(probe.capsules) if probe.moves(c.link).any()]
+    for part, path in parts:
+        _mark(out, points, part, path, reach)
     return out
 
 

@@ -289,6 +289,18 @@ def _real(prediction: Any, name: str) -> np.ndarray:
                           f"with floats, (T, d).") from error
 
 
+def numbers(value: Any, what: str) -> np.ndarray:
+    """``value`` as float64, empty for None.
+
+    Raises:
+        MethodError: it is no array of real numbers; ``what`` begins the message.
+    """
+    try:
+        return np.zeros(0) if value is None else np.asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise MethodError(f"{what} that is not an array of real numbers: {error}.") from error
+
+
 def check_support(support: Sequence[Reading]) -> None:
     """Refuse touches that no method can learn from.
 

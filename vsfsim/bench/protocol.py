@@ -290,10 +290,6 @@ class Answers:
     predict_s: float = 0.0
     """Seconds of all other functions."""
 
-    def of(self, trial: Trial) -> Answers:
-        """The same answers as those of another trial, which took no time."""
-        return replace(self, trial=trial, adapt_s=0.0, predict_s=0.0)
-
 
 @dataclass(frozen=True)
 class Fold:
@@ -329,9 +325,3 @@ def folds_of(dataset: Dataset, protocol: Protocol) -> tuple[Fold, ...]:
 def test_names(dataset: Dataset, protocol: Protocol) -> tuple[str, ...]:
     """Names of all object views that are scored, fold by fold."""
     return tuple(name for fold in folds_of(dataset, protocol) for name in fold.test)
-
-
-def shown_names(dataset: Dataset, protocol: Protocol) -> tuple[str, ...]:
-    """Names of all object views that a method meets, training objects first; each once."""
-    folds = folds_of(dataset, protocol)
-    return tuple(dict.fromkeys([*(n for f in folds for n in f.train), *(n for f in folds for n in f.test)]))

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from vsfsim.bench.protocol import divide, record, share_unresolved, shown_names, test_names
+from vsfsim.bench.protocol import divide, folds_of, record, share_unresolved
 from vsfsim.bench.result_file import pack, unpack
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
@@ -119,9 +119,10 @@ def make_record(task: Task, dataset: Dataset) -> Record:
     Raises:
         TaskError: the dataset does not fit the task.
     """
-    asked = frozenset(test_names(dataset, task.protocol))
+    folds = folds_of(dataset, task.protocol)
+    asked = [name for fold in folds for name in fold.test]
     entries, rows, queries = list[Entry](), list[tuple[Any, ...]](), list[Touch]()
-    for name in shown_names(dataset, task.protocol):
+    for name in dict.fromkeys([*(name for fold in folds for name in fold.train), *asked]):
         view = dataset.load(name)
         query = divide(view, task.protocol).query if name in asked else ()
         entries.append(Entry(view.name, view.split, view.object_index, view.view_index, query))

@@ -39,6 +39,7 @@ from vsfsim.bench.method import (
     checked_choice,
     checked_prediction,
     find_method,
+    numbers,
     parameters_of,
     plain_parameters,
 )
@@ -192,14 +193,12 @@ def _copy(read: int, log: int, most: int) -> bytes:
 def end_descendants() -> None:
     """Kill all that runs below this process, which adopts whatever loses its parent, so that all are its own children
     in the end. In a container there is nothing left."""
-    until = time.monotonic() + 20.0
+    until, children = time.monotonic() + 20.0, Path(f"/proc/self/task/{os.getpid()}/children")
     with contextlib.suppress(ChildProcessError):
         while time.monotonic() < until:
-            for stat in Path("/proc").glob("[0-9]*/stat"):
-                with contextlib.suppress(OSError):
-                    if int(stat.read_text().rpartition(")")[2].split()[1]) == os.getpid():
-                        for number in (signal.SIGSTOP, signal.SIGKILL):  # what is stopped starts no other
-                            os.kill(int(stat.parent.name), number)
+            with contextlib.suppress(OSError):
+                for child in children.read_text().split():
+                    os.kill(int(child), signal.SIGKILL)
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
             time.sleep(0.002)
@@ -294,10 +293,10 @@ class _Server:
         if getattr(given, "mean", None) is None:
             raise MethodError(f"stiffness must return an Estimate with a mean and a std; it returned "
                               f"{type(given).__name__}.")
-        return Reply(arrays=(_numbers(given.mean, "stiffness has a mean"),))
+        return Reply(arrays=(numbers(given.mean, "stiffness has a mean"),))
 
     def do_locate(self, payload: Any) -> Reply:
-        return Reply(arrays=(_numbers(self.method.locate(*payload), "locate must return a transform (4, 4), and not "
+        return Reply(arrays=(numbers(self.method.locate(*payload), "locate must return a transform (4, 4), and not "
                                                                     "one"),))
 
 
@@ -344,14 +343,6 @@ def first_gradient() -> None:
     torch = sys.modules.get("torch")
     if torch is not None and os.environ.get("CUDA_VISIBLE_DEVICES") == "":
         torch.zeros((), requires_grad=True).backward()
-
-
-def _numbers(value: Any, what: str) -> np.ndarray:
-    """``value`` as float64, empty for None."""
-    try:
-        return np.zeros(0) if value is None else np.asarray(value, float)
-    except (TypeError, ValueError) as error:
-        raise MethodError(f"{what} that is not an array of real numbers: {error}.") from error
 
 
 def _failure(error: BaseException) -> Reply:

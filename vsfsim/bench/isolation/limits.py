@@ -127,21 +127,19 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], h
         name, parameters: of the method. search: the folders of ``sys.path``. hidden: folders that appear empty even if
         they lie in one that is shown. given: its environment, which says where weights are.
     """
-    files, here = files_of(name), os.getcwd()
+    here = os.getcwd()
     # pip installs into a folder of one of these names, or into any other, beside the package's metadata
     installed = [path for path in search if Path(path).name in ("site-packages", "dist-packages")
                  or any(Path(path).glob("*.dist-info"))]
-    modules = [path for module, path in files.items() if not module.startswith("vsfsim.")]
-    # a package that is installed "editable" lies where no folder of installed packages is
-    editable = [Path(*path.parts[:len(path.parts) - module.count(".") - (path.name == "__init__.py")])
-                for module, path in imports_of(name).items() if not module.startswith("vsfsim")]
+    # the method's own, and a package that is installed "editable", which lies where no folder of installed packages is
+    sources = packages_of({**imports_of(name), **files_of(name)})
     texts = [text for text in parameters.values() if isinstance(text, str) and "/" in text and len(text) < 1000]
     named = [*named_files(dict(parameters), here).values(),
              *(path for path in (Path(here, text) for text in texts) if path.is_dir())]
     weights = [given["VSFSIM_DINOV2"]] if "VSFSIM_DINOV2" in given else []
     weights += [os.path.join(given[key], "hub") for key in ("TORCH_HOME", "HF_HOME")]
     wanted = [*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, *installed, *vsfsim.__path__, folder("baselines"),
-              *packages_of(files), *modules, *editable, *named, *weights, kernels(),
+              *sources, *named, *weights, kernels(),
               *filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))]
     apart = {"/", os.path.expanduser("~"), "/tmp", "/home", *(path for path in _SYSTEM if os.path.islink(path))}
     paths = {form(path) for path in map(str, wanted) for form in (os.path.realpath, os.path.abspath)} - apart

@@ -12,7 +12,7 @@ import platform
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -261,7 +261,8 @@ class Evaluation:
             for name in dict.fromkeys(n for job in self.jobs for n in job.fold.test):
                 for label in self.task.protocol.labels:
                     same = known.get((name, label, run)) or known[name, label, first[run]]
-                    out.append(same if same.trial.seed == run else same.of(Trial(name, label, run, same.trial.support)))
+                    out.append(same if same.trial.seed == run else replace(
+                        same, trial=Trial(name, label, run, same.trial.support), adapt_s=0.0, predict_s=0.0))
         return out, done
 
     @property

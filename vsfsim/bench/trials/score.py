@@ -89,7 +89,7 @@ def _add(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset, ro
         if given.pose is not None and inclusions is not None:
             poses = {"estimate": given.pose, "truth": inclusions.known_object()[2]}
             keep(Answer.POSE, given, record_scores(Answer.POSE, [poses]))
-    _extend(readings, readings_of([(subject.recording, subject.draw.query)]))
+    _extend(readings, readings_of(subject.recording, subject.draw.query))
 
 
 def _extend(columns: dict[str, list], more: Mapping[str, list]) -> None:
@@ -104,10 +104,8 @@ def _map_of(name: str, places: np.ndarray, truth: np.ndarray, mean: np.ndarray) 
     return dict(zip(MAP_COLUMNS, [[name] * len(steps), *steps.T.tolist(), *numbers], strict=True))
 
 
-def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:
-    """`Result.readings` of recordings and their query touches."""
-    rows = [(recording.name, index, recording.queries[index].clean[recording.queries[index].scored])
-            for recording, query in asked for index in query]
-    columns = ([name for name, _, _ in rows], [int(index) for _, index, _ in rows], [int(v.size) for _, _, v in rows],
-               [float(np.sum(v**2)) for _, _, v in rows])
-    return dict(zip(READING_COLUMNS, columns, strict=True))
+def readings_of(recording: Recording, query: Iterable[int]) -> dict[str, list]:
+    """`Result.readings` of the query touches of a recording."""
+    rows = [(recording.name, int(index), int(values.size), float(np.sum(values**2))) for index, values in (
+        (index, recording.queries[index].clean[recording.queries[index].scored]) for index in query)]
+    return {name: [row[k] for row in rows] for k, name in enumerate(READING_COLUMNS)}
