@@ -206,10 +206,7 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
         found = (fingerprint.make_record(one, open_dataset(one, dataset)) if dataset.is_dir()
                  else fingerprint.load_record(dataset))
         fingerprint.save_record(known := differing(found, known), path := fingerprint.record_path(one))
-        measured = known.again
-        assert measured is not None
-        print(f"{path}: {100.0 * measured.touches:.3g} % of the touches read otherwise, the readings of a view "
-              f"are up to {100.0 * measured.size:.2g} % larger or smaller")
+        print(f"{path}: {100.0 * known.again:.3g} % of the touches read otherwise")
         return
     folder = Dataset.open(dataset).path.resolve().name
     wanted = [load_task(task)] if task else [one for one in map(load_task, shelf.tasks())

@@ -111,17 +111,16 @@ def test_where_rounding_decides_as_much_may_differ_as_on_another_machine(task, r
 
     assert "4 of its touches read" in admit.differences(made(_snapped(4)), record)[0], "nothing was measured yet"
     record = admit.again(made(_snapped(4)), record)
-    assert record.again.touches == pytest.approx(4 / 36) and 0.05 < record.again.size < 0.3
+    assert record.again == pytest.approx(4 / 36)
     path = fingerprint.record_path(task)
     fingerprint.save_record(record, path)
     known = fingerprint.shipped_record(task)
     assert known.again == record.again
     for same in (_snapped(4, 0.8), _snapped(5, 1.2), views()):
         assert admit.differences(made(same), known) == []
-    # more touches, a view whose readings are much larger, another plan or another view are other data
+    # more touches, another direction or another view are other data
     more = admit.differences(made(_snapped(6, 1.01)), known)
     assert "16.7 % of all, where rounding decides at most 13.9 %" in more[0]
-    assert "of a view are" in admit.differences(made(_snapped(4, 3.0)), known)[0]
     turned = np.array([0.0, 0.6, -0.8])
     assert "4 pictures or directions differ" in admit.differences(made(_snapped(4, axis=turned)), known)[0]
     seen = _snapped(4)

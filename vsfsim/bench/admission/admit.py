@@ -7,7 +7,7 @@ Two records are of the same dataset up to what rounding decides. Rounding alone 
 equilibrium by 1e-8. Where an object has several, as a plant whose branches snap off a link of the arm, the last digit
 decides which one it comes to, and from there on the touch is another one: the same code makes other readings of a large
 share of the same touches on another machine. How large this share is was measured for such a task and stands in its
-record (`Again`); a dataset is the task's if it differs no more than that.
+record (`Record.again`); a dataset is the task's if it differs no more than that.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from vsfsim.bench.admission.fingerprint import IMAGES, READING, SCALE, Again, Record
+from vsfsim.bench.admission.fingerprint import IMAGES, READING, SCALE, Record
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, Entry, claimed, is_ceiling, row_sha256
 from vsfsim.bench.metrics import Score
 from vsfsim.bench.result import Result
@@ -135,10 +135,8 @@ IMAGE_TOLERANCE = 2e-2
 OTHER_ENDS = 0.02
 """Largest share of the touches that may read otherwise: where a frame ends at a limit of the solver, rounding decides
 whether it converges (13 of the 1,440 frames of the bubble shoes do)."""
-AGAIN_TOUCHES = 1.25
-"""Factor on the measured share of touches that another machine makes otherwise: a third machine is not the second."""
-AGAIN_SIZE = 2.0
-"""Factor on the measured difference of a view's readings."""
+AGAIN = 1.25
+"""Factor on the share of touches that another machine was seen to make otherwise: a third machine is not the second."""
 SMALLEST = 1e-2
 """A vector smaller than this fraction of the root mean square of its kind counts as that large: the readings of a touch
 that met nothing are rounding error."""
@@ -150,43 +148,40 @@ def differences(found: Record, known: Record) -> list[str]:
     Raises:
         ValueError, KeyError, TypeError: a record is malformed.
     """
-    out, odd, share, size = _apart(found, known)
-    allowed = max(OTHER_ENDS, AGAIN_TOUCHES * known.again.touches if known.again is not None else 0.0)
+    out, odd, share = _apart(found, known)
+    allowed = max(OTHER_ENDS, AGAIN * known.again)
     if share > allowed:
         out.append(f"{len(odd)} of its touches read otherwise ({plain(odd[0])}), {100.0 * share:.3g} % of all, where "
                    f"rounding decides at most {100.0 * allowed:.3g} %")
-    if known.again is not None and size > max(TOLERANCE, AGAIN_SIZE * known.again.size):
-        out.append(f"the readings of a view are {100.0 * size:.2g} % larger or smaller, where "
-                   f"{100.0 * known.again.size:.2g} % was seen on another machine")
     return out
 
 
 def again(found: Record, known: Record) -> Record:
-    """The record ``known`` with how far the touches of a dataset of the same plan differ that another machine made.
+    """The record ``known`` with the share of touches that a dataset of the same plan, made on another machine, reads
+    otherwise.
 
     Raises:
         TaskError: they are not the same views or the same planned touches.
     """
-    wrong, _, share, size = _apart(found, known)
+    wrong, _, share = _apart(found, known)
     if wrong:
         raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
                         f"one that `vsfsim generate` made on another machine with the operands of the task.")
-    return msgspec.structs.replace(known, again=Again(share, size, found.made_by))
+    return msgspec.structs.replace(known, again=share)
 
 
-def _apart(found: Record, known: Record) -> tuple[list[str], list[str], float, float]:
-    """Where two records differ: phrases on what no rounding changes; the touches that read otherwise, and their share
-    [-]; and the largest relative difference, over object views, of the root mean square of the readings [-]. Where the
-    two cannot be compared number by number, a phrase says so and nothing else is known."""
+def _apart(found: Record, known: Record) -> tuple[list[str], list[str], float]:
+    """Where two records differ: phrases on what no rounding changes; the touches that read otherwise; and their
+    share [-]. Where the two cannot be compared number by number, a phrase says so and nothing else is known."""
     mine, theirs = found.fingerprints(), known.fingerprints()
     views = [[(e.name, e.split, e.object_index, e.view_index) for e in r.entries] for r in (found, known)]
     if views[0] != views[1]:
         strange = sorted({one[0] for one in {*views[0]} ^ {*views[1]}}) or [views[0][0][0]]
-        return [f"its object views or their splits are others, e.g. {plain(strange[0])}"], [], 0.0, 0.0
+        return [f"its object views or their splits are others, e.g. {plain(strange[0])}"], [], 0.0
     if [e.query for e in found.entries] != [e.query for e in known.entries] or any(
             mine[key].tolist() != theirs[key].tolist() for key in ("view", "touch", "kind")):
-        return ["it has other touches"], [], 0.0, 0.0
-    a, b, (kinds, kind) = mine["norm"], theirs["norm"], np.unique(theirs["kind"], return_inverse=True)
+        return ["it has other touches"], [], 0.0
+    a, b, kind = mine["norm"], theirs["norm"], np.unique(theirs["kind"], return_inverse=True)[1]
     floors = SMALLEST * np.sqrt(np.bincount(kind, b**2) / np.bincount(kind))  # as which a smaller vector counts
     along = np.abs(a[:, None] * mine["along"] - b[:, None] * theirs["along"]).max(axis=1) / SCALE
     tolerance = np.where(np.isin(theirs["kind"], IMAGES), IMAGE_TOLERANCE, TOLERANCE)
@@ -195,9 +190,5 @@ def _apart(found: Record, known: Record) -> tuple[list[str], list[str], float, f
     names = [f"{one['view']}{f' touch {number - 1}' if (number := one['touch']) else ''}" for one in theirs]
     wrong = [f"{names[k]}: {theirs['kind'][k]}" for k in np.flatnonzero(far & ~read)]
     out = [f"{len(wrong)} pictures or directions differ ({plain(wrong[0])})"] if wrong else []
-    at = np.unique(theirs["view"][read], return_inverse=True)[1]
-    sizes = [np.sqrt(np.bincount(at, of[read] ** 2)) for of in (a, b)]
-    least = max([np.finfo(float).tiny, *floors[kinds == READING]])
-    size = float(np.max(np.abs(sizes[0] - sizes[1]) / np.maximum(sizes[1], least), initial=0.0))
     odd = [names[k] for k in np.flatnonzero(far & read)]
-    return out, odd, len(odd) / max(int(read.sum()), 1), size
+    return out, odd, len(odd) / max(int(read.sum()), 1)

@@ -58,18 +58,6 @@ class Entry(msgspec.Struct, frozen=True):
     """Its query touches; empty outside the test split."""
 
 
-class Again(msgspec.Struct, frozen=True):
-    """How far the same planned touches, made again on another machine, come to another end, where it is the rounding
-    that decides which of several equilibria an object reaches: a branch that snaps off a link of the arm, or slips."""
-
-    touches: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
-    """Share of the touches that read otherwise [-]."""
-    size: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
-    """Largest relative difference, over object views, of the root mean square of the readings [-]."""
-    made_by: dict[str, Any]
-    """Version and commit that made the other dataset."""
-
-
 class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     """The fingerprints of a dataset as one task reads it."""
 
@@ -90,8 +78,9 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     on (0 for what is of the view), its kind, its norm and its projections [norm / `SCALE`]."""
     unresolved: tuple[int, int, float] | None = None
     """Of the frames of query touches (`vsfsim.bench.protocol.share_unresolved`); None where it was not measured."""
-    again: Again | None = None
-    """What another machine makes of the same touches, where that was measured and is more than rounding."""
+    again: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0
+    """Share of the same planned touches that read otherwise where another machine made them, as far as that was
+    measured: rounding decides which of several equilibria an object reaches, as when a branch snaps off a link [-]."""
 
     def table(self) -> dict[str, Any]:
         """As JSON values; msgspec converts them back."""
