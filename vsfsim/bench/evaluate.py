@@ -180,15 +180,11 @@ def own(result: Path) -> Iterator[None]:
         MethodError: another evaluation writes it, or its folder cannot be written.
     """
     path = result.with_name(f".{result.name}.lock")
-    made = [folder for folder in (result.parent, *result.parent.parents) if not folder.exists()]
     lock, _ = take(path, result, MethodError)
     try:
         yield
     finally:
         release(lock)
-        with contextlib.suppress(OSError):  # what the evaluation wrote stays, and so do its folders
-            for folder in made:
-                folder.rmdir()
 
 
 def make(rows: Iterable[Evaluation], workers: int, *, check: bool = True, fan: Fan = HERE,
@@ -216,8 +212,8 @@ def make(rows: Iterable[Evaluation], workers: int, *, check: bool = True, fan: F
                 progress(0, 1, f"{row.path.stem}: contract and dataset")
                 row.look(check=check)
                 mine = [job for job in row.jobs if fan.shard is None or next(counted) % fan.shard[1] == fan.shard[0]]
-                failure = _run(row, mine, workers, reader, fan, progress)
-                result = row.finish() if failure is None and fan.shard is None else None
+                _run(row, mine, workers, reader, fan, progress)
+                result = row.finish() if fan.shard is None else None
         except KeyboardInterrupt as stop:
             known = row.said is not UNKNOWN
             done, of = (len(row.jobs) - len(row.left), len(row.jobs)) if known else (0, 0)
@@ -232,9 +228,12 @@ def make(rows: Iterable[Evaluation], workers: int, *, check: bool = True, fan: F
             yield Made(row.path, result, failure)
 
 
-def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan: Fan, progress: Progress
-         ) -> VsfsimError | None:
-    """Make those of some jobs that are not kept; what went wrong first."""
+def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan: Fan, progress: Progress) -> None:
+    """Make those of some jobs that are not kept.
+
+    Raises:
+        VsfsimError: what went wrong first.
+    """
     left = [job for job in row.left if job in jobs]
     total = sum(map(row.trials, jobs))
     done, lock = total - sum(map(row.trials, left)), threading.Lock()
@@ -251,8 +250,8 @@ def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan
         for number, message in engines.on_ray(_train, [(there, job) for job in left], address=fan.ray, gpus=fan.gpus):
             tell(row.trials(left[number]), left[number].name)
             if message:
-                return MethodError(message)
-        return None
+                raise MethodError(message)
+        return
     gpus = _gpus() if row.parameters.get("device") == "cuda" else []
     with ThreadPoolExecutor(workers) as waits, ThreadPoolExecutor(workers) as pool:
         going = [waits.submit(row.make, job, reader, pool, tell,
@@ -261,14 +260,11 @@ def _run(row: Evaluation, jobs: Sequence[Job], workers: int, reader: Reader, fan
         try:
             for ready in as_completed(going):
                 ready.result()
-        except BaseException as error:
+        except BaseException:
             for one in (waits, pool):
                 one.shutdown(wait=False, cancel_futures=True)
             row.stop()  # so that the threads end as well
-            if not isinstance(error, VsfsimError):
-                raise
-            return error
-    return None
+            raise
 
 
 def _train(item: tuple[Evaluation, Job]) -> None:

@@ -113,17 +113,8 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
     "gen3-posed": {"force_std": 0.0, "torque_std": 0.08, "torque_pose_std": 0.4, "torque_pose_length": 0.3,
                    "torque_hysteresis": 0.3},
 }
-"""``kind`` of a task's ``[noise]``: values of the keys that the task does not give.
-
-"punyo": measured on 150 frames of a real Punyo at 30 Hz.
-"punyo-window": the same with what its inside camera sees and how well it follows it: 227 of 326 inner nodes, which is
-the dome out to 0.8 to 0.88 of its rim, and a drift across the ray of 0.1 to 0.2 mm over a touch, an assumption.
-"gen3-posed": the joint torques of a Kinova Gen3, whose maker publishes no noise: its errors as far as a real data set
-shows them. White noise is an assumption, 0.1 % of the peak torque. In openvsf's notebook
-demos/vsf_playground.ipynb a touch that meets almost nothing leaves 0.45 N m a joint after the tare, a norm of 1.2, and
-the offset moves by 0.39 N m from touch to touch. Kortex issue 145 shows that readings depend on the direction of
-motion. The division into an error of the gravity model and hysteresis of the drives is an assumption that gives those
-figures."""
+"""``kind`` of a task's ``[noise]``: values of the keys that the task does not give. "punyo" was measured on 150 frames
+of a real Punyo at 30 Hz; what the others rest on stands in docs/sensing.md and docs/plants.md."""
 
 FREE_FORCE = 1e-6
 """A frame is contact-free if the noise-free force is below this [N]: rounding error of the solver, far below the noise

@@ -30,9 +30,6 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import Touch
 
-LARGEST_FILE = 16 << 20
-"""A record with more bytes is not read."""
-
 _BLOCK = 8  # pixels
 SCALE = 4096.0
 """Projections are stored as multiples of norm / SCALE, within 8 norms."""
@@ -159,8 +156,6 @@ def load_record(path: Path) -> Record:
         TaskError: the file cannot be read, or is no record.
     """
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ValueError(f"it has more than {LARGEST_FILE} bytes")
         return msgspec.json.decode(path.read_bytes(), type=Record)
     except (OSError, ValueError, RecursionError) as error:
         raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file, or make it again with `vsfsim "

@@ -156,16 +156,11 @@ def _check(code: int, what: str) -> None:
 def main() -> int:
     """Whether a container works here: 0 if it does."""
     with tempfile.TemporaryDirectory() as root:
+        leave()
         if os.fork() == 0:
             try:
-                leave()
-                first = os.fork()
-                if first != 0:
-                    os._exit(os.waitstatus_to_exitcode(os.waitpid(first, 0)[1]))
                 enter({"root": root, "shown": ["/usr"], "links": [], "hidden": [], "size": "1m"})
                 os._exit(0 if os.getpid() == 1 and os.path.isdir("/proc/self") else 1)
-            except BaseException as error:
-                print(error, file=sys.stderr)
             finally:
                 os._exit(1)
         return os.waitstatus_to_exitcode(os.wait()[1])

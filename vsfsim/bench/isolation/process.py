@@ -79,7 +79,7 @@ class Learned:
     """Variables that it was given."""
 
 
-class MethodHost:
+class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
     """Runs the processes of one method.
 
     Use it as a context manager. The module of the method is imported in these processes, never here.
@@ -112,9 +112,6 @@ class MethodHost:
         self.processes = set[Process]()
         self.peak_memory_mib = 0.0
         """Largest resident size that a process has had [MiB]."""
-
-    def __enter__(self) -> MethodHost:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -54,7 +54,7 @@ class Job:
 
 
 @dataclass
-class Evaluation:
+class Evaluation(contextlib.AbstractContextManager["Evaluation"]):
     """One method on one task.
 
     Until its answers are scored, nothing of the truth but the places of the probed points is read.
@@ -82,9 +82,6 @@ class Evaluation:
     """What the method said of itself, once `look` was called."""
     contents: Mapping[str, str] = field(default_factory=dict)
     """What decides its answers (`vsfsim.bench.identity.contents_of`), once `look` was called."""
-
-    def __enter__(self) -> Evaluation:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()

@@ -36,9 +36,6 @@ def result_of(answers: Sequence[Answers], task: Task, dataset: Dataset, seeds: t
     readings, maps = dict[str, list](), dict[str, list]()
     for name in dict.fromkeys(a.trial.subject for a in answers):
         _add(name, [a for a in answers if a.trial.subject == name], task, dataset, rows, readings, maps)
-    order = {(a.trial.subject, a.trial.shot, a.trial.seed): index for index, a in enumerate(answers)}
-    for of_answer in rows.values():
-        of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
     if task.protocol.folds:
         stored(rows[Answer.READINGS])
     asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings)}
