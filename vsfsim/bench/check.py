@@ -190,11 +190,6 @@ class _Contract:
         _agree(self.answer(self.copy(), self.support), self.answer(method, self.support), "after adapting to another "
                "object first, the answer is another one. adapt must start from what meta_fit learned.")
 
-    def predicts_twice(self) -> None:
-        method = self.copy()
-        _agree(self.answer(method, self.support), self.prediction(method),
-               "the second call of predict answers differently. predict must not change the method.")
-
     def refuses_nan(self) -> None:
         support = [self.spoiled(self.support[0], 3, valid=True), *self.support[1:]]
         try:
@@ -243,10 +238,9 @@ _CLAUSES: Mapping[str, Callable[[_Contract], Any]] = {
     "refuses a reading that is not a number": _Contract.refuses_nan,
     "what it learned can be handed to a trial": _Contract.handed_on,
     "adapt forgets the object before": _Contract.forgets,
-    "predict can be called twice": _Contract.predicts_twice,
     "stiffness is finite and not negative": _Contract.stiffness,
     "predict_std is finite and not negative": _Contract.spread,
     "choose names one of the offered touches": _Contract.choice,
     "leaves its input alone": _Contract.unchanged}
 _LONGER = ("adapts to touches and predicts (5-shot)", "what it learned can be handed to a trial",
-           "adapt forgets the object before", "predict can be called twice")
+           "adapt forgets the object before")

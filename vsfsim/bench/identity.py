@@ -37,7 +37,9 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
         files, relative to ``folder`` or absolute; what is no file is left out.
     """
     folder = folder or os.getcwd()
-    out = {METHOD: method_sha256(name, folder), SCORER: scorer_sha256()}
+    here = Path(__file__).parent
+    out = {METHOD: method_sha256(name, folder),
+           SCORER: files_sha256({part: here / f"{part.replace('.', '/')}.py" for part in _SCORES})}
     named = named_files(dict(parameters), folder)
     seen = {path.resolve() for path in (*named.values(), *files_of(name, folder).values())}
     for text in opened:
@@ -51,11 +53,6 @@ def method_sha256(name: str, folder: str | Path = "") -> str:
     """sha256 of a method's source with the parts of vsfsim that its answers pass through; operands as of
     `contents_of`."""
     return files_sha256(files_of(name, folder))
-
-
-def scorer_sha256() -> str:
-    """sha256 of the modules that decide what is asked and what an answer scores."""
-    return files_sha256({name: Path(__file__).parent / f"{name.replace('.', '/')}.py" for name in _SCORES})
 
 
 def files_of(name: str, folder: str | Path = "") -> dict[str, Path]:

@@ -8,8 +8,7 @@ a reading of d numbers counts as d readings. A query touch is reduced to sums fi
 file keeps; a metric is a function of the sums of several touches.
 
 Stiffness, at the probed points that some touch reached: s are a method's means (k,) in its own unit, k the truth: the
-force of a small cone over its displacement (SBML appendix C.4) [N/m]. Because s has no common unit, one scale an object
-is allowed (`scale_of`).
+force of a small cone over its displacement (SBML appendix C.4) [N/m]. s has no common unit, so that ranks are compared.
 """
 
 from __future__ import annotations
@@ -93,20 +92,6 @@ def can_be_scored(mean: np.ndarray, truth: np.ndarray) -> bool:
     return len(truth) >= FEWEST_POINTS and bool(np.any(mean > 0))
 
 
-def log10_error(mean: np.ndarray, truth: np.ndarray) -> float:
-    """Mean |log10 s - log10 k - c| with the scale c; an s at or near 0 counts as a tenth of the softest k times that
-    scale."""
-    scale = scale_of(mean, truth)
-    floor = 0.1 * truth.min() * 10.0**scale
-    return float(np.abs(np.log10(np.maximum(mean, floor)) - np.log10(truth) - scale).mean())
-
-
-def scale_of(estimate: np.ndarray, truth: np.ndarray) -> float:
-    """The one allowed scale c [decades]: the median of log10 s - log10 k over s > 0, of which there must be one."""
-    positive = estimate > 0
-    return float(np.median(np.log10(estimate[positive]) - np.log10(truth[positive])))
-
-
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
     """Spearman's rank correlation of two arrays (k,), ties sharing their mean rank; 0 where one of them is constant.
 
@@ -125,17 +110,17 @@ def _ranks(values: np.ndarray) -> np.ndarray:
     return rankdata(group)
 
 
-def mask_scores(value: np.ndarray, stiff: np.ndarray) -> tuple[float, float, float]:
+def mask_scores(value: np.ndarray, stiff: np.ndarray) -> tuple[float, float]:
     """The largest F1 score of ``value >= threshold`` (p,) against ``stiff`` (p,) bool over all thresholds, and
-    precision and recall there; 0 if nothing is stiff. Neural VSF table I chooses a threshold for each method, too."""
+    the recall there; 0 if nothing is stiff. Neural VSF table I chooses a threshold for each method, too."""
     order = np.argsort(-value, kind="stable")
     hit = np.cumsum(stiff[order])
     last = np.append(np.diff(value[order]) != 0.0, True)  # points of one value fall on one side together
     if not stiff.any():
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0
     scores = np.where(last, 2.0 * hit / (np.arange(1, len(hit) + 1) + stiff.sum()), -1.0)
     best = int(np.argmax(scores))
-    return float(scores[best]), float(hit[best]) / (best + 1), float(hit[best]) / int(stiff.sum())
+    return float(scores[best]), float(hit[best]) / int(stiff.sum())
 
 
 class Answer(StrEnum):
@@ -194,11 +179,8 @@ METRICS: Registry[Metric] = Registry("vsfsim.metrics", {
                ranks=True),
         _of_object("stiffness_spearman", Answer.STIFFNESS, lambda r: spearman(r["mean"], r["truth"]),
                    "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
-        _of_object("stiffness_log10", Answer.STIFFNESS, lambda r: log10_error(r["mean"], r["truth"]),
-                   "Mean absolute error of log10 of the stiffness after one scale an object."),
         _of_mask("mask_f1", 0, "F1 score of the mask of stiff pixels at the best threshold."),
-        _of_mask("mask_precision", 1, "Precision of the mask at that threshold."),
-        _of_mask("mask_recall", 2, "Recall of the mask at that threshold."),
+        _of_mask("mask_recall", 1, "Recall of the mask at that threshold."),
         _of_object("translation_error", Answer.POSE,
                    lambda r: 1e3 * pose_errors(r["estimate"], r["truth"])[0],
                    "Distance between the centres of the estimated and the true object.", unit="mm", ranks=True),

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.metrics import scale_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import load_task
@@ -69,7 +68,8 @@ def _maps(result: Result) -> dict[str, np.ndarray]:
         mine = rows[[one == name for one in m["object"]]]
         mine = mine[mine[:, 3] > 0.0]  # a cone that met nothing has no stiffness
         if len(mine):
-            mine[:, 4] = np.maximum(mine[:, 4] * 10.0 ** -scale_of(mine[:, 4], mine[:, 3]), _FLOOR * mine[:, 3].min())
+            ratio = mine[:, 3] / np.where(mine[:, 4] > 0.0, mine[:, 4], np.nan)
+            mine[:, 4] = np.maximum(mine[:, 4] * 10.0 ** np.nanmedian(np.log10(ratio)), _FLOOR * mine[:, 3].min())
             out[name] = mine
     return out
 
