@@ -22,7 +22,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
 
 from vsfsim.core.rotation import pose_errors
 from vsfsim.core.shelf import Registry
@@ -107,7 +106,8 @@ def _ranks(values: np.ndarray) -> np.ndarray:
     order = np.argsort(values, kind="stable")
     group = np.zeros(len(values), int)
     group[order[1:]] = np.cumsum(np.diff(values[order]) > TIE * np.abs(values).max(initial=0.0))
-    return rankdata(group)
+    counts = np.bincount(group)
+    return (np.cumsum(counts) - (counts - 1) / 2.0)[group]
 
 
 def mask_scores(value: np.ndarray, stiff: np.ndarray) -> tuple[float, float]:
