@@ -43,7 +43,7 @@ def punyo(mount):
     """A Punyo's free dome over its base, as the sensor's published mesh has it: vertices [m] and triangles, those of
     the dome first, in the frame of the arm's link that carries it; the area inside the rim [m^2]; and its ``mount``."""
     a, b = 0.05725, 0.040
-    flat, faces, rim = ellipse(a, b, READ_OUT[0], rim=READ_OUT[1])
+    flat, faces, rim = ellipse(a, b, READ_OUT)
     height = HEIGHT * np.clip(1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2, 0.0, None) ** POWER
     height[rim] = 0.0
     z = np.array([-0.39394, 0.0, 0.91914])  # openvsf's figures, see vsfsim/robot/gen3.xml

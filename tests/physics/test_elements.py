@@ -29,19 +29,19 @@ def bending(mesh, flat):
     return hinge.block(mesh.faces, mesh.points, flat, 1e-4)
 
 
-def air(mesh, flat, *, pressure=0.0, gamma=1.4, sealed=True):
+def air(mesh, flat, *, pressure=0.0, gamma=1.4):
     return gas.block(closed(mesh.faces, mesh.rim), mesh.points, pressure=pressure, volume=mesh.volume[0], gamma=gamma,
-                     dead_volume=2e-5, sealed=sealed)
+                     dead_volume=2e-5)
 
 
 # elements of surfaces: on a sheet of triangles, flat for what is to be at rest there, else a dome
 FLAT = {"triangle": lambda *given: (membrane(*given),),
         "hinge": lambda *given: (bending(*given),)}
 DOMES = {"gas": lambda *given: (air(*given),), "isothermal gas": lambda *given: (air(*given, gamma=1.0),),
-         "open gas": lambda *given: (air(*given, pressure=5e3, sealed=False),),
+         "pressed gas": lambda *given: (air(*given, pressure=5e3),),
          "bubble": lambda *given: (membrane(*given), bending(*given), air(*given, pressure=5e3))}
 SURFACES = (*FLAT, *DOMES)
-LOADED = ("triangle", "open gas", "bubble")  # u = 0 is not free of stress, or held by a pressure
+LOADED = ("triangle", "pressed gas", "bubble")  # u = 0 is not free of stress, or held by a pressure
 CONVEX = ("triangle", "hinge")  # never unstable: linear, or relaxed (elements/triangle.py)
 
 

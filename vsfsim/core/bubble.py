@@ -45,10 +45,9 @@ class Bubble:
     """Exponent of p V^gamma, from 1 (isothermal) to 1.4 (adiabatic) [-]."""
     ambient_pressure: Annotated[float, between(0.0, 1e8, "Pa")] = ATMOSPHERE
     """Absolute, outside [Pa]."""
-    sealed: bool = True
-    """Whether the air is enclosed; if not, a supply keeps the gauge pressure."""
     nodes: Annotated[int, between(100, 20_000, whole=True)] = NODES
-    """Number of nodes of the mesh."""
+    """About how many nodes the mesh has: 390 are those of the read-out mesh, 1,493 that mesh with every triangle cut in
+    four, and other numbers rings around the middle."""
     contact_edge: Annotated[float, between(1e-4, 0.1, "m")] | None = None
     """Longest edge of the triangles where a rigid body touches, for which the mesh is refined there [m]; None: a
     third of the radius of balls and capsules, and three fifths of the membrane's edges under bodies with edges."""

@@ -83,8 +83,8 @@ def draw_dome(scene: Scene) -> Drawing:
              "  free dome      "
              f"apex {1e3 * mesh.points[apex, 2]:.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at "
              f"{model.pressure:.0f} Pa gauge; stretch at the apex {least:.3f} x {largest:.3f}",
-             f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, "
-             + (f"sealed: dp/dV {-1e-9 * rate:.3f} kPa/mL" if spec.sealed else "open")]
+             f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, sealed: "
+             f"dp/dV {-1e-9 * rate:.3f} kPa/mL"]
     if spec.semi_axes == type(spec)().semi_axes:
         lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - "
                      "rho^2)^0.763, a real Punyo's")
@@ -161,12 +161,9 @@ def depth_at(sensor: BubbleModel, force: float) -> float:
     depth = np.linspace(0.0, dome.height, 65)
     cut = np.maximum(over[None] - (dome.height - depth)[:, None], 0.0)
     area, gone = (cut > 0.0).sum(axis=1) * _GRID**2, cut.sum(axis=1) * _GRID**2
-    spec = sensor.spec
-    pressure = np.full(len(depth), sensor.pressure)
-    if spec.sealed:
-        inside = float(sensor.mesh.volume[0]) + sensor.dead_volume
-        squeezed = inside / np.maximum(inside - gone, 1e-3 * inside)
-        pressure = (spec.ambient_pressure + sensor.pressure) * squeezed**spec.gamma - spec.ambient_pressure
+    spec, inside = sensor.spec, float(sensor.mesh.volume[0]) + sensor.dead_volume
+    squeezed = inside / np.maximum(inside - gone, 1e-3 * inside)
+    pressure = (spec.ambient_pressure + sensor.pressure) * squeezed**spec.gamma - spec.ambient_pressure
     push = pressure * area
     if push[-1] <= force:
         return float("inf")

@@ -174,16 +174,7 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then has no "
                          "single equilibrium; hold it with fixed = \"bottom\" or a box [x0, y0, z0, x1, y1, z1].")
     held = held_nodes(mesh.points, fixed, bottom_tolerance)
-    spread = np.linalg.matrix_rank(mesh.points[held] - mesh.points[held].mean(axis=0), tol=1e-9) if held.any() else 0
-    if spread < 2:
-        low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-        cure = ("Enlarge the box so that it holds a face of the body" if fixed != "bottom" else
-                "The body stands on a point or an edge; turn it in its file, or give a box [x0, y0, z0, x1, y1, z1] "
-                "that holds a part of it")
-        raise SceneError(f"{where}: fixed = {fixed!r} holds {int(held.sum())} of {len(held)} nodes, on a line at most; "
-                         f"the body could turn. {cure}; in its own frame it reaches from "
-                         f"[{', '.join(f'{v:.4g}' for v in low)}] to [{', '.join(f'{v:.4g}' for v in high)}] m.")
-    refuse_loose(mesh.points, mesh.tets, held, where)
+    refuse_loose(mesh.points, mesh.tets, held, f"{where}: fixed = {fixed!r}")
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if translation is None else np.asarray(translation, float)
     placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.weights, mesh.faces,

@@ -126,10 +126,9 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
         return min(10.0 * own.body * spec.shape.radius, tip)
     if isinstance(spec.shape, MeshFile):
         # repair imports trimesh, which a box does not need
-        from vsfsim.physics.mesh.repair import extents
+        from vsfsim.physics.mesh.repair import read_surface
 
-        # a flat sheet is refused with a reason when it is filled; here its size must only not be 0
-        size = np.maximum(extents(spec.shape), 1e-3 * extents(spec.shape).max())
+        size = read_surface(spec.shape).extents
     else:
         size = np.array(extent(spec.shape))
     return min(body_limit(size, own.body), tip, thin_limit(size))

@@ -21,7 +21,7 @@ from vsfsim.physics.elements import gas, hinge, stop, triangle
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh import membrane as membrane_mesh
-from vsfsim.physics.mesh.membrane import TriangleMesh, Wishes, closed
+from vsfsim.physics.mesh.membrane import READ_OUT, TriangleMesh, Wishes, closed
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import increments
@@ -31,7 +31,6 @@ SHARE = 1.0 / 3.0
 # of the membrane's edge: the same under bodies with edges, which no mesh resolves. A corner of a cube is pushed back
 # by a Punyo, 6 mm deep, with 2.80 N on an even mesh, 2.22 N with this, and 2.20 N on edges of 1.2 mm
 SHARP = 0.6
-_COARSE = 390  # nodes of the mesh on which the branch from flat to inflated is followed
 _STOP = 10.0  # penalty of the housing over E h: the gas presses a node 4 mm from the next 0.02 mm into it
 _SHALLOW = 0.1  # height of the first dome over the short semi-axis
 
@@ -127,11 +126,10 @@ def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.nd
     nodes of the read-out mesh."""
     a, b = spec.semi_axes
     nodes = spec.nodes if nodes is None else nodes
-    total, rim = membrane_mesh.READ_OUT
-    if nodes in (total, NODES):
-        mesh = membrane_mesh.ellipse(a, b, total, rim=rim)
-        return mesh if nodes == total else membrane_mesh.cut(*mesh, (a, b), np.ones(len(mesh[1]), bool), mesh[0])[:3]
-    return membrane_mesh.ellipse(a, b, nodes)
+    if nodes != NODES:
+        return membrane_mesh.ellipse(a, b, nodes)
+    mesh = membrane_mesh.ellipse(a, b, READ_OUT)
+    return membrane_mesh.cut(*mesh, (a, b), np.ones(len(mesh[1]), bool), mesh[0])[:3]
 
 
 def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np.ndarray) -> tuple[Block, Block]:
@@ -207,9 +205,9 @@ def _build(spec: Bubble, finer: Wishes, where: str) -> BubbleModel:
                                                even.mesh.points, finer)
         dome = even.mesh.points - np.column_stack([even.flat, np.zeros(len(even.flat))])
         known = even.flat, even.mesh.faces, dome
-    elif spec.nodes > _COARSE:
-        # the branch is followed on a coarse mesh, whose dome is the guess for the fine one
-        coarse = flat_mesh(spec, _COARSE)
+    elif spec.nodes > READ_OUT:
+        # the branch is followed on the read-out mesh, whose dome is the guess for the fine one
+        coarse = flat_mesh(spec, READ_OUT)
         known = *coarse[:2], _inflated(spec, coarse, None, where)
     points = np.column_stack([flat, np.zeros(len(flat))]) + _inflated(spec, (flat, faces, rim), known, where)
     touched = sorted({node for _, nodes in finer for node in nodes})
@@ -236,7 +234,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
                          f"{1e6 * inside:.4g} mL; gas_volume is all of "
                          "the enclosed air, dome and chamber behind it, so give more than that (in m^3).")
     air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma,
-                    ambient=spec.ambient_pressure, dead_volume=dead, sealed=spec.sealed)
+                    ambient=spec.ambient_pressure, dead_volume=dead)
     free = _free(len(points), rim)
     # the housing: a plate at the floor of the chamber, before every node that is not clamped
     stopped = np.flatnonzero((free[2::3] > 0.0) & (points[:, 2] >= -spec.chamber))
@@ -244,8 +242,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     blocks = (*elastic_blocks(spec, points, flat, faces), air, plate)
     factor = RestFactor.of(assemble(len(points), blocks), free, points, gas.rest_coupling(air, len(points)))
     edge = mesh.edge(touched)
-    total, edges = membrane_mesh.READ_OUT
-    read_flat, read_faces, read_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
+    read_flat, read_faces, read_rim = membrane_mesh.ellipse(*spec.semi_axes, READ_OUT)
     read_out = ReadOut(read_faces.astype(np.int32), read_rim, read_flat)
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
     return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),

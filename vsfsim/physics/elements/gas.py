@@ -1,9 +1,8 @@
 """Gas: the air inside a closed surface, at one uniform pressure.
 
-    sealed: p V^gamma = p0 V0^gamma,    E(V) = integral from V to V0 of (p - ambient) dV
-              = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)
-              = p0 V0 ln(V0/V) + ambient (V - V0)                             for gamma = 1
-    open:   the supply holds p - ambient at g,    E(V) = -g (V - V0)
+    p V^gamma = p0 V0^gamma,    E(V) = integral from V to V0 of (p - ambient) dV
+      = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)
+      = p0 V0 ln(V0/V) + ambient (V - V0)                             for gamma = 1
 
 p and ambient are absolute pressures [Pa], and g = p - ambient is the gauge pressure. V is the volume inside the surface
 plus a constant dead volume [m^3]. gamma is 1 for isothermal and 1.4 for adiabatic air.
@@ -35,24 +34,23 @@ _INFINITE = 1e30
 
 
 def block(faces: np.ndarray, points: np.ndarray, *, pressure: float, volume: float, gamma: float = 1.4,
-          ambient: float = 101325.0, dead_volume: float = 0.0, sealed: bool = True) -> Block:
+          ambient: float = 101325.0, dead_volume: float = 0.0) -> Block:
     """The gas of one chamber.
 
     Args:
         faces: of the closed surface, wound outwards (m, 3).
         points: positions at u = 0 (n, 3) [m].
-        pressure: gauge pressure when the surface encloses ``volume`` [Pa]; in an open chamber it is constant.
+        pressure: gauge pressure when the surface encloses ``volume`` [Pa].
         volume: inside the surface at that pressure [m^3].
         gamma: exponent of p V^gamma [-].
         ambient: absolute pressure outside [Pa].
         dead_volume: of the chamber outside the surface [m^3].
-        sealed: whether the chamber is sealed rather than open to its supply.
     """
     faces = np.asarray(faces, np.int32)
     whole = volume + dead_volume
     assert (whole > 0.0 and dead_volume >= 0.0 and gamma >= 1.0 and ambient >= 0.0
-            and (not sealed or ambient + pressure > 0.0))
-    law = np.array([ambient + pressure, whole, gamma, ambient, float(sealed), dead_volume])
+            and ambient + pressure > 0.0)
+    law = np.array([ambient + pressure, whole, gamma, ambient, dead_volume])
     return Block("gas", faces, {"points": corners(points, faces), "law": law})
 
 
@@ -160,24 +158,19 @@ def kernels() -> Any:
     ):
         b = index[wp.tid()]
         ambient = law[3]
-        now = number_in[b] + law[5]
-        if law[4] == nought:
-            response_out[0, b] = law[0] - ambient
-            response_out[1, b] = nought
-            response_out[2, b] = -(law[0] - ambient) * (now - law[1])
-        else:
-            gamma = law[2]
-            held = wp.max(now, least * law[1])
-            ratio = law[1] / held
-            p = law[0] * wp.pow(ratio, gamma)
-            work = wp.log(ratio)
-            if gamma != real(1.0):
-                work = (wp.pow(ratio, gamma - real(1.0)) - real(1.0)) / (gamma - real(1.0))
-            response_out[0, b] = p - ambient
-            response_out[1, b] = gamma * p / held
-            response_out[2, b] = law[0] * law[1] * work + ambient * (held - law[1])
-            if now < held:
-                response_out[2, b] = infinite
+        now = number_in[b] + law[4]
+        gamma = law[2]
+        held = wp.max(now, least * law[1])
+        ratio = law[1] / held
+        p = law[0] * wp.pow(ratio, gamma)
+        work = wp.log(ratio)
+        if gamma != real(1.0):
+            work = (wp.pow(ratio, gamma - real(1.0)) - real(1.0)) / (gamma - real(1.0))
+        response_out[0, b] = p - ambient
+        response_out[1, b] = gamma * p / held
+        response_out[2, b] = law[0] * law[1] * work + ambient * (held - law[1])
+        if now < held:
+            response_out[2, b] = infinite
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(

@@ -50,7 +50,7 @@ class RestFactor:
         stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m]; S alone.
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
         points: places of the nodes (n, 3) [m], which guide the elimination.
-        coupling: g, supports not held (3 n,) [m^2], and c [Pa/m^3], 0 for an open chamber; None without a gas.
+        coupling: g, supports not held (3 n,) [m^2], and c [Pa/m^3]; None without a gas.
     """
 
     size: int

@@ -14,6 +14,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -253,23 +254,9 @@ def _triangles(points: np.ndarray, polygons: list[list[int]]) -> np.ndarray:
 
 
 def _cut(at: np.ndarray, polygon: list[int]) -> list[list[int]]:
-    """Triangles of a polygon: its ears, cut off one by one (Meisters 1975); a fan if it is convex."""
-    normal = np.cross(at, np.roll(at, -1, axis=0)).sum(axis=0)  # Newell's
-    across = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
-    x, y = (at @ np.stack([across, np.cross(normal, across)], axis=1)).T.tolist()
-
-    def turn(a: int, b: int, c: int) -> float:
-        return (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
-
-    def is_ear(k: int) -> bool:
-        a, b, c = ring[k - 1], ring[k], ring[(k + 1) % len(ring)]
-        return turn(a, b, c) > 0.0 and not any(min(turn(a, b, p), turn(b, c, p), turn(c, a, p)) >= 0.0
-                                               for p in ring if p not in (a, b, c))
-
-    ring, out = list(range(len(polygon))), []
-    while len(ring) > 3:
-        # a polygon that crosses itself, or has no area, has no ear
-        k = next((k for k in (*range(1, len(ring)), 0) if is_ear(k)), 1)
-        out.append([polygon[ring[k - 1]], polygon[ring[k]], polygon[ring[(k + 1) % len(ring)]]])
-        del ring[k]
-    return [*out, [polygon[r] for r in ring]]
+    """Triangles of a convex polygon with corners ``at`` (k, 3): the fan about its first corner."""
+    part = np.cross(at[1:-1] - at[0], at[2:] - at[0])
+    if (part @ part.sum(axis=0) < 0.0).any():
+        raise _Bad(f"a face of {len(polygon)} corners is not convex, and programs cut such a face in different ways; "
+                   f"make triangles of it")
+    return [[polygon[0], b, c] for b, c in pairwise(polygon[1:])]

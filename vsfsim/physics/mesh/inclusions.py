@@ -195,27 +195,16 @@ def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide
 
 
 def _freedom(solid: Solid) -> np.ndarray:
-    """Projector (n, 3, 3) onto the directions in which each vertex may move without changing the body's form."""
-    free = np.tile(np.eye(3), (len(solid.vertices), 1, 1))
+    """Projector (n, 3, 3) onto the directions in which each vertex may move without changing the body's form: those
+    across no face of the boundary at it."""
     faces, _ = boundary_faces(solid.tets)
     corner = solid.vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    at: dict[int, list[np.ndarray]] = {}
-    for face, n in zip(faces.tolist(), normal):
-        for v in face:
-            kinds = at.setdefault(v, [])
-            if not any(abs(float(n @ m)) > 1.0 - 1e-9 for m in kinds):
-                kinds.append(n)
-    for v, kinds in at.items():
-        if len(kinds) == 1:
-            free[v] = np.eye(3) - np.outer(kinds[0], kinds[0])
-        elif len(kinds) == 2:
-            along = np.cross(kinds[0], kinds[1])
-            free[v] = np.outer(along, along) / float(along @ along)
-        else:
-            free[v] = 0.0
-    return free
+    held = np.zeros((len(solid.vertices), 3, 3))
+    np.add.at(held, faces, (normal[:, :, None] * normal[:, None])[:, None])
+    value, axes = np.linalg.eigh(held)
+    return (axes * (value < 1e-9)[:, None]) @ axes.mT
 
 
 def _shortest_edges(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.formats import FORMATS, Facets, parse
+from vsfsim.physics.mesh.formats import FORMATS, parse
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 from vsfsim.physics.mesh.validity import joined
 
@@ -76,38 +76,30 @@ def content(shape: MeshFile) -> bytes:
                         "STL file, relative to the scene file.") from error
 
 
-def extents(shape: MeshFile) -> np.ndarray:
-    """Edges of the file's bounding box (3,) [m].
-
-    Raises:
-        MeshError: the file is unreadable, or the mesh has no faces or is not finite.
-    """
-    return _extents(shape, content(shape)).copy()
-
-
-@functools.lru_cache(maxsize=16)
-def _extents(shape: MeshFile, content: bytes) -> np.ndarray:
-    path = Path(shape.path)
-    found = _finite(parse(content, path), path)
-    size = np.ptp(found.vertices @ _UP[shape.up].T, axis=0)
-    return size * _metres_per_unit(shape, float(size.max()))
-
-
 def read_surface(shape: MeshFile) -> Surface:
-    """The surface of a mesh file, repaired.
+    """The surface of a mesh file, repaired, once in a process.
 
     Raises:
         MeshError: the file is unreadable, or the mesh has no faces, is not finite, is flat, or is too large or too
             small.
     """
+    return _repaired(shape, content(shape))
+
+
+@functools.lru_cache(maxsize=16)
+def _repaired(shape: MeshFile, content: bytes) -> Surface:
     path = Path(shape.path)
-    file = _finite(parse(content(shape), path), path)
+    file = parse(content, path)
+    used, faces = np.unique(file.faces, return_inverse=True)
+    vertices, faces = file.vertices[used] @ _UP[shape.up].T, faces.reshape(-1, 3)
+    if bad := int((~np.isfinite(vertices)).any(axis=1).sum()):
+        raise MeshError(f"mesh file '{path}': {bad} of {len(vertices)} vertices are not finite numbers (NaN or "
+                        "infinite); export the mesh again.")
     notes: list[str] = []
-    vertices = file.vertices @ _UP[shape.up].T
     if shape.up != "z":
         notes.append(f"Turned upright: the file's {shape.up} axis became z, as given.")
     longest = float(np.ptp(vertices, axis=0).max())
-    scale = _metres_per_unit(shape, longest)
+    scale = shape.scale if shape.scale is not None else 1e-3 if longest > LARGEST else 1.0
     if shape.scale is not None:
         notes.append(f"Scaled by {scale:g} metres per unit, as given.")
     elif scale != 1.0:
@@ -124,7 +116,7 @@ def read_surface(shape: MeshFile) -> Surface:
     if spread[2] < 1e-4 * spread[0]:
         raise MeshError(f"mesh file '{path}' is a flat sheet ({' x '.join(f'{e:.4g}' for e in size)} m) and "
                         "encloses no volume; give it thickness, e.g. with a solidify modifier.")
-    mesh = trimesh.Trimesh(*_joined(vertices, file.faces, notes, path), process=False)
+    mesh = trimesh.Trimesh(*_joined(vertices, faces, notes, path), process=False)
     _wind_alike(mesh, notes)
     _cap(mesh, notes)
     vertices, faces, parts, overlap = _by_nesting(np.asarray(mesh.vertices), np.asarray(mesh.faces), notes)
@@ -132,22 +124,6 @@ def read_surface(shape: MeshFile) -> Surface:
     mesh = trimesh.Trimesh(vertices - moved, faces, process=False)
     return Surface(vertices - moved, faces, centre + moved, parts,
                    bool(mesh.is_watertight and mesh.is_winding_consistent), overlap, tuple(notes))
-
-
-def _finite(file: Facets, path: Path) -> Facets:
-    used, faces = np.unique(file.faces, return_inverse=True)
-    vertices = file.vertices[used]
-    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-    if bad:
-        raise MeshError(f"mesh file '{path}': {bad} of {len(vertices)} vertices are not finite numbers (NaN or "
-                        "infinite); export the mesh again.")
-    return Facets(vertices, faces.reshape(-1, 3))
-
-
-def _metres_per_unit(shape: MeshFile, longest: float) -> float:
-    if shape.scale is not None:
-        return shape.scale
-    return 1e-3 if longest > LARGEST else 1.0
 
 
 def _joined(vertices: np.ndarray, faces: np.ndarray, notes: list[str], path: Path) -> tuple[np.ndarray, np.ndarray]:

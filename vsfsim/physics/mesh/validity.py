@@ -74,23 +74,23 @@ def refuse_loose(points: np.ndarray, nodes: np.ndarray, held: np.ndarray, where:
         points: nodes (n, 3) [m].
         nodes: of each tetrahedron, corners first (m, 4 or more).
         held: mask of the supported nodes (n,).
-        where: file and section, for messages.
+        where: file, section and supports, for messages.
 
     Raises:
         SceneError: a part whose held nodes lie on a line, or that has none.
     """
     body = body_of_each_tet(np.asarray(nodes[:, :4], np.int64))
-    if body.max() == 0:
-        return
     for part in range(body.max() + 1):
         mine = np.unique(nodes[body == part])
         grip = points[mine[held[mine]]]
         if len(grip) < 3 or np.linalg.matrix_rank(grip - grip.mean(axis=0),
                                                   tol=1e-6 * float(np.ptp(points, axis=0).max())) < 2:
-            raise SceneError(f"{where}: the body is in {body.max() + 1} parts that no face joins, and the part at "
-                             f"{_place(points[mine])} ({int((body == part).sum())} of {len(body)} tetrahedra) is held "
-                             f"at {len(grip)} nodes, too few to keep it in place. Join the parts, leave that one out, "
-                             f"or let fixed hold each of them.")
+            low, high = (f"[{', '.join(f'{v:.4g}' for v in corner)}]" for corner in (
+                points[mine].min(axis=0), points[mine].max(axis=0)))
+            one = f"one of {body.max() + 1} parts that no face joins" if body.any() else "the body"
+            raise SceneError(f"{where} holds {len(grip)} of {len(mine)} nodes of {one}, from {low} to {high} m in its "
+                             f"own frame, on a line at most: it could turn. Give a box [x0, y0, z0, x1, y1, z1] that "
+                             f"holds a face of it, join the parts, or turn the body in its file.")
 
 
 def _overlapping(tets: np.ndarray) -> np.ndarray:

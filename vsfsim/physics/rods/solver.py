@@ -30,7 +30,6 @@ from vsfsim.physics.rods.structs import (
     started,
 )
 
-SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
 MOST_CAPSULES = 31  # the contact search has a bit for each
 
 
@@ -64,8 +63,6 @@ class RodFrames:
     """Depth of the deepest point inside a capsule (T, B) [m]."""
     contacts: np.ndarray
     """Number of patches in contact, pairs of a fibre of the plant and a capsule (T, B)."""
-    force_balance: np.ndarray
-    """|force on the capsules - reaction| over the larger of force and reaction, or over 0.1 N (T, B) [-]."""
     nodes: np.ndarray | None
     """Positions of the nodes (T, B, N, 3) [m], or None."""
     turns: np.ndarray | None
@@ -188,9 +185,6 @@ class RodSolver:
         for values in (force, moment, reaction):
             values[~solved] = np.nan
         root, root_moment = reaction[..., :3], reaction[..., 3:]
-        whole = force.sum(axis=2)
-        size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
         return RodFrames(frames=done, force=force, moment=moment, reaction=root, reaction_moment=root_moment,
                          converged=solved & (of_frame["reason"] == 0), **of_frame,
-                         force_balance=np.linalg.norm(whole - root, axis=-1) / size,
                          nodes=of(out.x) if keep_nodes else None, turns=of(out.q) if keep_nodes else None)
