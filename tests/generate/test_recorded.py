@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from punyo_dome import HEIGHT, POWER
 from scipy.spatial import cKDTree
 from texts import text
 
@@ -21,7 +22,6 @@ from vsfsim.data.verify import summary_rows, verify
 from vsfsim.generate.recorded import clouds
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
 from vsfsim.generate.recorded.openvsf import GAUGE, Options, _on_arm, import_openvsf
-from vsfsim.physics.bubble.sensor import HEIGHT, POWER
 from vsfsim.physics.mesh.membrane import READ_OUT, closed, ellipse
 from vsfsim.robot.arm import Arm, body_torque
 from vsfsim.vsf.observe import normal_force_rows

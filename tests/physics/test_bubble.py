@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 from frame_checks import from_above
+from punyo_dome import punyo_rms, stretches
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.shape import Sphere
-from vsfsim.physics.bubble.sensor import build_bubble, punyo_rms, stretches
+from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.elements import gas
 from vsfsim.physics.mesh import membrane as membrane_mesh
 from vsfsim.physics.solve.frames import SolverOptions

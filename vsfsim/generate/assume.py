@@ -31,9 +31,9 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     # A path is made for a certain probe: the default one of the scene format.
     if scene.press is None and not isinstance(shape, Family):
         if isinstance(shape, MeshFile):
-            from vsfsim.physics.mesh.repair import extents  # imports trimesh
+            from vsfsim.physics.mesh.repair import read_surface  # imports trimesh
 
-            size = extents(shape)
+            size = read_surface(shape).extents
         else:
             size = np.array(extent(shape))
         radius = min(LARGEST_RADIUS, float(f"{RADIUS * size.min():.2g}")) or LARGEST_RADIUS

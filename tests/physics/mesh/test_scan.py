@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vsfsim.core.errors import MeshError
+from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics.mesh import scan
@@ -93,7 +93,7 @@ def test_refusals_give_the_reason(tmp_path: Path) -> None:
     refused(ball(radius=1.0), "huge.ply", "allowed is", scale=10.0)
     with pytest.raises(MeshError, match="cannot be read"):
         fill_mesh_file(MeshFile(str(tmp_path / "missing.stl")), resolution=0.02)
-    with pytest.raises(MeshError, match="coarser resolution"):
+    with pytest.raises(SceneError, match="coarser resolution"):
         ball().export(tmp_path / "fine.ply")
         fill_mesh_file(MeshFile(str(tmp_path / "fine.ply")), resolution=1e-5)
 

@@ -14,9 +14,6 @@ from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.mesh import structured as blocks
 
-# Beyond this the mesh would not fit in memory; a slip of units is the usual cause.
-MAX_CELLS = 2_000_000
-
 
 def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator | None = None,
                 focus: np.ndarray | None = None, parts: np.ndarray | None = None) -> Solid:
@@ -44,7 +41,7 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
         return fill_mesh_file(shape, resolution=resolution)
     if isinstance(shape, Family):
         return _family(shape, resolution, np.random.default_rng(0) if rng is None else rng)
-    _check_cells(shape, resolution)
+    blocks.check_cells(extent(shape), resolution, "[object]")
     nearest = None
     match shape:
         case Box(size):
@@ -70,12 +67,3 @@ def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid
         raise SceneError(f"[object] shape: the family '{shape.name}' is a plant, made of beams and touched by an "
                          f"[arm]; it is no solid body that can be pressed. Use `vsfsim generate`.")
     return module.build(shape.parameters, rng, resolution=resolution, where=f"[object] shape family '{shape.name}'")
-
-
-def _check_cells(shape: Box | Sphere | Cylinder | Rod, resolution: float) -> None:
-    edges = extent(shape)
-    cells = math.prod(math.ceil(edge / resolution) for edge in edges)
-    if cells > MAX_CELLS:
-        raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of "
-                         f"{' x '.join(f'{e:g}' for e in edges)} m into about {cells:.1e} cells, and "
-                         f"{MAX_CELLS:.0e} is the most; use a coarser resolution, and check that both are in metres.")

@@ -25,11 +25,10 @@ from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, level, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
 from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
+from vsfsim.physics.mesh.structured import check_cells
 from vsfsim.physics.mesh.surface_distance import nearest_on
 from vsfsim.physics.mesh.validity import body_of_each_tet, drop_pinches
 
-MAX_TETS = 2_000_000
-"""Largest estimated number of tetrahedra in the bounding box."""
 _FINER = tuple(0.5 ** (k / 2) for k in range(9))
 """Sizes of lattices that are tried, over the size asked for; the first is kept whose box and volume are within 2 %."""
 _ENOUGH = 0.05  # difference up to which a lattice is preferred to fTetWild, whose mesh differs from run to run [-]
@@ -94,14 +93,11 @@ def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, n
     are shifted against the surface (3,) [m], and notes.
 
     Raises:
-        MeshError: the mesh would have too many tetrahedra, encloses no volume, holds more than one object, or the
+        SceneError: the mesh would have too many cells.
+        MeshError: it encloses no volume, holds more than one object, or the
             filling is off by more than 10 % of it.
     """
-    cells = DENSITY * float(np.prod(surface.extents)) / resolution**3
-    if cells > MAX_TETS:
-        raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of "
-                        f"{' x '.join(f'{e:.3g}' for e in surface.extents)} m into about {cells:.1e} tetrahedra; use a "
-                        "coarser resolution, and check the scale.")
+    check_cells(surface.extents, resolution, f"mesh file '{path}'")
     volume = scan_volume(surface)
     if volume < 1e-4 * float(np.prod(surface.extents)):
         raise MeshError(f"mesh file '{path}' encloses no volume: {volume:.3g} m^3 of a bounding box of "

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.hexes import split_hexes, split_prisms
 from vsfsim.core.solid import tet_volumes
 
+# Beyond this a mesh would not fit in memory; a slip of units is the usual cause.
+MAX_CELLS = 2_000_000
 # Neighbouring cells of a graded grid differ by this factor at most; more shows up as error at the jump.
 GROWTH = 1.3
 # Far from the focus a cell is at most this many times larger than near it.
@@ -73,6 +77,19 @@ def box(size: tuple[float, float, float], resolution: float, *,
     parity = np.indices(shape).sum(axis=0).reshape(-1) % 2
     tets, _ = split_hexes(grid_hexes(index), parity * len(vertices) + np.arange(len(vertices)))
     return vertices, tets
+
+
+def check_cells(edges: Sequence[float] | np.ndarray, resolution: float, where: str) -> None:
+    """Refuse a bounding box of ``edges`` (3,) [m] with more than `MAX_CELLS` cells.
+
+    Raises:
+        SceneError: there are more.
+    """
+    cells = math.prod(math.ceil(edge / resolution) for edge in edges)
+    if cells > MAX_CELLS:
+        raise SceneError(f"{where}: resolution {resolution:g} m cuts a body of {' x '.join(f'{e:.4g}' for e in edges)} "
+                         f"m into about {cells:.1e} cells, and {MAX_CELLS:.0e} is the most; use a coarser resolution, "
+                         f"and check that both are in metres.")
 
 
 def grid_hexes(index: np.ndarray) -> np.ndarray:
