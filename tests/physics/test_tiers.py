@@ -150,9 +150,9 @@ def test_the_foot_of_a_scan_is_said_and_a_narrow_one_warned_of():
         return scan_foot(Solid(v, np.array([[0, 1, 2, 4]]), np.zeros(1, int), ("body",)))
 
     assert said(0.08) == (pytest.approx(0.001), (
-        'fixed = "bottom" holds the scan\'s base face, 80 x 80 mm under a body of 100 x 100 mm.'))
+        'fixed = "bottom" holds the scan\'s lowest 1 %, 1.0 mm: a foot of 80 x 80 mm under a body of 100 x 100 mm.'))
     assert said(0.02)[0] == pytest.approx(0.005)
-    assert "its lowest 5 %, 5.0 mm, a foot of 20 x 20 mm under a body of 100 x 100 mm" in said(0.02)[1]
+    assert "lowest 5 %, 5.0 mm: a foot of 20 x 20 mm under a body of 100 x 100 mm" in said(0.02)[1]
     assert ("may tip rather than be indented; fixed = [-0.051, -0.051, -0.001, 0.051, 0.051, 0.025] would hold its "
             "lowest quarter" in said(0.02)[1])
 

@@ -162,21 +162,15 @@ def scan_foot(solid: Solid) -> tuple[float, str]:
     """
     low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
     height, whole = float(high[2] - low[2]), (high - low)[:2]
-
-    def held(tolerance: float) -> np.ndarray:
-        return np.ptp(solid.vertices[solid.vertices[:, 2] <= low[2] + tolerance][:, :2], axis=0)
-
-    body = f"{1e3 * whole[0]:.0f} x {1e3 * whole[1]:.0f} mm"
-    base = held(BASE * height)
-    if (base >= NARROW * whole).all():
-        return BASE * height, (f"fixed = \"bottom\" holds the scan's base face, {1e3 * base[0]:.0f} x "
-                               f"{1e3 * base[1]:.0f} mm under a body of {body}.")
-    foot = held(FOOT * height)
-    note = (f"The scan has no flat base: fixed = \"bottom\" holds its lowest {100 * FOOT:g} %, "
-            f"{1e3 * FOOT * height:.1f} mm, a foot of {1e3 * foot[0]:.0f} x {1e3 * foot[1]:.0f} mm under a body of "
-            f"{body}.")
-    if (foot < NARROW * whole).any():
+    for part in (BASE, FOOT):
+        foot = np.ptp(solid.vertices[solid.vertices[:, 2] <= low[2] + part * height][:, :2], axis=0)
+        if wide := bool((foot >= NARROW * whole).all()):
+            break
+    note = (f"fixed = \"bottom\" holds the scan's lowest {100 * part:g} %, {1e3 * part * height:.1f} mm: a foot of "
+            f"{1e3 * foot[0]:.0f} x {1e3 * foot[1]:.0f} mm under a body of {1e3 * whole[0]:.0f} x "
+            f"{1e3 * whole[1]:.0f} mm.")
+    if not wide:
         box = ", ".join(f"{v:.3f}" for v in (*(low - 0.001), *(high[:2] + 0.001), low[2] + 0.25 * height))
         note += (f" On so narrow a foot the body may tip rather than be indented; fixed = [{box}] would hold its "
                  f"lowest quarter.")
-    return FOOT * height, note
+    return part * height, note
