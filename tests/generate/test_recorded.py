@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from punyo_dome import HEIGHT, POWER
 from scipy.spatial import cKDTree
 from texts import text
 
@@ -44,7 +43,7 @@ def punyo(mount):
     the dome first, in the frame of the arm's link that carries it; the area inside the rim [m^2]; and its ``mount``."""
     a, b = 0.05725, 0.040
     flat, faces, rim = ellipse(a, b, READ_OUT)
-    height = HEIGHT * np.clip(1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2, 0.0, None) ** POWER
+    height = 30.89e-3 * np.clip(1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2, 0.0, None) ** 0.763
     height[rim] = 0.0
     z = np.array([-0.39394, 0.0, 0.91914])  # openvsf's figures, see vsfsim/robot/gen3.xml
     x = np.array([0.91914, 0.0, 0.39394])

@@ -136,16 +136,13 @@ def test_a_ply_whose_header_does_not_say_what_follows_is_refused(old: str, new: 
 
 def test_polygons_are_cut_where_they_are_convex_and_refused_where_programs_differ() -> None:
     """Prisms over a hexagon and over an L of 3/4 of a square, whose ends are polygons of six corners."""
-    def prism(ring: list[tuple[float, float]]) -> bytes:
-        text = "".join(f"v {x} {y} {z}\n" for z in (0, 1) for x, y in ring)
-        text += "f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n" + "".join(
-            f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}\n" for k in range(6))
-        return text.encode()
-
-    found = parse(prism([(np.cos(a), np.sin(a)) for a in np.pi / 3.0 * np.arange(6)]), Path("hexagon.obj"))
-    assert gas.volume(found.vertices, found.faces) == pytest.approx(1.5 * np.sqrt(3.0))
+    hexagon = [(np.cos(a), np.sin(a)) for a in np.pi / 3.0 * np.arange(6)]
+    prisms = ["".join(f"v {x} {y} {z}\n" for z in (0, 1) for x, y in ring) + "f 6 5 4 3 2 1\nf 7 8 9 10 11 12\n"
+              + "".join(f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}\n" for k in range(6))
+              for ring in (hexagon, [(0.5, 0.5), (0.5, 1), (0, 1), (0, 0), (1, 0), (1, 0.5)])]
+    assert volume(prisms[0], "hexagon.obj") == pytest.approx(1.5 * np.sqrt(3.0))
     with pytest.raises(MeshError, match="a face of 6 corners is not convex"):
-        parse(prism([(0.5, 0.5), (0.5, 1), (0, 1), (0, 0), (1, 0), (1, 0.5)]), Path("l.obj"))
+        volume(prisms[1], "l.obj")
 
 
 def test_counts_are_compared_with_the_header() -> None:
