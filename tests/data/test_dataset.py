@@ -14,10 +14,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from filelock import FileLock
 from mock_dataset import contents
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.errors import DatasetError
+from vsfsim.core.system.file_lock import take
 from vsfsim.data import writer as writer_module
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
@@ -318,3 +320,15 @@ def test_a_dataset_larger_than_memory_is_read_a_few_views_at_a_time(tmp_path):
     peak(1)  # what is imported stays
     one, few, whole = peak(1), peak(KEPT + 1), peak(10)
     assert one < 0.7 * few and whole < 1.2 * few
+
+
+def test_without_locks_an_owner_is_refused_and_a_shard_goes_on(tmp_path, monkeypatch):
+    """On a file system without locks two owners would write one file; a shard's files are its own."""
+    def fails(lock):  # as a system does after it has made the file
+        Path(lock.lock_file).touch()
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(FileLock, "acquire", fails)
+    with pytest.raises(DatasetError, match=r"without locks.*Choose another --out, on a local disk"):
+        take(tmp_path / "owner.lock", tmp_path, DatasetError, needed=True)
+    assert take(tmp_path / "shard.lock", tmp_path, DatasetError)[1] == ""

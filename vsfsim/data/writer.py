@@ -259,7 +259,7 @@ class DatasetWriter:
             name, others = f"shard-{self.shard[0]}-of-{self.shard[1]}.lock", [*self.path.glob(LOCK)]
         for other in others:
             release(take(other, self.path, DatasetError)[0])
-        lock, before = take(self.path / name, self.path, DatasetError)
+        lock, before = take(self.path / name, self.path, DatasetError, needed=self.shard is None)
         if before:
             self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
         return lock

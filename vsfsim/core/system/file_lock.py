@@ -12,21 +12,23 @@ from filelock import FileLock, Timeout
 from vsfsim.core.errors import VsfsimError
 
 
-def take(path: Path, target: Path, error: type[VsfsimError]) -> tuple[FileLock, str]:
+def take(path: Path, target: Path, error: type[VsfsimError], *, needed: bool = False) -> tuple[FileLock, str]:
     """Lock the file ``path``, which is made if it is missing, its folder too, and write our process id into it.
 
     Args:
         path: of the lock; `release` removes it.
         target: what is written under the lock, for messages.
         error: the class of the errors.
+        needed: whether nothing may be written without a lock, as on a file system that has none.
 
     Returns:
         The lock, and the process id that was in the file: of a process that died while it held it, or "".
 
-    A process that is forked does not hold it. On a file system without locks nobody does, and everybody goes on.
+    A process that is forked does not hold it. On a file system without locks nobody does.
 
     Raises:
-        VsfsimError: of class ``error``; another process holds it, or the file cannot be written.
+        VsfsimError: of class ``error``; another process holds it, the file cannot be written, or the file system lacks
+            locks and one is needed.
     """
     lock = FileLock(path, timeout=0, thread_local=False)
     try:
@@ -37,6 +39,9 @@ def take(path: Path, target: Path, error: type[VsfsimError]) -> tuple[FileLock, 
             # a file that can be made and not locked lies on a file system without locks
             if isinstance(problem, Timeout) or not os.access(path, os.W_OK):
                 raise
+            if needed:
+                raise error(f"'{target}' lies on a file system without locks, where two processes could write one "
+                            f"file. Choose another --out, on a local disk.") from problem
         before = _content(path)
         path.write_text(f"{os.getpid()}\n")
     except Timeout:
