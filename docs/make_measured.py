@@ -33,29 +33,22 @@ def piped(head: list[str], rows: list[list[str]]) -> str:
 
 
 def leaderboard(task: str) -> str:
-    """The table of `vsfsim leaderboard`, without the columns that say how a row was made."""
-    from vsfsim.bench.leaderboard import collect, markdown
+    """The table of `vsfsim leaderboard`, without the column of evidence."""
+    from vsfsim.bench.leaderboard import CEILING, cells, collect, footnotes, markdown
     from vsfsim.bench.task import load_task
+    from vsfsim.core.plain_text import markdown as escaped
 
-    if task not in BOARDS:
-        BOARDS[task] = collect(load_task(task))
-    lines = markdown(BOARDS[task]).splitlines()
-    title = next(line for line in lines if "mean ± st" in line)
-    said = [line for line in lines if line.startswith(("of possible: ", "rank corr.: ", "† ", "no row of "))]
+    board = BOARDS[task] = BOARDS.get(task) or collect(load_task(task))
+    title = next(line for line in markdown(board).splitlines() if "mean ± st" in line)
+    said = [line for line in footnotes(board, escaped)
+            if line.startswith(("of possible: ", "rank corr.: ", "no row of "))]
     title += "." * bool(said) + "".join(f" {line[0].upper()}{line[1:]}." for line in said)
-    reasons: dict[str, list[str]] = {}
-    for line in lines:
-        if line.startswith("* "):
-            name, _, reason = line.removeprefix("* ").removesuffix(", not ranked").partition(": ")
-            reasons.setdefault(reason, []).append(name)
-    title += "".join(f" \\* Not ranked ({', '.join(dict.fromkeys(names))}): {reason}."
-                     for reason, names in reasons.items())
-    table = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    table = table[:next((k for k, row in enumerate(table) if row[0] == "method"), len(table))]  # ours, not the papers'
-    kept = [k for k, name in enumerate(table[0]) if name not in ("evidence", "adapt", "sandbox", "vsfsim")
-            and any(row[k] for row in table[2:])]
+    ceilings = dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING)
+    title += f" \\* Not ranked ({', '.join(ceilings)}): {CEILING}." if ceilings else ""
+    head, rows = cells(board, escaped)
+    kept = [k for k, name in enumerate(head) if name != "evidence" and any(row[k] for row in rows)]
     return (f"<!-- vsfsim leaderboard --task {task} -->\n{title}\n\n"
-            + piped([table[0][k] for k in kept], [[row[k] for k in kept] for row in table[2:]]))
+            + piped([head[k] for k in kept], [[row[k] for k in kept] for row in rows]))
 
 
 def boards() -> str:

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from papers.results import Found, on_other_data
 from papers.study import Study
 from vsfsim.bench.board.compare import ByObject, Paired, interval, paired
-from vsfsim.bench.leaderboard import interval_text, printed, unit_of
+from vsfsim.bench.leaderboard import interval_text, unit_of
 from vsfsim.core.text_table import text_table
 
 RANKING = "5"
@@ -69,8 +71,8 @@ def cells(study: Study, found: Mapping[str, Found]) -> tuple[list[str], list[lis
         values, apart = measured[v.name]
         ours = [*(interval_text(values[shot]) if shot in values else "" for shot in shots),
                 *(_difference(apart[shot]) if shot in apart else "" for shot in compared)]
-        rows.append([v.name, *(ours if v.name in found else ["missing", *ours[1:]][:len(ours)]),
-                     *(printed(v.paper.get(shot)) for shot in said)])
+        rows.append([v.name, *ours,
+                     *(" ± ".join(f"{x:.2f}" for x in np.ravel(v.paper.get(shot, ()))) for shot in said)])
     return head, rows
 
 

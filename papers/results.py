@@ -9,11 +9,11 @@ from pathlib import Path
 from papers.study import Study, Variant, load_study
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
-from vsfsim.bench.board.rows import SAME_READINGS, listed, row_sha256
+from vsfsim.bench.board.rows import listed, row_sha256
 from vsfsim.bench.commands.catalogue import on_device
 from vsfsim.bench.commands.release import dataset_of
 from vsfsim.bench.evaluate import make
-from vsfsim.bench.result import Result, readings_apart
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import Protocol, load_task, open_dataset
 from vsfsim.bench.trials.jobs import Evaluation
 from vsfsim.core.errors import VsfsimError
@@ -135,16 +135,16 @@ def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[i
 
 
 def on_other_data(found: Mapping[str, Found]) -> list[str]:
-    """Variants of the same query touches as the first one with other readings, by more than the same dataset differs by
-    when it is made again on a machine that rounds otherwise.
+    """Variants on the dataset of the first one, by its recipe, that were made on other bits of it.
 
     Args:
         found: results by variant.
     """
-    first = next(iter(found.values()), None)
-    apart = {name: readings_apart(one.result.readings, first.result.readings) for name, one in found.items()
-             } if first is not None else {}
-    return [name for name, difference in apart.items() if difference is not None and difference > SAME_READINGS]
+    names: dict[tuple[str, ...], list[str]] = {}
+    for name, one in found.items():
+        names.setdefault(tuple(dict.fromkeys(one.result.readings.get("object", ()))), []).append(name)
+    return [name for same in names.values() for name in same[1:]
+            if found[name].result.dataset_sha256 != found[same[0]].result.dataset_sha256]
 
 
 def release(names: Sequence[str], out: Path, workers: int, progress: Callable[[int, int, str], None]

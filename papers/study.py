@@ -125,15 +125,6 @@ class Study:
     claims: tuple[Asked, ...] = ()
     """Of the paper."""
 
-    def variant(self, name: str) -> Variant:
-        """Raises:
-            TaskError: there is none of this name.
-        """
-        found = {v.name: v for v in self.variants}
-        if name not in found:
-            raise TaskError(f"study {self.name} has no variant '{name}'. {did_you_mean(name, found)}")
-        return found[name]
-
     def task_of(self, variant: Variant) -> Task:
         """The task that a variant asks, with the study's shots and runs."""
         task = load_task(self.task)
@@ -223,7 +214,7 @@ def parse_study(text: str, path: Path) -> Study:
     for name in (name for asked in claims for name in asked.figures):
         figure(name)
     for name in (study.baseline, *(side[0] for asked in claims for side in (asked.better, asked.worse))):
-        study.variant(name)
+        one_of(name, {v.name for v in variants}, f"{path}: a variant")
     for v in variants:
         where = f"{path}: variant '{v.name}'"
         one_of(v.train, RULES, f"{where}: train")

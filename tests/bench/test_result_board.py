@@ -42,7 +42,7 @@ def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, t
     assert ranked == sorted(mean, key=mean.get) and [row.rank for row in board.rows] == [1, 2, 3, None, None]
     text = leaderboard.text(board)
     assert "stranger: other dataset (ffffffffffff), of which nothing is known, not ranked" in text
-    assert all(word in text for word in ("older: other text", "1.00 ± 0.10", "hPa", "not comparable"))
+    assert "older: other text" in text
     page = leaderboard.markdown(board)
     assert page.startswith("# toy-v1") and "| 1 | " + ranked[0] + " |" in page
 

@@ -8,8 +8,6 @@ import pytest
 from texts import text
 
 from vsfsim.baselines.near_springs import NearSprings
-from vsfsim.bench import predictions
-from vsfsim.bench.commands.inspect_result import by_kind
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record, specimen
 from vsfsim.bench.task import load_task, parse_task
@@ -87,18 +85,6 @@ def test_the_true_object_answers_other_presses_and_a_method_sees_what_presses(ma
     punch = record(view, task).queries[1].action
     flat, ball = method.predict([punch, dataclasses.replace(punch, probe=Sphere(0.008))])
     assert flat[-1, 0] > ball[-1, 0] == 0.0, "the face of the punch is 10 mm ahead of its centre, the ball 8 mm"
-
-
-def test_errors_are_told_by_what_presses(made, task, tmp_path, monkeypatch):
-    (tmp_path / "kinds.toml").write_text(text("kinds"))
-    monkeypatch.setattr("vsfsim.core.shelf.scenes", lambda: {"kinds": tmp_path / "kinds.toml"})
-    answers = {key: np.zeros((len(action.time), 1)) for q in predictions.questions(task, made)
-               for key, action in zip(q.keys, q.actions)}
-    np.savez(tmp_path / "zero.npz", **answers)
-    found = by_kind(predictions.score_predictions(tmp_path / "zero.npz", task, made, name="zero"), task)
-    assert found == {
-        '{"cylinder": [0.008, 0.02]}': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0)),
-        '{"sphere": 0.01} from the side': pytest.approx(dict.fromkeys(task.protocol.labels, 1.0))}
 
 
 def test_a_file_holds_the_shapes_and_refuses_a_press_without_one(made, tmp_path):

@@ -18,7 +18,6 @@ from papers.results import Found
 from papers.study import Asked, Study, Variant, load_study, studies
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
-from vsfsim.core import shelf
 
 TASK = "fewshot-shoes-v3-mini-v1"
 
@@ -127,7 +126,6 @@ def test_every_figure_is_a_cell_of_the_table():
     cells |= {(value, None) for table in TABLES.values() for value in table.alone.values()}
     cells |= {(number, None) for number in TABLES["Neural VSF I"].columns["F1"]}
     repeated = {(name, one.name): one.paper for name in studies() for one in load_study(name).variants}
-    repeated |= {(name, one.method): one.values for name in shelf.tasks() for one in load_task(name).paper}
     for where, values in repeated.items():
         assert cells.issuperset(v if isinstance(v, tuple) else (v, None) for v in values.values()), where
 

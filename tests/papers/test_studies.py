@@ -38,7 +38,8 @@ def result(values, shot="0"):
 
 def found(study, **values):
     protocol = load_task(TASK).protocol
-    return {name: Found(study.variant(name), result(given), Path(f"{name}.json"), protocol)
+    of = {v.name: v for v in study.variants}
+    return {name: Found(of[name], result(given), Path(f"{name}.json"), protocol)
             for name, given in values.items()}
 
 
@@ -65,7 +66,7 @@ def test_claims_are_decided_by_the_variants(study, more, answer, monkeypatch):
 
 
 def test_the_same_evaluation_has_one_file_in_all_studies(study):
-    half, every = study.variant("half"), study.variant("all")
+    every, half = study.variants
     other = parse_study(text("study", ("A toy", "Another")), Path("other.toml"))
     assert study.stem(half) == other.stem(half) and study.stem(half).startswith("sbml.tuned-")
     assert study.stem(half) != study.stem(dataclasses.replace(half, share_of_touches=0.5))
@@ -89,7 +90,7 @@ def test_a_shipped_study_asks_what_there_is(name):
 
 def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    half = study.variant("half")
+    half = study.variants[1]
     path = tmp_path / "results" / "studies" / TASK / f"{study.stem(half)}.json"
     path.parent.mkdir(parents=True)
     path.write_text("{")

@@ -10,8 +10,6 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
@@ -205,7 +203,8 @@ def table(board: Board) -> dict[str, Any]:
              "not_ranked_because": row.mark, "objects": {shot: dict(values) for shot, values in row.objects.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
-             "timing": dict(row.result.timing), "made_by": dict(row.result.made_by)} for row in board.rows]
+             "timing": dict(row.result.timing), "sandbox": row.result.isolation,
+             "made_by": dict(row.result.made_by)} for row in board.rows]
     return {"task": task.name, "metric": task.primary, "unit": unit_of(task.primary, task.observation.unit),
             "ranking_shot": task.ranking_shot, "higher_is_better": task.metric.higher_is_better,
             "dataset_sha256": board.dataset_sha256, "rows": rows}
@@ -214,49 +213,36 @@ def table(board: Board) -> dict[str, Any]:
 def text(board: Board) -> str:
     """The board for a terminal; its last column says which results shipped and which were made here."""
     head, rows = cells(board)
-    return _filled("board.txt", board, head, [[*cells, row.origin] for cells, row in zip(rows, board.rows)], plain)
+    shown = [[*cells, row.origin] for cells, row in zip(rows, board.rows)]
+    return filled("board.txt", **_shown(board, head, shown, footnotes(board))).rstrip()
 
 
 def markdown(board: Board) -> str:
     """The board as a page."""
-    return _filled("board.md", board, *cells(board, escaped), escaped) + "\n"
+    return filled("board.md", **_shown(board, *cells(board, escaped), footnotes(board, escaped))).rstrip() + "\n"
 
 
 def page(boards: Sequence[Board]) -> str:
     """Some boards as one HTML page that works offline."""
-    shown = []
-    for board in boards:
-        head, rows = cells(board)
-        title = filled("title.txt", **_titled(board))
-        shown.append({"task": board.task, "title": title, "head": head, "rows": rows, "notes": footnotes(board),
-                      "paper": published(board)})
+    shown = [_shown(board, *cells(board), footnotes(board)) for board in boards]
+    for one in shown:
+        one["title"] = filled("title.txt", **one)
     return filled("boards.html", boards=shown, today=date.today(), version=made_by()["vsfsim"])
 
 
-def _filled(template: str, board: Board, head: list[str], rows: list[list[str]], shown: Callable[[str], str]) -> str:
-    return filled(template, **_titled(board), head=head, rows=rows, notes=footnotes(board, shown),
-                  paper=published(board)).rstrip()
-
-
-def _titled(board: Board) -> dict[str, Any]:
-    return {"task": board.task, "unit": unit_of(board.task.primary, board.task.observation.unit)}
+def _shown(board: Board, head: list[str], rows: list[list[str]], notes: list[str]) -> dict[str, Any]:
+    unit = unit_of(board.task.primary, board.task.observation.unit)
+    return {"task": board.task, "unit": unit, "head": head, "rows": rows, "notes": notes}
 
 
 def score_table(result: Result, metric: str) -> str:
-    """One result for a terminal: every metric by shot."""
-    head, rows = score_cells(result, result.scores, metric)
-    return text_table([result.method, *head[1:]], rows)
-
-
-def score_cells(result: Result, scores: Mapping[str, Mapping[str, Score]], metric: str
-                ) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of a table of every metric by shot, that called ``metric`` first."""
+    """One result for a terminal: every metric by shot, that called ``metric`` first."""
     # a method without the function that the task ranks by has no such row
-    order = [*(m for m in (metric,) if m in scores), *(m for m in scores if m != metric)]
+    order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
     units = {name: unit_of(name, result.unit) for name in order}
-    return ["metric", *(f"{label}-shot" for label in result.shots)], [
-        [f"{name} [{unit}]" if unit else name, *(score_text(scores[name].get(label)) for label in result.shots)]
-        for name, unit in units.items()]
+    return text_table([result.method, *(f"{label}-shot" for label in result.shots)], [
+        [f"{name} [{unit}]" if unit else name, *(score_text(result.scores[name].get(label)) for label in result.shots)]
+        for name, unit in units.items()])
 
 
 def unit_of(metric: str, of_reading: str) -> str:
@@ -271,21 +257,17 @@ def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str],
     labels = task.protocol.labels
     ceiling = possible(board)
     head = ["#", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []), "rank corr.",
-            "evidence", "adapt", "sandbox", "vsfsim"]
+            "evidence"]
     rows, names = [], labels_of(board.rows)
     for row, label in zip(board.rows, names):
         by_shot = row.scores.get(task.primary, {})
         stiffness = row.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
-        adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
-        commit = str(row.result.made_by.get("commit") or "")[:7]
-        made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
         share = share_of_possible(row, ceiling, task.ranking_shot)
         values = [interval_text(row.objects[shot]) if row.objects and task.protocol.folds else
                   score_text(by_shot.get(shot)) for shot in labels]
         rows.append([str(row.rank or "-"), shown(label) + row.signs, *values,
                      *(["" if share is None else f"{share:.2f}"] if ceiling else []),
-                     score_text(stiffness), row.evidence, f"{adapt:.2f} s",
-                     shown(row.result.isolation or "-"), shown(made_by)])
+                     score_text(stiffness), row.evidence])
     return head, rows
 
 
@@ -313,18 +295,6 @@ def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
                   correlated=any("stiffness_spearman" in row.scores for row in board.rows)).splitlines()
 
 
-def published(board: Board) -> list[list[str]]:
-    """Head and rows of the literature, [] without any. In brackets stands the ratio to the 0-shot error of the paper's
-    zero Gaussian prior, which predicts zero."""
-    labels = board.task.protocol.labels
-    zero = {row.unit: float(np.ravel(row.values["0"])[0]) for row in board.task.paper
-            if "(zero)" in row.method and "0" in row.values}
-    rows = [[row.method, *(printed(row.values.get(label), zero.get(row.unit)) for label in labels), row.unit,
-             row.source + ("" if row.comparable else " (not comparable)")]
-            for row in board.task.paper]
-    return [["method", *(f"{label}-shot" for label in labels), "unit", "source"], *rows] if rows else []
-
-
 def score_text(score: Score | None) -> str:
     """A score with its deviation over runs, "" for none."""
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
@@ -334,11 +304,3 @@ def interval_text(values: ByObject) -> str:
     """A mean over objects with its standard error."""
     mean, error = interval(values)
     return f"{mean:.3f} ± {error:.3f}" if error == error else f"{mean:.3f}"
-
-
-def printed(value: float | tuple[float, float] | None, zero: float | None = None) -> str:
-    """A number of a paper, or its mean and standard deviation, with the mean's ratio to ``zero``; "" for none."""
-    if value is None:
-        return ""
-    numbers = value if isinstance(value, tuple) else (value,)
-    return " ± ".join(f"{v:.2f}" for v in numbers) + ("" if zero is None else f" ({numbers[0] / zero:.2f})")

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import functools
 import json
-import math
 import os
 import platform
 from collections.abc import Mapping
@@ -16,17 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.metrics import Answer, Score, scores_of
-from vsfsim.bench.result_file import (
-    SCHEMA_VERSION,
-    Count,
-    Size,
-    as_rows,
-    beside_zero,
-    checked,
-    pack,
-    pack_values,
-    read_json,
-)
+from vsfsim.bench.result_file import SCHEMA_VERSION, Count, Size, as_rows, beside_zero, checked, pack, read_json
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.plain_text import plain
 from vsfsim.core.system.interactive import html_table, new_figure
@@ -165,9 +154,8 @@ class Result:
         """
         path = Path(path)
         table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(),
-                 **{key: pack(getattr(self, key)) for key in ("queries", "readings", "maps")},
-                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data,
-                 "values": pack_values(self.values)}
+                 **{key: pack(getattr(self, key)) for key in ("queries", "readings", "maps", "values")},
+                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data}
         lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
                  for key, value in table.items()]
         write_atomic(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode(), error=TaskError)
@@ -205,22 +193,6 @@ class Result:
             if answer.value in self.answers:
                 out |= scores_of(answer, as_rows(self.answers[answer.value]), self.shots, self.seeds)
         return out
-
-
-def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float | None:
-    """Relative difference between two datasets' readings of the same query touches [-].
-
-    The square root of sum (|a| - |b|)^2 over sum |b|^2, where |.| is the Euclidean norm of a touch's readings; None
-    where the touches are not the same, or the readings are not kept.
-    """
-    if not one or not other:
-        return None
-    a, b = ({(name, touch): math.sqrt(ss) for name, touch, ss in zip(r["object"], r["touch"], r["ss"], strict=True)}
-            for r in (one, other))
-    if a.keys() != b.keys():
-        return None
-    size = math.fsum(v * v for v in b.values())
-    return math.sqrt(math.fsum((a[key] - b[key]) ** 2 for key in b) / size) if size > 0.0 else None
 
 
 def machine() -> dict[str, Any]:

@@ -79,6 +79,9 @@ LARGEST_NUMBER = 1e100
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 53)]
 Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
+Columns = dict[str, list[str | float | int | None]]
+Values = dict[str, dict[str, dict[str, Number]]]
+"""Of `vsfsim.bench.result.Result.values`."""
 _COLUMNS: dict[str, Any] = {
     **dict.fromkeys(("object", "shot"), list[str]), **dict.fromkeys(("sse", "ss", "truth", "mean"), list[Size]),
     **dict.fromkeys(("seed", "touch", "x", "y", "z"), list[Count]),
@@ -104,8 +107,8 @@ class _Packed(msgspec.Struct):
     data: str
 
 
-def unpack(value: Mapping[str, Any]) -> dict[str, list]:
-    """The columns in a JSON value of `pack`; a table of lists as it is.
+def unpack(value: Mapping[str, Any], kind: Any = Columns) -> Any:
+    """What is in a JSON value of `pack`, of a kind; a table that is not packed as it is.
 
     Raises:
         ValueError: it is malformed, or announces more than it holds.
@@ -120,32 +123,7 @@ def unpack(value: Mapping[str, Any]) -> dict[str, list]:
         raise ValueError(f"a packed table cannot be decompressed: {error}") from error
     if len(content) != table.size:
         raise ValueError(f"a packed table does not hold the {table.size} bytes that it announces")
-    columns = msgspec.msgpack.decode(content, type=dict[str, list[str | float | int | None]])
-    shown = {word: plain(word) for column in columns.values() for word in set(column) if isinstance(word, str)}
-    return {name: [shown[one] if isinstance(one, str) else one for one in column] for name, column in columns.items()}
-
-
-def pack_values(values: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Any]:
-    """`vsfsim.bench.result.Result.values` as a JSON value: a column of the objects' names and one each metric and shot;
-    `unpack_values` takes it back."""
-    names = sorted({name for by_shot in values.values() for of in by_shot.values() for name in of})
-    return pack({"object": names, **{f"{metric} {shot}": [of.get(name) for name in names] for metric, by_shot in
-                                     values.items() for shot, of in by_shot.items()}} if names else {})
-
-
-def unpack_values(given: Mapping[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
-    """The values in a JSON value of `pack_values`.
-
-    Raises:
-        ValueError, KeyError: it is malformed.
-    """
-    columns, out = unpack(given), dict[str, dict[str, dict[str, float]]]()
-    names = columns.pop("object", [])
-    for key, column in msgspec.convert(columns, dict[str, list[Number | None]]).items():
-        metric, shot = key.split(" ")
-        out.setdefault(metric, {})[shot] = {
-            name: value for name, value in zip(names, column, strict=True) if value is not None}
-    return out
+    return _cleaned(msgspec.msgpack.decode(content, type=kind))
 
 
 def read_json(path: Path) -> Any:
@@ -180,7 +158,7 @@ def checked(given: Mapping[str, Any], kind: type) -> Any:
     kept = given.get("answers") or {}
     tables["answers"] = {answer.value: columns(kept[answer.value], columns_of(answer), some=True)
                          for answer in Answer if answer.value in kept}
-    tables["values"] = unpack_values(given.get("values") or {})
+    tables["values"] = msgspec.convert(unpack(given.get("values") or {}, Values), Values)
     told = {key: value for key, value in given.items() if key not in (*tables, "data")}
     out: Any = msgspec.convert({**_cleaned(told), "queries": {}}, kind)
     for metric, by_shot in out.scores.items() if not tables["values"] else ():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -138,22 +137,6 @@ class Protocol:
 
 
 @dataclass(frozen=True)
-class PaperRow:
-    """``[[paper]]``: a row of a table in the literature, shown beside ours."""
-
-    method: str
-    """As the paper calls it."""
-    source: str
-    """Paper and table."""
-    unit: str
-    """Of its numbers."""
-    comparable: bool
-    """False where the data or the quantity differ, so that the numbers are context only."""
-    values: Mapping[str, float | tuple[float, float]]
-    """Mean, or mean and standard deviation, by shot label, in ``unit``."""
-
-
-@dataclass(frozen=True)
 class Task:
     """One task."""
 
@@ -175,8 +158,6 @@ class Task:
     """Name of the metric that ranks."""
     ranking_shot: str
     """The shot that ranks, e.g. "5"."""
-    paper: tuple[PaperRow, ...]
-    """Rows of the literature."""
     sha256: str
     """Of the task file's text."""
 
@@ -208,7 +189,7 @@ class Task:
         if wanted is None:
             raise TaskError(f"task {self.name} names no development objects ([dataset] development in its file). Give "
                             f"seed-N, for other objects of seed N.")
-        return replace(self, name=f"{self.name}-{objects}", dataset=wanted, development=None, paper=(),
+        return replace(self, name=f"{self.name}-{objects}", dataset=wanted, development=None,
                        description=f"{self.description} On {objects} objects; never ranked.",
                        sha256=text_sha256(f"{self.sha256}-{objects}"))
 
@@ -241,6 +222,7 @@ def load_task(given: str | Path) -> Task:
 def parse_task(text: str, path: str | Path) -> Task:
     """Like `load_task`, from text; ``path`` names it in messages."""
     tree = parse_toml(text, Path(path), "task", TaskError)
+    # [[paper]], which released tasks have, is for who reads the file: studies hold the papers' figures
     at = {key: f"{path} [{key}]" for key in ("dataset", "protocol", "observation", "noise", "metrics", "paper")}
     wanted = typed(tree.get("dataset"), DatasetWanted, at["dataset"], also=("development",))
     development = None
@@ -263,14 +245,10 @@ def parse_task(text: str, path: str | Path) -> Task:
     if ranking not in protocol.labels:
         raise TaskError(f"{at['metrics']}: ranking_shot is {ranking}; it must be one of the shots: "
                         f"{', '.join(protocol.labels)}.")
-    rows = table.value(tree.get("paper", []), table.Rows, f"{path}: paper", TaskError)
-    paper = tuple(typed(row, PaperRow, f"{path} [[paper]] {k + 1}") for k, row in enumerate(rows))
-    for k, label in ((k, label) for k, row in enumerate(paper) for label in row.values):
-        one_of(label, protocol.labels, f"{path} [[paper]] {k + 1}: a shot of values")
     reads = table.check_keys(tree.get("observation"), at["observation"], ("kind",), TaskError)
     found = typed(tree, Task, str(path), also=tuple(at), dataset=wanted, development=development, protocol=protocol,
                   observation=observation(str(reads.get("kind", "")), at["observation"]), noise=noise, primary=primary,
-                  ranking_shot=ranking, paper=paper, sha256=text_sha256(_NOT_COUNTED.sub("", text) + (
+                  ranking_shot=ranking, sha256=text_sha256(_NOT_COUNTED.sub("", text) + (
                       "" if protocol.unresolved == "scored" else "unresolved left out")))
     if not re.fullmatch(r"[a-z0-9-]+-v\d+", found.name):
         raise TaskError(f"{path}: name is {found.name!r}; a task's name ends in its version, e.g. "

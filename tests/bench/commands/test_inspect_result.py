@@ -43,7 +43,7 @@ def test_the_worst_object_and_touch_come_first(kept, task, toy_views):
 def test_a_task_on_its_development_objects_is_another_task(task_text, toy_dataset, tmp_path):
     task = parse_task(task_text.replace("tier", DEVELOPED), "toy-v1.toml")
     other = task.on("development")
-    assert other.name == "toy-v1-development" and other.sha256 != task.sha256 and not other.paper
+    assert other.name == "toy-v1-development" and other.sha256 != task.sha256
     assert (other.dataset.folder, other.dataset.seed) == ("toy-development", 5) and other.development is None
     with pytest.raises(TaskError, match="--seed 5"):
         evaluate("toy_methods:Constant", other, tmp_path / "nowhere")

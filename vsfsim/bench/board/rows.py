@@ -27,8 +27,8 @@ import numpy as np
 from vsfsim.bench.board.compare import ByObject, by_object, paired
 from vsfsim.bench.commands.catalogue import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
-from vsfsim.bench.metrics import METRICS, Answer, Score, metrics_of
-from vsfsim.bench.result import Result, readings_apart
+from vsfsim.bench.metrics import METRICS, Answer, Score
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.core import table
 from vsfsim.core.errors import MethodError, TaskError
@@ -215,33 +215,20 @@ def _table(name: str, kind: Any) -> Any:
     return table.value(tree, kind, str(path), TaskError)
 
 
-SAME_READINGS = 1e-3
-"""Datasets whose readings differ by less, by `result.readings_apart`, count as the same dataset made on a machine with
-other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
-has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
-_ROUNDING = 1e-8  # of the nine digits of a score that ships
 _SAME_SCORE = 1e-4
-"""Relative difference below which two scores on such datasets count as one result."""
+"""Relative difference below which two scores count as one result: a machine with other rounding changes an error by
+1e-8 where a touch has a unique equilibrium."""
 _OTHER_SCORE = 0.02
 """The same, above which one method on one task cannot have given both."""
 
 
 def is_same(result: Result, before: Result) -> bool:
-    """Whether two results are the same one. One of them may be from a machine with other rounding; the scores
-    decide."""
-    names, tolerance = list(result.scores), _ROUNDING
-    if result.dataset_sha256 != before.dataset_sha256:
-        apart = readings_apart(result.readings, before.readings)
-        if apart is None or not apart < SAME_READINGS or result.scores.keys() != before.scores.keys():
-            return False
-        names = [metric.name for metric in metrics_of(Answer.READINGS) if metric.name in result.scores]
-        tolerance = _SAME_SCORE
-    if not _of_one_method(result, before) or any(
-            result.scores[name].keys() != before.scores.get(name, {}).keys() for name in names):
-        return False
-    pairs = [(result.scores[name][shot], before.scores[name][shot]) for name in names for shot in result.scores[name]]
-    return all(math.isclose(a, b, rel_tol=tolerance) for one, other in pairs  # a row that ships has means alone
-               for a, b in zip((one.mean, *one.per_seed), (other.mean, *other.per_seed), strict=False))
+    """Whether two results are the same one; the scores of their readings decide, since a pixel that rounding moves
+    changes where stiffness is probed."""
+    of, other = ({(name, shot): score.mean for name, by_shot in r.scores.items() for shot, score in by_shot.items()
+                  if name in METRICS and METRICS[name].answer is Answer.READINGS} for r in (result, before))
+    return _of_one_method(result, before) and of.keys() == other.keys() and all(
+        math.isclose(mean, other[key], rel_tol=_SAME_SCORE) for key, mean in of.items())
 
 
 def _of_one_method(one: Result, other: Result) -> bool:

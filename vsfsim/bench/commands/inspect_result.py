@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
 from vsfsim.bench.board.compare import by_object
@@ -15,11 +13,8 @@ from vsfsim.bench.board.templates import filled
 from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result
-from vsfsim.bench.task import Task, load_task
-from vsfsim.core import shelf
+from vsfsim.bench.task import load_task
 from vsfsim.core.errors import TaskError, did_you_mean
-from vsfsim.core.scene import load_scene
-from vsfsim.core.shape import probe_table
 
 MOST_LINES = 12
 """Touches in the text."""
@@ -45,37 +40,18 @@ def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
     objects = {label: by_object(result, metric, label) for label in result.shots}
     touches = _touches(result, shot)
     order = sorted(objects[shot], key=lambda name: objects[shot][name], reverse=not METRICS[metric].higher_is_better)
-    kinds = by_kind(result, load_task(result.task)) if result.task in shelf.tasks() else {}
     page = filled("inspect.txt", scores=Markup(score_table(result, metric)), result=result, metric=metric, shot=shot,
                   head=["object", *(f"{label}-shot" for label in result.shots)],
                   objects=[[name, *(_written(of.get(name)) for of in objects.values())] for name in order],
                   units=[f"{label}-shot [{result.unit}]" for label in result.shots],
                   touches=[[t["view"], str(t["touch"]), *(_written(t["rmse"][label]) for label in result.shots),
-                            _written(t["share"])] for t in touches[:MOST_LINES]],
-                  presses=[[name, *(_written(of[label]) for label in result.shots)] for name, of in kinds.items()],
-                  path=str(path))
+                            _written(t["share"])] for t in touches[:MOST_LINES]], path=str(path))
     return page, {"task": result.task, "method": result.method, "metric": metric, "shot": shot, "objects": objects,
-                  "presses": kinds, "touches": touches}
+                  "touches": touches}
 
 
 def _written(value: float | None) -> str:
     return f"{value:.3f}" if value is not None and math.isfinite(value) else ""
-
-
-def by_kind(result: Result, task: Task) -> dict[str, dict[str, float]]:
-    """Of a task with ``transfer``, the root of the summed squared errors over that of predicting zero [-], by what
-    presses and by shot; {} for other tasks."""
-    if not task.protocol.transfer:
-        return {}
-    scene = load_scene(shelf.find_scene(task.dataset.scene)).sample(0)
-    names = [json.dumps(probe_table(press.probe)) + (" from the side" if press.required_touches.level else "")
-             for press in scene.presses]
-    sums: dict[str, dict[str, np.ndarray]] = {}
-    for row in result.rows:
-        of = sums.setdefault(names[scene.required_touches.kind(row["touch"])], {})
-        of[row["shot"]] = of.get(row["shot"], np.zeros(2)) + [row["sse"], row["ss"] or 0.0]
-    return {name: {shot: math.sqrt(error / zero) if zero > 0.0 else math.nan for shot, (error, zero) in of.items()}
-            for name, of in sorted(sums.items())}
 
 
 def _asked(result: Result) -> tuple[str, str]:

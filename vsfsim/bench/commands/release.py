@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.board.rows import Part, plan
 from vsfsim.bench.commands.catalogue import Choice, preset
@@ -75,8 +77,10 @@ def _make(name: str, part: Part, out: Path, workers: int, progress: Progress, st
     """What is there now of a task, and "" or why it could not be made."""
     task, known, seconds = load_task(name), list[Path](), dict[str, float]()
     data = dataset_of(task, workers)
-    if fingerprint.shipped_record(task) is None:
-        fingerprint.save_record(fingerprint.make_record(task, data), fingerprint.record_path(task))
+    record = fingerprint.shipped_record(task)
+    if record is None or record.dataset_sha256 != data.sha256:  # the rows stand on the data of this machine
+        new, again = fingerprint.make_record(task, data), record.again if record is not None else 0.0
+        fingerprint.save_record(msgspec.structs.replace(new, again=again), fingerprint.record_path(task))
     for key in part.rows:
         method, _, settings = key.partition(".")
         row = preset(method, settings, task.observation.name, task.metric.answer.value) if settings else (

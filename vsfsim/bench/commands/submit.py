@@ -10,11 +10,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from vsfsim.bench.board.compare import paired
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.identity import contents_of
-from vsfsim.bench.leaderboard import Board, Row, collect, interval_text, score_table
+from vsfsim.bench.leaderboard import Row, collect, score_table
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import OTHERS, Task, load_task
 from vsfsim.core.errors import TaskError
@@ -55,7 +54,8 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     name = file_stem(f"{result.method}.{result.preset}" if result.preset else result.method)
     target, text = out / "leaderboard" / task.name / f"{name}.json", out / "PULL_REQUEST.md"
     write_atomic(target, path.read_bytes(), error=TaskError)
-    place, package = _place(board, row), result.package
+    package, ranked = result.package, [one for one in board.rows if one.rank is not None]
+    place = f"rank {row.rank} of {len(ranked)} on {task.name}"
     install = shlex.join(["pip", "install", f"{package['name']}=={package['version']}"]) if (
         package.get("name") not in (None, "", "vsfsim")) else ""
     page = filled("pull_request.md", result=result, task=task, place=place, file=str(target.relative_to(out)),
@@ -101,16 +101,3 @@ def _other_source(result: Result) -> str:
     here = contents_of(result.method, result.parameters, opened=result.contents)
     odd = [key for key, value in result.contents.items() if key != "the harness" and here.get(key) != value]
     return f"{' and '.join(odd)} changed since; evaluate again" if odd else ""
-
-
-def _place(board: Board, row: Row) -> str:
-    """Where the row would stand."""
-    ranked = [one for one in board.rows if one.rank is not None]
-    shot, best, words = board.task.ranking_shot, ranked[0], f"rank {row.rank} of {len(ranked)} on {board.task.name}"
-    if not row.objects:
-        return words
-    words += f": {board.task.primary} {interval_text(row.objects[shot])} at {shot}-shot"
-    if row is best:
-        return words
-    apart = paired(row.objects[shot], best.objects[shot])
-    return f"{words}; {apart.mean:+.3f} ± {apart.error:.3f} from {best.result.method}, object by object"
