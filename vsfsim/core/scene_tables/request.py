@@ -18,7 +18,7 @@ class Request:
     seed: int = 0
     """Root of all random numbers."""
     tier: str | None = None
-    """Fidelity, from the cheapest: vsf, linear, fem-coarse, fem, fem-fine; default: the scene's."""
+    """Fidelity, from the cheapest: linear, fem-coarse, fem, fem-fine; default: the scene's."""
     device: str = "cpu"
     """Warp device: cpu or cuda:0."""
     progress: Callable[[int, int, str], None] | None = None
