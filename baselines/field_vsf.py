@@ -32,7 +32,7 @@ class NeuralVsf:
         iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.fields.neural.Fitting`. The
             paper's iterations, batch 1,000, samples 100 and rate 2e-4 take minutes an object on a CPU.
         octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not give the
-            number; 6 is ours. Where a frame has only one force, 2 find buried ropes far better (docs/studies.md).
+            number; 6 is ours. Where a frame has only one force, 2 find buried ropes far better.
         margin: by which the box of the field is wider than the visible cloud [m].
         table_height: z of the table [m].
         depth: greatest depth of the points at which `locate` evaluates the field [m].

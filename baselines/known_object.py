@@ -3,7 +3,7 @@
 The papers register the object's surface to the stiff points, in all six degrees of freedom
 (`vsfsim.vsf.pose.stiffness_pose`; ``pose="registration"`` of a method). On the training objects of
 localization-mini-v1 that turns most objects upside down, while the outline of the stiff columns
-(`vsfsim.vsf.pose.outline_pose`) finds the angle within a few degrees. docs/methods.md has both figures.
+(`vsfsim.vsf.pose.outline_pose`) finds the angle within a few degrees.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class PointVsf(PosteriorAnswers):
         spacing: distance of the particles [m] (SBML appendix B.2: 5 mm for shoes).
         friction: Coulomb coefficient of the stick-slip motion [-]; 0 fits scenes without friction.
         noise_std: of a reading [N]. It includes what the particle model cannot explain, which is more than the sensor's
-            0.15 N: with 0.15 N the Gaussian prior's error on fewshot-shoes-mini-v1 no longer falls with every touch.
+            0.15 N.
         prior_std: of a spring constant [N/m]; the default is some hundred times the constant of a particle of
             a shoe's upper.
         margin: widening of the box around the visible cloud [m].

@@ -51,11 +51,9 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
         friction: Coulomb coefficient of the stick-slip motion [-].
         noise_std: of a reading, in its unit. The error of the particle model is some newtons and common to a whole
-            touch, while eq. 15 treats its ten readings as independent; 3 N is 1 N times sqrt(10). docs/methods.md has
-            figures.
+            touch, while eq. 15 treats its ten readings as independent; 3 N is 1 N times sqrt(10).
         noise_share: fraction of a touch's largest reading by which the particle model errs besides (in eq. 15 and 16).
-            With 0, as in the paper, stiff objects determine the mean, which then lies far above most objects;
-            docs/studies.md has figures.
+            With 0, as in the paper, stiff objects determine the mean, which then lies far above most objects.
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
