@@ -249,12 +249,16 @@ def nearest_faces(
             return
     least = near
     least_facing = near
+    most = real(1e30)  # that the nearest face is away at most
+    for f in range(wp.where(facing < real(1.0), 0, faces.shape[1])):
+        ball = ball_in[b, f]
+        most = wp.min(most, wp.length(p - vec3(ball[0], ball[1], ball[2])) + ball[3])
     height = real(0.0)
     known = int(0)  # noqa: UP018, RUF046  Warp variables, not constants: they change in a loop
     face = int(-1)  # noqa: UP018, RUF046
     for f in range(faces.shape[1]):
         ball = ball_in[b, f]
-        if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least_facing:
+        if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < wp.min(least_facing, most):
             v, c, n = closest_point.nearest(p, b, f, nodes, faces, x_in)
             if wp.length(p - c) < least_facing and wp.dot(n, outward[b, s]) < facing:
                 least_facing = wp.length(p - c)

@@ -110,8 +110,8 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
             another body than the nearest holds nothing.
 
     Returns:
-        ``evaluate``, ``update_friction`` and ``end_step``, to be launched over (f, k) with (points, columns (k,)), the
-        struct ``Points``, and what ``make`` has made.
+        ``evaluate``, ``update_friction`` and ``end_step``, to be launched over (f, k) with (points, columns (k,)); the
+        function ``find`` (c, b, f) that evaluates one part; the struct ``Points``, and what ``make`` has made.
     """
     # loops over the points of a part end at a variable: unrolled, their six copies take Warp seconds to compile
     most_anchorings = wp.constant(friction.ANCHORINGS)
@@ -151,10 +151,8 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
         # whether the owner of an anchor holds a point that is at j
         return owner == j or (apart and owner >= 0)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def evaluate(c: Struct, columns: wp.array(dtype=wp.int32)):
-        f, k = wp.tid()
-        b = columns[k]
+    @wp.func(module=module)
+    def find(c: Struct, b: int, f: int):
         energy = real(0.0)
         wrong = int(0)  # noqa: UP018, RUF046
         corner = c.x[b, c.local[b, f, 0]]
@@ -220,6 +218,11 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
         c.wrong_side[b, f] = wrong
 
     @wp.kernel(module=module, enable_backward=False)
+    def evaluate(c: Struct, columns: wp.array(dtype=wp.int32)):
+        f, k = wp.tid()
+        find(c, columns[k], f)
+
+    @wp.kernel(module=module, enable_backward=False)
     def update_friction(c: Struct, columns: wp.array(dtype=wp.int32)):
         # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         f, k = wp.tid()
@@ -261,5 +264,5 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
                 if not friction.sticks(wp.length(d), v, c.limit[b, f, q]):
                     drags(c, b, f, q, at, d, c.limit[b, f, q] / v)
 
-    return SimpleNamespace(evaluate=evaluate, update_friction=update_friction, end_step=end_step, Points=Struct,
-                           **vars(source))
+    return SimpleNamespace(find=find, evaluate=evaluate, update_friction=update_friction, end_step=end_step,
+                           Points=Struct, **vars(source))

@@ -55,7 +55,6 @@ class Arrays:
     origin: wp.array2d(dtype=vec3)  # origins of the bodies where their springs give way by nothing [m]
     give: wp.array(dtype=real)
     excess: wp.array(dtype=real)
-    searches: wp.array(dtype=wp.int32)  # whether `give` is still sought
 
 
 class Springs:
@@ -77,8 +76,8 @@ class Springs:
     def __init__(self, mount: Mount, bodies: int, device: str):
         self.arrays, found = bound(Arrays, {"stiffness": mount.stiffness, "axis": np.asarray(mount.axis, float)},
                                    (len(mount.axis), bodies), device)
-        self.stiffness, self.axis, self.give, self.excess, self.searches, self.origin = mount.stiffness, *(
-            found[name] for name in ("axis", "give", "excess", "searches", "origin"))
+        self.stiffness, self.axis, self.give, self.excess, self.origin = mount.stiffness, *(
+            found[name] for name in ("axis", "give", "excess", "origin"))
         self._seen = self.give.clone()  # where the bodies were when the local indentation was set
 
     def poses(self, plan: np.ndarray) -> np.ndarray:

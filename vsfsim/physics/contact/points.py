@@ -164,24 +164,22 @@ class Contact:
         """Forces at the contact points (k, p, 3) [N] as forces on the nodes (k, 3 s) [N]."""
         return nodal_sums(*self.faces(columns), force, self.free.shape[1] // 3).flatten(1)
 
-    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> ContactStiffness:
-        """Contact stiffness on the patches, in series with springs that carry the bodies.
+    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor, *,
+                  block: bool) -> tuple[ContactStiffness, ContactStiffness | None]:
+        """Contact stiffness on the patches, in series with springs that carry the bodies; and for a ``block`` the one
+        without any geometric term, in series with the compliance of the bodies at rest, too.
 
         ``geometric``: the touches whose stiffness has its geometric term (k,) bool; deep inside a body that term is
         large and wrong."""
-        own = self.assembled(columns, geometric)
-        return own if self.springs is None else own.in_series(self.springs.compliance(columns, own.dof))
-
-    def assembled(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> ContactStiffness:
-        """The same of bodies that do not give way."""
-        turn = self.turn and (self.turn[0], self.turn[1][columns])
-        return assembled(*self.faces(columns), self.own_stiffness(columns, geometric), self.free[columns],
-                         whole=self.has_friction, turn=turn)
-
-    def block(self, columns: torch.Tensor) -> ContactStiffness:
-        """The contact stiffness in series with the compliance of the bodies at rest, and of springs."""
-        own = self.assembled(columns)
-        compliance = self.response.between(columns, own.dof)
+        own, plain = self.assembled(columns, geometric)
+        compliance = self.response.between(columns, plain.dof) if block else 0.0
         if self.springs is not None:
-            compliance = compliance + self.springs.compliance(columns, own.dof)
-        return own.in_series(compliance)
+            springs = self.springs.compliance(columns, own.dof)
+            own, compliance = own.in_series(springs), compliance + springs
+        return own, plain.in_series(compliance) if block else None
+
+    def assembled(self, columns: torch.Tensor, geometric: torch.Tensor) -> list[ContactStiffness]:
+        """Those of bodies that do not give way, with the geometric term of some touches and without."""
+        turn = self.turn and (self.turn[0], self.turn[1][columns])
+        each = torch.stack([self.own_stiffness(columns, geometric), self.own_stiffness(columns)], dim=2)
+        return assembled(*self.faces(columns), each, self.free[columns], whole=self.has_friction, turn=turn)

@@ -20,7 +20,7 @@ from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.kernels import bound
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, lacks_something
-from vsfsim.physics.contact.mount import TRIALS, Mount, Springs
+from vsfsim.physics.contact.mount import Mount, Springs
 from vsfsim.physics.contact.patch import CUTS, NO_PART, Patch, at_points, make_patch, neighbours, sheet_contact
 from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.contact.reach import plan
@@ -147,9 +147,7 @@ class RigidContact(Contact):
 
     def own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
         own = self._stiff[columns]
-        if geometric is not None:
-            own[geometric] += self._geometric[columns[geometric]]
-        return own
+        return own if geometric is None else own + geometric[:, None, None, None] * self._geometric[columns]
 
     def _place(self, bodies: list[torch.Tensor], pose: np.ndarray) -> None:
         for own, values in zip(bodies, (pose[..., :3, 3], pose[..., :3, :3]), strict=True):
@@ -227,13 +225,8 @@ class RigidContact(Contact):
         if self.springs is None:
             self._launch(self.kernels.evaluate, columns)
             return
-        for left in reversed(range(TRIALS + 1)):
-            wp.launch(self.kernels.settle, len(columns), device=self.device, inputs=[
-                self._points, wp.from_torch(columns.to(torch.int32)), self.springs.arrays, left])
-            columns = columns[self.springs.searches[columns] > 0]
-            if not len(columns):
-                return
-            self._launch(self.kernels.evaluate, columns)
+        wp.launch_tiled(self.kernels.settle, dim=[len(columns)], block_dim=256, device=self.device, inputs=[
+            self._points, wp.from_torch(columns.to(torch.int32)), self.springs.arrays])
 
     def friction_state(self) -> Any:
         """See `Contact`, with the points."""
@@ -258,7 +251,8 @@ class RigidContact(Contact):
         return self.nodal_of(columns, self.force[columns])
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
-        return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
+        each = torch.arange(len(self.bodies), device=self.device)  # `one_hot` waits for a GPU
+        return (self.body[columns][:, :, None] == each).to(torch.float64)
 
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """Force on every touching body (k, K, 3) [N], world."""

@@ -38,33 +38,38 @@ def kernels() -> Any:
 
     found = contact_kernels(_MODULE, Rigid, _source, on_faces=False)
     Points = found.Points
-    exact, touch, trials = wp.constant(real(mount.EXACT)), wp.constant(real(mount.TOUCH)), wp.constant(mount.TRIALS)
+    exact, touch, trials = wp.constant(real(mount.EXACT)), wp.constant(real(mount.TOUCH)), wp.constant(mount.TRIALS + 1)
 
     @wp.kernel(module=_MODULE, enable_backward=False)
-    def settle(c: Points, columns: wp.array(dtype=wp.int32), s: mount.Arrays, left: int):
-        # what the springs find where the bodies are, and where the bodies go next, `left` times more at most
-        b = columns[wp.tid()]
-        e, w = s.axis[b], s.give[b]
-        s.searches[b] = 1
-        if left < trials:
+    def settle(c: Points, columns: wp.array(dtype=wp.int32), s: mount.Arrays):
+        # evaluate all parts of a touch, by the threads of one block, until its spring is in balance; every thread finds
+        # the same and writes where the bodies go
+        k, lane = wp.tid()
+        b = columns[k]
+        e = s.axis[b]
+        w = s.give[b]
+        for _trial in range(trials):
+            for j in range(c.origin.shape[1]):
+                c.origin[b, j] = s.origin[b, j] - w * e
             pull, slope, gap = real(0.0), real(0.0), real(1e30)
-            for f in range(c.gap.shape[1]):
+            f = lane
+            while f < c.gap.shape[1]:
+                found.find(c, b, f)
                 for q in range(c.gap.shape[2]):
                     pull += wp.dot(e, c.force[b, f, q])
                     slope += wp.dot(e, c.stiff[b, f, q] * e)
                     gap = wp.min(gap, c.gap[b, f, q])
-            spring = s.stiffness * w
-            over = pull - spring
+                f += wp.block_dim()
+            pull = wp.tile_extract(wp.tile_sum(wp.tile(pull)), 0)
+            slope = wp.tile_extract(wp.tile_sum(wp.tile(slope)), 0)
+            gap = wp.tile_extract(wp.tile_min(wp.tile(gap)), 0)
+            over = pull - s.stiffness * w
+            s.give[b] = w
             s.excess[b] = over
-            if left == 0 or wp.abs(over) <= exact * wp.max(wp.abs(pull), wp.abs(spring)):
-                s.searches[b] = 0
+            if wp.abs(over) <= exact * wp.max(wp.abs(pull), wp.abs(s.stiffness * w)):
                 return
-            if gap < real(0.0):
-                s.give[b] = w + over / (slope + s.stiffness)
-            else:  # contact is lost
-                s.give[b] = wp.max(w - gap - touch, real(0.0))
-        for k in range(c.origin.shape[1]):
-            c.origin[b, k] = s.origin[b, k] - s.give[b] * e
+            # where contact is lost the bodies go in by the gap
+            w += wp.where(gap < real(0.0), over / (slope + s.stiffness), wp.max(-gap - touch, -w))
 
     @wp.kernel(module=_MODULE, enable_backward=False)
     def reach(

@@ -43,31 +43,34 @@ class ContactStiffness:
 
 
 def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor, *,
-              whole: bool, turn: tuple[int, torch.Tensor] | None = None) -> ContactStiffness:
-    """The stiffness of k patches, summed in a fixed order.
+              whole: bool, turn: tuple[int, torch.Tensor] | None = None) -> list[ContactStiffness]:
+    """Some stiffnesses of k patches, summed in a fixed order.
 
     Args:
         local: nodes of the parts (k, f, n).
         shapes: shape values of their points (k, f, q, n).
-        stiff: stiffness of the points (k, f q, 3, 3) [N/m].
+        stiff: stiffnesses of the points (k, f q, v, 3, 3) [N/m].
         free: 1 where a degree of freedom may move (k, 3 s).
         whole: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
             point begins to slip, and so would the rounding; else they are a third of them under a plane across an axis.
         turn: a node from which on displacements are in a frame of its own, and the rotations of that frame (k, 3, 3).
+
+    Returns:
+        The v stiffnesses, all between the same degrees of freedom.
     """
-    own, n = stiff.reshape(*shapes.shape[:3], 9), local.shape[2]
+    own, n = stiff.unflatten(1, shapes.shape[1:3]).flatten(3), local.shape[2]
     touch, part = (own != 0.0).flatten(2).any(dim=2).nonzero(as_tuple=True)
     nodes, values = local[touch, part].long(), shapes[touch, part]
     pairs = (values[:, :, :, None] * values[:, :, None, :]).flatten(2).mT @ own[touch, part]
-    pairs = pairs.view(-1, n, n, 3, 3)
+    pairs = pairs.view(-1, n, n, *stiff.shape[2:])
     if turn is not None:
         frame = torch.where((nodes < turn[0])[:, :, None, None], torch.eye(3).to(free), turn[1][touch][:, None])
-        pairs = frame.mT[:, :, None] @ pairs @ frame[:, None]
+        pairs = frame.mT[:, :, None, None] @ pairs @ frame[:, None, :, None]
     dofs = 3 * nodes[:, :, None] + torch.arange(3, device=free.device)  # (a, n, 3)
     moves = free[touch[:, None, None], dofs]
-    pairs = pairs * moves[:, :, None, :, None] * moves[:, None, :, None]
-    a, i, j, x, y = at = pairs.nonzero(as_tuple=True)
-    of, row, col, pairs = touch[a], dofs[a, i, x], dofs[a, j, y], pairs[at]
+    pairs = pairs * moves[:, :, None, None, :, None] * moves[:, None, :, None, None, :]
+    a, i, j, x, y = (pairs != 0.0).any(dim=3).nonzero(as_tuple=True)
+    of, row, col, pairs = touch[a], dofs[a, i, x], dofs[a, j, y], pairs[a, i, j, :, x, y]
     used = torch.zeros(free.shape, dtype=torch.bool, device=free.device)
     used[of, row] = used[of, col] = True
     if whole:
@@ -77,4 +80,5 @@ def assembled(local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, fr
     dof = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :m]
     dof = torch.where(torch.arange(m, device=free.device) < count, dof, dof[:, :1])
     at = of, place[of, row], place[of, col]
-    return ContactStiffness(dof, free.new_zeros(k, m, m).index_put_(at, pairs, accumulate=True))
+    return [ContactStiffness(dof, free.new_zeros(k, m, m).index_put_(at, pair, accumulate=True))
+            for pair in pairs.unbind(dim=1)]

@@ -272,11 +272,10 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         `gmres`.
     """
     response = contact.response
-    stiffness = contact.stiffness(columns, near)
     own_factor = [None if factors is None else factors.of(b) for b in columns.tolist()]
     touched = bool(contact.touches(columns).any())
     # a factor of a deformed state has the contact in it; the one at rest is corrected for it
-    block = contact.block(columns) if touched and None in own_factor else None
+    stiffness, block = contact.stiffness(columns, near, block=touched and None in own_factor)
 
     class Part:
         """What the products need of the columns ``which``."""

@@ -74,7 +74,7 @@ class TangentFactors:
         self._elasticity.tangent(wp.from_torch(column.to(torch.int32)), wp.from_torch(u), projected=True)
         values = np.zeros((len(order.neighbours), 3, 3))
         self._elasticity.add_matrices(int(column[0]), order, values)
-        stiffness = self._contact.assembled(column)
+        _, stiffness = self._contact.assembled(column, torch.zeros_like(column, dtype=torch.bool))
         matrix = stiffness.matrix[0].numpy()
         there = matrix.nonzero()
         row, col = self._contact.dof[int(column[0])][stiffness.dof[0]].numpy()[np.array(there)]
