@@ -55,7 +55,7 @@ def evaluate(method: str, task: str | Path | Task, dataset: str | Path | Dataset
         method: name of an installed method, or module:attribute; it runs in a process of its own. "resim" and "fem-map"
             are ceilings (`vsfsim.bench.commands.ceiling`).
         task: name of a shipped task, path of a .toml file, or a loaded task; TASK-development or TASK-seed-N is TASK on
-        other objects (`vsfsim.bench.task.load_task`).
+            other objects (`vsfsim.bench.task.load_task`).
         dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
         parameters: of the method's constructor, over its defaults and those of ``preset``.
         seeds: draws of the support set, None for the task's own number.
@@ -63,9 +63,9 @@ def evaluate(method: str, task: str | Path | Task, dataset: str | Path | Dataset
         timeout: seconds that one call of the method may take, None for no limit.
         memory: memory that a process of the method may allocate [GiB], None for no limit.
         sandbox: "namespaces", a container, which hides files and network, or "process"; "" for the strongest one that
-        works here.
+            works here.
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished trainings are kept beside it until
-        all are done, and what the method prints goes to a file beside it, RESULT.json.log.
+            all are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper", "exact" or "tuned", settings of a method that ships; "" for none.
         check: test the method's contract on mock objects first.
         training: what the method learns from, where a study departs from the task: such a result is never ranked.
@@ -120,11 +120,13 @@ def evaluate_all(task: Task, rows: Mapping[Path, Choice], *, dataset: str | Path
     An interrupted evaluation goes on where it stopped. A method that fails is reported, and the next one runs.
 
     Args:
-        task: the task. rows: what to evaluate, by the result file. again: make results that are there again; else one
-        is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
-        whatever device it was made. dataset, seeds, workers, timeout, memory, sandbox, check, training: as of
-        `evaluate`. fan: where the trainings run. progress: called
-        with (trials done of a row, of how many, what).
+        task: the task.
+        rows: what to evaluate, by the result file.
+        again: make results that are there again; else one is kept if it is of the same text of the task, the same
+            dataset and the same parameters, and complete, on whatever device it was made.
+        dataset, seeds, workers, timeout, memory, sandbox, check, training: as of `evaluate`.
+        fan: where the trainings run.
+        progress: called with (trials done of a row, of how many, what).
 
     Yields:
         Those that are there already and ceilings, then the others as they are ready; a shard yields only these and

@@ -173,7 +173,8 @@ def ship(rows: Mapping[Path, tuple[Result, str, float]], out: Path) -> None:
 
     Args:
         rows: by the place below ``out``, the result, the command that made it ("" for that of `vsfsim evaluate`), and
-        its CPU seconds, which are at least those in the method's calls. out: the folder of the rows that ship.
+            its CPU seconds, which are at least those in the method's calls.
+        out: the folder of the rows that ship.
 
     Raises:
         TaskError: a file cannot be written.

@@ -207,7 +207,7 @@ def load_task(given: str | Path) -> Task:
 
     Raises:
         TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range; of a
-        retired task the message says what replaces it.
+            retired task the message says what replaces it.
     """
     others = OTHERS.fullmatch(str(given))
     if others is not None:

@@ -69,9 +69,10 @@ def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.n
     p_i = p0_i + u_i.
 
     Args:
-        displacements: of one touch. rest: positions of all particles, world (n, 3) [m].
+        displacements: of one touch.
+        rest: positions of all particles, world (n, 3) [m].
         axes: unit axis of every joint in every frame, world (T, J, 3) [-]; zero for a joint past the touched link,
-        which has no torque.
+            which has no torque.
         origins: a point on each of them, world (T, J, 3) [m].
 
     Returns:

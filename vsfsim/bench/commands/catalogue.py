@@ -21,8 +21,10 @@ class Catalogue(dict[str, T]):
     """Things by name; it prints as a table.
 
     Args:
-        kind: what one of them is, e.g. "task". found: by name. head: headings of the table; the first column is the
-        name. rows: its cells, one row a name.
+        kind: what one of them is, e.g. "task".
+        found: by name.
+        head: headings of the table; the first column is the name.
+        rows: its cells, one row a name.
     """
 
     def __init__(self, kind: str, found: Mapping[str, T], head: Sequence[str], rows: Sequence[Sequence[str]]):
@@ -132,9 +134,10 @@ def choices(observation: str, device: str = "", answer: str = "readings", *, cho
     are too slow to be asked other than by name.
 
     Args:
-        observation: name of what is read. device: that the methods use which a GPU makes faster; "" for their own.
-        answer: what the task's metric scores, a value of `vsfsim.bench.metrics.Answer`. chosen: its support
-        is chosen by the method, so that methods which differ by their choice alone take part.
+        observation: name of what is read.
+        device: that the methods use which a GPU makes faster; "" for their own.
+        answer: what the task's metric scores, a value of `vsfsim.bench.metrics.Answer`.
+        chosen: its support is chosen by the method, so that methods which differ by their choice alone take part.
     """
     out = []
     for method, table in _table().items():

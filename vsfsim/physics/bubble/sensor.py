@@ -79,10 +79,12 @@ def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray
     """Where rigid bodies ask for a finer mesh.
 
     Args:
-        dome: nodes of the free dome (n, 3) [m]. edge: of its mesh [m]. bodies: K of them. poses: their way, in the
-        mount frame (T, K, 4, 4).
+        dome: nodes of the free dome (n, 3) [m].
+        edge: of its mesh [m].
+        bodies: K of them.
+        poses: their way, in the mount frame (T, K, 4, 4).
         contact_edge: the edge where they touch [m], or None for `SHARE` of the radius of balls and capsules, nothing
-        for planes and `SHARP` for other bodies.
+            for planes and `SHARP` for other bodies.
     """
     gap = np.full((len(bodies), len(dome)), np.inf)
     before = poses[:1]
