@@ -204,7 +204,7 @@ def some(subject: Subject, numbers: Sequence[int]) -> Subject:
 
 def with_plant(subject: Subject, plant: Plant) -> Subject:
     """A subject with another plant, touched along the same paths."""
-    return dataclasses.replace(subject, plant=plant, model=beams(plant))
+    return dataclasses.replace(subject, plant=plant, model=beams(plant, subject.scene))
 
 
 def with_classes(plant: Plant, log_modulus: np.ndarray) -> Plant:

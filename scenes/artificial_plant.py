@@ -48,6 +48,8 @@ YIELD_STRESS = 3.0e8
 """At which the wire yields, soft steel of 250 to 400 MPa [Pa]."""
 _WIRE_SPREAD = 0.05
 """Standard deviation of ln of the wire's diameter over the outer one, from part to part [-]."""
+_DENSITY = 1000.0
+"""Of all parts [kg/m^3]; it matters in scenes with gravity only."""
 _JOINT_LENGTH, _JOINT_RADIUS = 0.01, 0.01
 """Of the segment that stands for the pot's filling [m]."""
 
@@ -73,7 +75,7 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
     count = [int((region[1:] == r).sum()) for r in range(len(REGIONS))]
     nodes = np.array(tree.nodes)
     return Plant(nodes, np.array(tree.parent), np.array(tree.radius), np.array(tree.half_width),
-                 np.array(tree.normal), np.array(tree.modulus),
+                 np.array(tree.normal), np.array(tree.modulus), np.full(len(nodes), _DENSITY),
                  region, REGIONS, look=np.array(tree.axis), appearance=_appearance(tree, kind, rng),
                  pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]), wire=np.array(tree.wire),
                  yielding=np.array(tree.core) if options.yields else None, name=name,

@@ -24,6 +24,8 @@ from vsfsim.scenes._plant_species import BRANCH, LEAF, PETIOLE, REGIONS, TRUNK, 
 
 _MODULUS_SPREAD = 0.15
 """Standard deviation of ln E along an axis [-]."""
+_WOOD_DENSITY, _LEAF_DENSITY = 700.0, 600.0
+"""Densities of leaf blades (the second) and of all other parts [kg/m^3]."""
 _BRIGHTNESS = 0.45
 """Change of the log brightness from the middle to either end of a range of moduli [-]."""
 
@@ -49,7 +51,8 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
     region = np.array(garden.region)
     return Plant(np.array(garden.nodes), np.array(garden.parent), np.array(garden.radius),
                  np.array(garden.half_width), np.array(garden.normal), np.array(garden.modulus)
-                 * options.modulus_factor, region, REGIONS, look=np.array(garden.axis), appearance=look,
+                 * options.modulus_factor, np.where(region == LEAF, _LEAF_DENSITY, _WOOD_DENSITY),
+                 region, REGIONS, look=np.array(garden.axis), appearance=look,
                  pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
                  notes=(f"{name}: {n - 1} segments, {sum(r == LEAF for r in garden.region[1:])} of "
                         f"them of leaves, {max(p[2] for p in garden.nodes):.2f} m high.",))

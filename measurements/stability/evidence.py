@@ -154,7 +154,7 @@ def _rod(cell: Cell, device: str) -> Evidence:
     nodes[:, 2] = np.linspace(0.0, STEM, n + 1)
     one = np.ones(n + 1)
     plant = Plant(nodes, np.arange(-1, n), radius * one, 0.0 * one, np.zeros((n + 1, 3)), f["young"] * one,
-                  np.zeros(n + 1, int), ("stem",))
+                  500.0 * one, np.zeros(n + 1, int), ("stem",))
     # it begins where it touches: a path that began behind the stem would have passed it before
     travel = rod_travel(f) * np.arange(frames + 1) / frames
     poses = np.tile(np.eye(4), (frames + 1, 1, 1, 1, 1))

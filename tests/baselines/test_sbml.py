@@ -7,7 +7,6 @@ import pytest
 
 from vsfsim.baselines.sbml import Sbml
 from vsfsim.bench.check import MOCK_TASK
-from vsfsim.bench.metrics import HALF_WIDTH_50
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
@@ -52,7 +51,7 @@ def in_half(method, task, k, index):
     method.adapt(view.view, recording.readings[:k])
     actions = [recording.readings[i].action for i in range(14, 20)]
     answer, std = (np.concatenate(given) for given in (method.predict(actions), method.predict_std(actions)))
-    inside = np.abs(np.concatenate(recording.clean[14:20]) - answer) <= HALF_WIDTH_50 * std
+    inside = np.abs(np.concatenate(recording.clean[14:20]) - answer) <= 0.6745 * std  # the half-width of its central 50 %
     return inside[answer > 0.0].mean()
 
 

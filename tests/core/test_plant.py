@@ -14,7 +14,7 @@ def plant(**more):
     nodes = np.array([[0, 0, 0], [0, 0, LENGTH], [0, 0, 2 * LENGTH], [LENGTH, 0, 2 * LENGTH]], float)
     values = {"nodes": nodes, "parent": np.array([-1, 0, 1, 2]), "radius": np.full(4, THICK),
               "half_width": np.array([0, 0, 0, 0.01]), "blade_normal": np.tile([0.0, 0.0, 1.0], (4, 1)),
-              "young_modulus": np.full(4, 1e9), "region": np.zeros(4, int),
+              "young_modulus": np.full(4, 1e9), "density": np.full(4, 500.0), "region": np.zeros(4, int),
               "region_names": ("stem",)}
     return Plant(**{**values, **more})
 
@@ -42,7 +42,7 @@ def test_a_core_is_at_most_as_stiff_as_its_segment():
 
 @pytest.mark.parametrize(("name", "good", "bad"), [
     ("radius", (1e-5, 1.0), (0.99e-5, 1.01)), ("young_modulus", (1.0, 1e13), (0.99, 1.01e13)),
-    ("half_width", (0.0,), (-1e-9,))])
+    ("half_width", (0.0,), (-1e-9,)), ("density", (0.0,), (-1e-9,))])
 @pytest.mark.parametrize("segment", [1, 2])
 def test_every_segment_is_held_to_its_limits(name, good, bad, segment):
     for value in good:
@@ -53,7 +53,7 @@ def test_every_segment_is_held_to_its_limits(name, good, bad, segment):
 
 
 def test_entry_0_of_a_segments_array_is_not_read():
-    for name in ("radius", "young_modulus"):
+    for name in ("radius", "young_modulus", "density"):
         with_entry(name, 0, -1.0)
 
 

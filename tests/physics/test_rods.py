@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import warp as wp
@@ -201,6 +203,22 @@ def test_a_leaf_that_a_link_goes_through_is_marked_until_it_is_free(device):
     free = frames.contacts[:, 0] == 0
     assert (frames.converged[:, 0] == free).all() and free[11:].all()
     assert np.abs(frames.nodes[-1, 0] - body.nodes).max() < 1e-12
+
+
+def test_a_heavy_stem_sags(device):
+    """Small strain: the tip of a level cantilever under its own weight goes down by w L^4 / (8 EI)."""
+    nodes = np.zeros((21, 3))
+    nodes[:, 0], nodes[:, 2] = np.linspace(0.0, 0.2, 21), 0.1
+    body = dataclasses.replace(plant(nodes, np.arange(-1, 20), radius=0.002, young_modulus=5e9),
+                               density=np.full(21, 800.0))
+    far = crossing(np.zeros(1), height=1.0, start=1.0)
+    frames = touch(build(body, gravity=(0.0, 0.0, -9.81)), far, device=device, force_floor=1e-9)
+    assert frames.converged.all()
+    down = 800.0 * 9.81 * np.pi * 0.002**2 * 0.2**4 / (8 * 5e9 * np.pi * 0.002**4 / 4)
+    # lumped at nodes: second order in 1/20
+    assert 0.1 - frames.nodes[0, 0, -1, 2] == pytest.approx(down, rel=0.01)
+    # half a segment stands on the clamp
+    assert frames.reaction[0, 0, 2] == pytest.approx(800.0 * 9.81 * np.pi * 0.002**2 * 0.2 * 39 / 40, rel=1e-3)
 
 
 def test_what_cannot_be_solved_is_refused():

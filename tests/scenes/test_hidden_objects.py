@@ -63,15 +63,6 @@ def test_bags_hide_three_objects_in_four_poses_each() -> None:
 
 
 @pytest.mark.parametrize("name", ["rope-punyo", "bag-punyo"])
-def test_the_small_scene_has_the_first_objects(name: str) -> None:
-    small, large = of(f"{name}-mini", 0)[0], of(name, 0)[0]
-    for number in range(small.sample(0).dataset.objects):
-        own, other = (written.sample(3, number=number).object for written in (small, large))
-        assert (own.shape, own.pose, own.yaw, own.young_modulus) == (other.shape, other.pose,
-                                                                     other.yaw, other.young_modulus)
-
-
-@pytest.mark.parametrize("name", ["rope-punyo", "bag-punyo"])
 def test_the_truth_knows_the_hidden_object(name: str) -> None:
     written, scene = of(name, 4)
     truth = Inclusions.of(make_recipe(written), SimpleNamespace(object_index=4, name="four"))

@@ -182,11 +182,15 @@ def own(result: Path) -> Iterator[None]:
         MethodError: another evaluation writes it, or its folder cannot be written.
     """
     path = result.with_name(f".{result.name}.lock")
+    made = [folder for folder in (result.parent, *result.parent.parents) if not folder.exists()]
     lock, _ = take(path, result, MethodError)
     try:
         yield
     finally:
         release(lock)
+        with contextlib.suppress(OSError):  # what the evaluation wrote stays, and so do its folders
+            for folder in made:
+                folder.rmdir()
 
 
 def make(rows: Iterable[Evaluation], workers: int, *, check: bool = True, fan: Fan = HERE,

@@ -40,6 +40,8 @@ class Plant:
     """Unit normal of a blade at rest (n, 3)."""
     young_modulus: np.ndarray
     """Of each segment (n,) [Pa]."""
+    density: np.ndarray
+    """Of each segment (n,) [kg/m^3]."""
     region: np.ndarray
     """Of each segment, an index into `region_names` (n,)."""
     region_names: tuple[str, ...]
@@ -66,7 +68,7 @@ class Plant:
     def __post_init__(self) -> None:
         n = len(self.nodes)
         shapes: dict[str, tuple[int, ...]] = {"nodes": (n, 3), "blade_normal": (n, 3), **dict.fromkeys(
-            ("parent", "radius", "half_width", "young_modulus", "region"), (n,))}
+            ("parent", "radius", "half_width", "young_modulus", "density", "region"), (n,))}
         if self.yielding is not None:
             shapes["yielding"] = (n, 2)
         for name, shape in shapes.items():
@@ -79,7 +81,7 @@ class Plant:
         for name, values, low, high in (
                 ("parent", self.parent, 0, np.arange(n) - 1), ("radius", self.radius, 1e-5, 1.0),
                 ("young_modulus", self.young_modulus, 1.0, 1e13), ("half_width", self.half_width, 0.0, np.inf),
-                ("length", self.lengths(), 1e-5, 10.0),
+                ("density", self.density, 0.0, np.inf), ("length", self.lengths(), 1e-5, 10.0),
                 ("Poisson's ratio", np.full(n, self.poisson_ratio), 0.0, 0.4999),
                 ("bending stiffness of the core", core[:, 0], 0.0, (1.0 + 1e-9) * self.young_modulus * second),
                 ("yield moment of the core", core[:, 1], 0.0, 1e300)):

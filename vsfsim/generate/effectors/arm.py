@@ -41,10 +41,8 @@ class ArmEffector:
         """Plants are made of beams: tier "rod".
 
         Raises:
-            SceneError: another tier was asked for, or the scene has gravity.
+            SceneError: another tier was asked for.
         """
-        if any(scene.gravity):
-            raise SceneError(f"{scene.source}: a plant has no weight; gravity must be [0, 0, 0] with an [arm].")
         if (tier or "rod") not in ("rod", "auto"):
             raise SceneError(f"{scene.source}: --tier is '{tier}', but what an arm touches is made "
                              "of beams, tier 'rod'.")

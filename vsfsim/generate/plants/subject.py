@@ -78,7 +78,7 @@ def outline(job: Job) -> Subject:
     numbers: dict[str, Any] = {name: snapped(value) for name, value in found.items()
                                if isinstance(value, np.ndarray) and value.dtype.kind == "f"}
     plant = dataclasses.replace(plant, **numbers)
-    return Subject(job, scene, plant, beams(plant))
+    return Subject(job, scene, plant, beams(plant, scene))
 
 
 def prepare_job(job: Job, *, device: str) -> Subject:
@@ -153,9 +153,9 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
     return dataclasses.replace(plant.turned(body.yaw), poisson_ratio=body.poisson_ratio)
 
 
-def beams(plant: Plant) -> RodModel:
+def beams(plant: Plant, scene: Scene) -> RodModel:
     """The plant as beams; compliance and contact penalty, which LAPACK computes, are without their last bits."""
-    model = build(plant)
+    model = build(plant, gravity=scene.gravity)
     return dataclasses.replace(model, compliance=snapped(model.compliance), penalty=snapped(model.penalty))
 
 
@@ -184,7 +184,7 @@ def refusal(plant: Plant, scene: Scene, arm: Arm, views: int, seed: np.random.Se
         draws = sum(a.draws for a in aims)
         if len(aims) < REACHABLE * draws:
             return f"view {view}: the arm reaches {len(aims)} of {draws} points"
-        norms += torque_norms(arm, beams(turned), aims, scene)
+        norms += torque_norms(arm, beams(turned, scene), aims, scene)
     norm, limit = float(np.median(norms)), scene.required_arm.reject_below
     if norm >= limit:
         return None

@@ -81,6 +81,8 @@ class RodModel:
     (Q, 2) [N/m]."""
     compliance: np.ndarray
     """Displacement and spin of each node under a force and a moment there, at rest (n, 6, 6) [m/N and so on]."""
+    weight: np.ndarray
+    """Dead load on each node (n, 3) [N]."""
 
     def floor(self) -> float:
         """Bound on the rounding error of the sum of unbalanced forces [N]."""
@@ -115,8 +117,12 @@ class RodModel:
         return a @ cp @ a.transpose(0, 2, 1) + b @ cc @ b.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
 
 
-def build(plant: Plant) -> RodModel:
-    """The rod model of a plant. It has no weight: its shape is that at rest, which the camera sees.
+def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RodModel:
+    """The rod model of a plant.
+
+    Args:
+        gravity: [m/s^2]. A plant with weight sags before it is touched, and is slower to solve: all of it is active in
+        every frame.
 
     Raises:
         RodError: a segment is so wide that it has too many contact fibres.
@@ -133,11 +139,15 @@ def build(plant: Plant) -> RodModel:
     if plant.yielding is not None:
         wire[1:] = plant.yielding[1:] / np.stack([length[1:], np.ones(n - 1)], axis=1)
     model = RodModel(plant, frame, kd, kphi, wire, reach, np.searchsorted(segment, np.arange(n + 1)), offset, radius,
-                     tip, np.zeros((0, 2)), compliance)
+                     tip, np.zeros((0, 2)), compliance, np.zeros((n, 3)))
     softest = np.stack([np.linalg.eigvalsh(model._point_compliance(segment, np.full(len(segment), end), offset))[:, -1]
                         for end in (0.0, 1.0)], axis=1)
     penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)
-    return dataclasses.replace(model, penalty=penalty)
+    area = np.where(plant.half_width > 0.0, 4.0 * plant.half_width * plant.radius, np.pi * plant.radius**2)
+    mass = np.zeros(n)
+    np.add.at(mass, np.arange(1, n), 0.5 * (plant.density * area * length)[1:])
+    np.add.at(mass, plant.parent[1:], 0.5 * (plant.density * area * length)[1:])
+    return dataclasses.replace(model, penalty=penalty, weight=mass[:, None] * np.asarray(gravity, float))
 
 
 def sections(plant: Plant) -> tuple[np.ndarray, np.ndarray]:

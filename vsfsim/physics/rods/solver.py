@@ -30,6 +30,7 @@ from vsfsim.physics.rods.structs import (
     started,
 )
 
+SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
 MOST_CAPSULES = 31  # the contact search has a bit for each
 
 
@@ -63,6 +64,8 @@ class RodFrames:
     """Depth of the deepest point inside a capsule (T, B) [m]."""
     contacts: np.ndarray
     """Number of patches in contact, pairs of a fibre of the plant and a capsule (T, B)."""
+    force_balance: np.ndarray
+    """|force on the capsules - reaction - weight| over the larger of force and reaction, or over 0.1 N (T, B) [-]."""
     nodes: np.ndarray | None
     """Positions of the nodes (T, B, N, 3) [m], or None."""
     turns: np.ndarray | None
@@ -157,7 +160,7 @@ class RodSolver:
                 if progress is not None:
                     progress(int(at["next"].sum()) - before)
                 before = int(at["next"].sum())
-        return self._frames(at["next"] - at["ended"], out, keep_nodes)
+        return self._frames(plant, at["next"] - at["ended"], out, keep_nodes)
 
     def _check(self, b: int, poses: np.ndarray, plan: np.ndarray, friction: np.ndarray) -> None:
         p, k = len(poses), len(self.shapes)
@@ -172,8 +175,8 @@ class RodSolver:
         if not ((friction >= 0.0) & (friction <= 10.0)).all():
             raise RodError(f"friction is {friction.min():g} to {friction.max():g}; it must be from 0 to 10.")
 
-    def _frames(self, done: np.ndarray, out: Any, keep_nodes: bool) -> RodFrames:
-        """What the touches have given, of which ``done`` frames are kept."""
+    def _frames(self, plant: np.ndarray, done: np.ndarray, out: Any, keep_nodes: bool) -> RodFrames:
+        """What the touches of ``plant`` have given, of which ``done`` frames are kept."""
         def of(array: wp.array) -> np.ndarray:
             return np.ascontiguousarray(np.swapaxes(array.numpy(), 0, 1))
 
@@ -185,6 +188,11 @@ class RodSolver:
         for values in (force, moment, reaction):
             values[~solved] = np.nan
         root, root_moment = reaction[..., :3], reaction[..., 3:]
+        # the load on the clamped node bends nothing
+        weight = np.stack([self.models[p].weight[1:].sum(axis=0) for p in plant])
+        whole = force.sum(axis=2)
+        size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
         return RodFrames(frames=done, force=force, moment=moment, reaction=root, reaction_moment=root_moment,
                          converged=solved & (of_frame["reason"] == 0), **of_frame,
+                         force_balance=np.linalg.norm(whole - root - weight, axis=-1) / size,
                          nodes=of(out.x) if keep_nodes else None, turns=of(out.q) if keep_nodes else None)

@@ -74,11 +74,12 @@ def capsules_cross(tree: Trees, touch: Touches, w: Work, me: Thread):
 
 
 @wp.func
-def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, found: int):
+def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, load: real, found: int):
     """Ends a stride: stores what friction has stretched and how far wires have yielded in an equilibrium.
 
     Args:
-        side: list of the contacts. count: of active nodes. found: whether an equilibrium was found.
+        side: list of the contacts. count: of active nodes. load: sum of the plant's weights [N]. found: whether an
+        equilibrium was found.
     """
     b = me.b
     o = me.o
@@ -108,7 +109,7 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
                 if wp.length_sq(w.nodes.plastic[b, i]) > ZERO:
                     loaded = 1
     sync()
-    if lane_count(loaded) == 0 and found == 1:
+    if lane_count(loaded) == 0 and found == 1 and load == ZERO:
         # Nothing touches: the plant returns to rest to the last bit, unless a soft leaf, bent by less than the
         # tolerance, would return through a link.
         copy_state(w, me, 0, w.now, w.saved)
@@ -228,6 +229,9 @@ def advance(
     me.n = tree.first[plant + 1] - me.o
     me.low = tree.levels[plant]
     me.high = tree.levels[plant + 1] - me.low - 1
+    load = ZERO
+    for i in range(me.n):
+        load = load + wp.length(tree.load[me.o + i])
     taken = int(0)
     p = w.progress[b]
     while taken < touch.limits.share and p.ended == 0 and p.next < touch.plan.shape[1]:
@@ -251,7 +255,7 @@ def advance(
             reason = int(Reason.WRONG_SIDE)
             its = int(0)
             if capsules_cross(tree, touch, w, me) == 0:
-                reason, its, residual, count = equilibrate(tree, touch, w, me, p.list, 1 - p.list)
+                reason, its, residual, count = equilibrate(tree, touch, w, me, p.list, 1 - p.list, load)
             used = used + its
             taken = taken + its + 1
             if reason == Reason.NOT_FINITE or (
@@ -276,7 +280,7 @@ def advance(
                     if reason != Reason.PATCH:
                         p.list = 1 - p.list
                         found = wp.where(reason == Reason.NONE, 1, 0)
-                        commit_stride(tree, touch, w, me, p.list, count, found)
+                        commit_stride(tree, touch, w, me, p.list, count, load, found)
                     if reason != Reason.NONE:
                         broken = 1
         frame, pressed_by, sunk = write_frame(tree, touch, w, out, me, t, p.list, count)

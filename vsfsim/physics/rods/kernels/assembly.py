@@ -134,7 +134,7 @@ def assemble(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric:
         w.segments.strain[b, i] = s
         bend = moment_tangent(s, kphi, wire, w.nodes.plastic[b, i])
         w.system.hessian[b, i] = hessian(s, tree.kd[o + i], mu, bend, geometric)
-        on = spatial(f, mc)
+        on = spatial(f - tree.load[o + i], mc)
         up = spatial(-f, mp)
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             at = w.contacts[side, b, c]

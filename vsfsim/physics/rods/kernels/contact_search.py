@@ -1,7 +1,7 @@
 """Contact search, and the part of the tree that can be loaded: only that part is solved.
 
 A sub-tree that no capsule has come close to since nothing touched carries no load, so it moves rigidly with its joint.
-This is exact, as the plant has no weight.
+This is exact for a plant without weight.
 """
 
 import warp as wp
@@ -163,16 +163,17 @@ def list_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, margin: real
 
 
 @wp.func
-def activate_nodes(tree: Trees, w: Work, me: Thread):
+def activate_nodes(tree: Trees, w: Work, me: Thread, load: real):
     """Marks and lists the active nodes: those that were, and those between the root and a segment that is close to a
-    capsule. Returns their number and the number of their levels."""
+    capsule or heavy (``load``, the sum of the plant's weights [N]). Returns their number and the number of their
+    levels."""
     b = me.b
     o = me.o
     for back in range(1, me.high + 1):
         d = me.high - back
         for r in range(tree.level[me.low + d] + me.lane, tree.level[me.low + d + 1], me.lanes):
             i = tree.rank[r]
-            on = w.nodes.active[b, i]
+            on = wp.where(load > ZERO, 1, w.nodes.active[b, i])
             clear = real(1.0)
             if i == 0:
                 on = 1

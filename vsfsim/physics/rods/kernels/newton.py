@@ -83,9 +83,9 @@ def step_extent(w: Work, me: Thread, count: int):
 
 
 @wp.func
-def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha: real):
-    """The trial state at ``alpha`` times the step. Returns this lane's share of its elastic energy and of what
-    yields [J].
+def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha: real, load: real):
+    """The trial state at ``alpha`` times the step. Returns this lane's share of its elastic energy and of what yields,
+    less the work of the loads [J].
 
     Nodes turn by ``alpha`` times their spins, the D of a segment changes by ``alpha`` D', and positions follow from the
     root. So a rotation does not stretch a slender segment, as it would if positions moved along straight lines. The
@@ -115,6 +115,10 @@ def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha
             i = w.nodes.order[b, a]
             w.trial.x[b, i] = w.trial.x[b, i] + w.trial.x[b, tree.parent[o + i]]
         sync()
+    if load > ZERO:
+        for a in range(1 + me.lane, count, me.lanes):
+            i = w.nodes.order[b, a]
+            out = out - wp.dot(tree.load[o + i], w.trial.x[b, i] - tree.rest[o + i])
     return out
 
 
@@ -125,14 +129,14 @@ def trial_crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int)
 
 
 @wp.func
-def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new: int):
+def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new: int, load: real):
     """From the present state to the equilibrium with the capsules at their present poses.
 
     Each large function is called in one place only, and a failed step is repeated by another turn of the loop: CUDA's
     compiler inlines a function at every call.
 
     Args:
-        old, new: contact lists of the last stride and of this one.
+        old, new: contact lists of the last stride and of this one. load: sum of the plant's weights [N].
 
     Returns:
         `frames.Reason`, Newton iterations, residual [-], number of active nodes.
@@ -167,12 +171,12 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if listed < 0:
                 reason = Reason.PATCH
                 break
-            count, levels = activate_nodes(tree, w, me)
+            count, levels = activate_nodes(tree, w, me, load)
             moved = ZERO
             if count == 1:
                 reason = Reason.NONE
                 break
-        force = update_contacts(tree, touch, w, me, new)
+        force = update_contacts(tree, touch, w, me, new) + load
         slips = assemble(tree, w, me, count, new, geometric)
         rest = unbalanced_force(tree, w, me, count)
         if tried == 1 and not rest < (ONE - SHRINK) * before:
@@ -240,7 +244,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             reach = alpha
             if trial == 0 and tried == 0:
                 reach = ZERO
-            there = trial_state(tree, w, me, count, levels, reach)
+            there = trial_state(tree, w, me, count, levels, reach, load)
             if tried == 1:
                 through = trial_crossing(tree, touch, w, me, count)
                 break
