@@ -51,7 +51,8 @@ def in_half(method, task, k, index):
     method.adapt(view.view, recording.readings[:k])
     actions = [recording.readings[i].action for i in range(14, 20)]
     answer, std = (np.concatenate(given) for given in (method.predict(actions), method.predict_std(actions)))
-    inside = np.abs(np.concatenate(recording.clean[14:20]) - answer) <= 0.6745 * std  # the half-width of its central 50 %
+    half = 0.6745 * std  # of the central 50 %
+    inside = np.abs(np.concatenate(recording.clean[14:20]) - answer) <= half
     return inside[answer > 0.0].mean()
 
 
