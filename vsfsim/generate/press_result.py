@@ -24,8 +24,7 @@ from vsfsim.sensing.surface import Surface
 
 PICTURE = (640, 512)  # width and height of a view [px]
 SMALL = 0.85
-"""Smallest det F at which small strain is accepted [-]: case S1 at 5 mm has 0.87, and small strain is 3.6 % low there
-(docs/physics.md)."""
+"""Smallest det F at which small strain is accepted [-]: S1 at 5 mm has 0.87, and small strain is 3.6 % low there."""
 PENETRATION = 0.01  # of an element's edge: the penetration that the solver promises [-]
 FORCES = ("normal N is the component of the force against the direction of the press, which the "
           "tasks call normal-force; |force| N is the length of the force.")

@@ -48,7 +48,7 @@ def pressed(model, name, depths, friction, device):
     for name in CASES for friction in (0.0, 0.5) if not friction or not name.startswith("flat")])
 def test_the_membrane_rolls_over_edges(bubble, device, name, friction):
     """The stiffness of a fillet's curvature was missing, and the contact had a kink at an onset 200 times as stiff as
-    that of a plane: these frames took minutes or did not converge. With friction some still do (docs/limits.md).
+    that of a plane: these frames took minutes or did not converge. With friction some still do.
     """
     depths = [0.0025, 0.005, 0.0075, 0.010][:3 if friction else 4]
     frames = pressed(bubble, name, depths, friction, device)
