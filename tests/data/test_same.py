@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import mock_view
-from vsfsim.data.verify import CLOSE, difference
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.verify import CLOSE, compare, difference
+from vsfsim.data.writer import DatasetWriter
 
 
 @pytest.fixture(scope="module")
@@ -33,3 +36,16 @@ def test_other_frames_or_marks_and_a_force_out_of_nothing_are_other(touch):
     assert difference(touch, dataclasses.replace(touch, converged=marked)) == np.inf
     assert difference(touch, dataclasses.replace(touch, force=touch.force[:-1])) == np.inf
     assert 0.0 < CLOSE < 0.0025
+
+
+def test_datasets_of_two_devices_are_compared_and_those_of_two_recipes_are_not(tmp_path):
+    view = mock_view(0, touches=2)
+    for name, device, tier in (("cpu", "cpu", "linear"), ("gpu", "cuda", "linear"), ("other", "cpu", "fem")):
+        recipe = Recipe(scene="mock", scene_text='name = "mock"\n', seed=0, objects=1, views=1, touches=2,
+                        splits={"test": 1}, device=device, tier=tier, precision="float64", renderer="warp", options={})
+        with DatasetWriter(tmp_path / name, recipe, [view.name]) as writer:
+            writer.add(dataclasses.replace(view, split="test"))
+            writer.finish()
+    assert compare(tmp_path / "cpu", tmp_path / "gpu").equal == 2
+    with pytest.raises(DatasetError, match="different recipes: tier 'linear' there, 'fem' asked for"):
+        compare(tmp_path / "cpu", tmp_path / "other")

@@ -216,13 +216,14 @@ class Alike:
 
 
 def compare(one: str | Path, other: str | Path, progress: Progress | None = None) -> Alike:
-    """Compare two datasets touch by touch. ``progress`` is called with (views done, of how many, name).
+    """Compare two datasets touch by touch, made on any devices. ``progress`` is called with (views done, of how many,
+    name).
 
     Raises:
         DatasetError: one of them is none, or they are of different recipes or code.
     """
     a, b = Dataset.open(one, progress=progress), Dataset.open(other)
-    differences = a.recipe.differences(b.recipe)
+    differences = a.recipe.differences(dataclasses.replace(b.recipe, device=a.recipe.device))
     if differences:
         raise DatasetError(f"{one} and {other} are of different recipes: {'; '.join(differences)}.")
     if set(a.names()) != set(b.names()):
