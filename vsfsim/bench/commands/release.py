@@ -26,6 +26,7 @@ from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.text_table import text_table
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.provenance import VARIABLE, commit
 
 MADE = Path("results")
 Progress = Callable[[int, int, str], None]
@@ -58,8 +59,11 @@ def release(only: str | None, workers: int, progress: Progress, studies: Studies
         The next step, to be printed, and what is there now.
 
     Raises:
-        TaskError: something could not be made; the rest is there.
+        TaskError: something could not be made, and the rest is there; or the code here names no commit.
     """
+    if commit() is None:
+        raise TaskError(f"The code here names no commit, which every row that ships has. Set {VARIABLE} to what "
+                        f"`python -m vsfsim.data.provenance` prints in the checkout that it was copied from.")
     out = shelf.checkout() / "leaderboard"
     found = {f"{name}, {what}": message for name, part in _asked(only).items()
              for what, message in _make(name, part, out, workers, progress, studies, audit)}
