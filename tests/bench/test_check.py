@@ -3,6 +3,7 @@
 import pytest
 
 from vsfsim.bench.check import check, report
+from vsfsim.core.errors import MethodError
 
 
 def failed(name):
@@ -35,3 +36,8 @@ def test_a_broken_clause_is_named(name, clause):
     found = failed(f"toy_methods:{name}")
     assert clause in found
     assert found == [clause] or name not in ("SwallowsNan", "Negative", "NegativeStd", "Mutates")
+
+
+def test_a_method_without_a_required_function_is_refused():
+    with pytest.raises(MethodError, match="NoPredict has no function predict"):
+        check("toy_methods:NoPredict")

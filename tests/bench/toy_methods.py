@@ -110,11 +110,6 @@ class Negative(Constant):
         return Estimate(-np.ones(len(points)), np.ones(len(points)))
 
 
-class Sure(Constant):
-    def predict_std(self, touches):
-        return [np.full((len(touch.time), touch.size), 2.0) for touch in touches]
-
-
 class NegativeStd(Constant):
     def predict_std(self, touches):
         return [np.full((len(touch.time), touch.size), -1.0) for touch in touches]
