@@ -80,7 +80,7 @@ def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
     (("verify", "data/trry"),
      "there is no folder of a dataset 'data/trry'. Did you mean "
      "'data/try'?"), (("check", "mine.py:Mine"), "without .py: mine:Mine"),
-    (("check", "mine:Min"), "has no 'Min'. Did you mean 'Mine'?"),
+    (("check", "mine:Min"), "has no class 'Min'. Did you mean 'Mine'?"),
     (("lab", "score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-v3-mini-v1", "--dataset",
       "data/try"),
      "there is no file of predictions 'predictions.npz'. Did you mean 'prediction.npz'?"),])

@@ -41,3 +41,5 @@ def test_a_broken_clause_is_named(name, clause):
 def test_a_method_without_a_required_function_is_refused():
     with pytest.raises(MethodError, match="NoPredict has no function predict"):
         check("toy_methods:NoPredict")
+    with pytest.raises(MethodError, match="has no class '__name__'"):
+        check("toy_methods:__name__")

@@ -140,7 +140,7 @@ def find_method(name: str, *, search: str | None = None) -> type:
         search: folder in which a module is looked for besides ``sys.path``; default: the working folder.
 
     Raises:
-        MethodError: there is none, or it cannot be imported.
+        MethodError: there is none, it cannot be imported, or it is nothing that can be called.
     """
     if name.partition(":")[0].endswith(".py"):
         file, _, attribute = name.partition(":")
@@ -157,14 +157,14 @@ def find_method(name: str, *, search: str | None = None) -> type:
         if folder not in sys.path:
             sys.path.insert(0, folder)  # where a method under development is; a console script does not look there
         found = importlib.import_module(module)
-        if hasattr(found, attribute):
-            return getattr(found, attribute)
+        if callable(made := getattr(found, attribute, None)):
+            return made
     except MissingPackage:
         raise
     except Exception as error:  # a module may raise anything while it is imported
         raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. {advice}") from error
     own = [key for key, value in vars(found).items() if getattr(value, "__module__", "") == found.__name__]
-    raise MethodError(f"method '{name}': the module {module} ({found.__file__}) has no '{attribute}'. "
+    raise MethodError(f"method '{name}': the module {module} ({found.__file__}) has no class '{attribute}'. "
                       f"{did_you_mean(attribute, own)}")
 
 
