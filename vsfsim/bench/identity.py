@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.shelf import ceilings, methods
-from vsfsim.core.system.content import file_sha256, files_sha256, named_files, named_folders, source_files
+from vsfsim.core.system.content import file_sha256, files_sha256, named_files, source_files
 
 METHOD, SCORER = "the method", "the harness"
 """Names of the two digests in `contents_of`."""
@@ -29,8 +29,7 @@ _SCORES = ("inclusions", "metrics", "noise", "observations", "protocol", "task",
 def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path = "",
                 opened: Iterable[str] = ()) -> dict[str, str]:
     """What decides a method's answers, each a sha256 by name: `METHOD`, its source; `SCORER`; every file that a
-    parameter names, and all files of every folder; and every other file that its process opened. Nothing of the method
-    is imported.
+    parameter names; and every other file that its process opened. Nothing of the method is imported.
 
     Args:
         name: as `vsfsim.bench.method.find_method` takes it, or of a ceiling; it exists. parameters: all of them, as
@@ -47,8 +46,6 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
         path = Path(folder, text)
         if os.path.isfile(path) and (path := path.resolve()) not in seen:  # of no file is even a name too long
             named[str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)] = path
-    for text, path in named_folders(parameters, folder).items():
-        out[text] = files_sha256({str(one.relative_to(path)): one for one in path.rglob("*") if one.is_file()})
     return out | {text: file_sha256(path) for text, path in named.items()}
 
 
