@@ -75,10 +75,10 @@ def sound(frames, model):
 
 @pytest.mark.parametrize("nodes", [100, 390, 391])
 @pytest.mark.parametrize("b", [0.04, 0.05725])
-def test_meshes_have_about_the_nodes_asked_for_and_are_their_own_mirror_images(nodes, b):
+def test_meshes_have_the_nodes_asked_for_and_are_their_own_mirror_images(nodes, b):
     a = 0.05725
     flat, faces, rim = membrane_mesh.ellipse(a, b, nodes)
-    assert len(flat) == pytest.approx(nodes, rel=0.1) and len(faces) == 2 * len(flat) - 2 - len(rim)
+    assert len(flat) == nodes and len(faces) == 2 * nodes - 2 - len(rim)
     assert np.abs((flat[rim] / [a, b]) ** 2 @ [1.0, 1.0] - 1.0).max() < 1e-12
     p, q, r = (flat[faces[:, k]] for k in range(3))
     area = 0.5 * ((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
@@ -130,7 +130,7 @@ def test_beyond_the_limit_point_the_error_names_it():
 
 
 def test_less_gas_than_the_dome_holds_is_refused():
-    with pytest.raises(SceneError, match=r"gas_volume is 100 mL, but the inflated dome alone holds 126\.1 mL"):
+    with pytest.raises(SceneError, match=r"gas_volume is 100 mL, but the inflated dome alone holds 125\.9 mL"):
         build_bubble(dataclasses.replace(COARSE, gas_volume=1e-4))
 
 
@@ -153,7 +153,7 @@ def test_a_sealed_poke_keeps_p_v_gamma_and_balances(device):
 
 
 def test_a_press_at_45_degrees_sticks():
-    model = build_bubble(dataclasses.replace(REAL, nodes=390))
+    model = build_bubble(COARSE)
     frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.006, 3, tilt=0.25 * np.pi, at=-0.03))
     sound(frames, model)
     # at full depth; in the first frame four points touch, and two of them may still slip

@@ -61,7 +61,7 @@ def hencky(nodes):
 
 
 def test_hencky():
-    height, volume = hencky(550)
+    height, volume = hencky(400)
     # half a per cent is asked for; the polygon of the rim and the linear triangles cost 0.3 % here
     assert abs(height) < 0.005 and abs(volume) < 0.005
 
@@ -70,11 +70,11 @@ def test_hencky():
 def test_hencky_converges_with_the_square_of_the_edge():
     nodes = (400, 1600, 6400)
     heights, volumes = zip(*(hencky(n) for n in nodes), strict=True)
+    sizes = [n**-0.5 for n in nodes]
     print("Hencky:", heights, volumes)
-    # linear triangles: second order, of the differences between meshes, because the closed form neglects (w0/a)^2 =
-    # 4e-4 times a number under 1, which stays
-    for errors in (heights, volumes):
-        assert math.log2((errors[0] - errors[1]) / (errors[1] - errors[2])) > 1.6 and abs(errors[-1]) < 6e-4
+    # linear triangles: second order, until the closed form's own neglect, (w0/a)^2 = 4e-4 times a number under 1
+    assert order(sizes[:2], heights[:2]) > 1.6 and abs(heights[-1]) < 6e-4
+    assert order(sizes[:2], volumes[:2]) > 1.6 and abs(volumes[-1]) < 6e-4
 
 
 # ------------------------------------------------------------------------------------------ 2: the taut drum
@@ -280,7 +280,7 @@ def plate(nodes):
     return np.array(out)
 
 
-@pytest.mark.parametrize("nodes", [1027, pytest.param(1600, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("nodes", [400, pytest.param(1600, marks=pytest.mark.slow)])
 def test_plate(nodes):
     """From bending alone (0.1 Pa) to mostly stretching; observed 0.32 and 0.49 % at most."""
     assert np.abs(plate(nodes)).max() < 0.006

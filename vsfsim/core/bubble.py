@@ -46,8 +46,7 @@ class Bubble:
     ambient_pressure: Annotated[float, between(0.0, 1e8, "Pa")] = ATMOSPHERE
     """Absolute, outside [Pa]."""
     nodes: Annotated[int, between(100, 20_000, whole=True)] = NODES
-    """About how many nodes the mesh has: 390 are those of the read-out mesh, 1,493 that mesh with every triangle cut in
-    four, and other numbers rings around the middle."""
+    """Number of nodes of the mesh."""
     contact_edge: Annotated[float, between(1e-4, 0.1, "m")] | None = None
     """Longest edge of the triangles where a rigid body touches, for which the mesh is refined there [m]; None: a
     third of the radius of balls and capsules, and three fifths of the membrane's edges under bodies with edges."""

@@ -1,25 +1,26 @@
-"""Triangle meshes of membranes, each its own mirror image about both axes: a flat ellipse, and a finer one where a body
-touches.
+"""Triangle meshes of membranes: a flat ellipse of any number of nodes, the same every time and mirrored about both
+axes.
 
-The mesh of a sensor's reading has the 390 nodes, 64 of them on the rim, and 714 triangles of the Punyo's published one.
-`read_out.npz` holds it for the Punyo's semi-axes: rings from the rim inwards to a line of nodes on the long axis, with
-inner nodes in the middle of the triangles around them. For other semi-axes it is stretched.
+The ellipse is laid out in rings, each the rim's ellipse with both semi-axes shorter by the same width, down to a line
+of nodes on the long axis. Every ring has a node on the long axis at both ends and a number of nodes that is even, so
+that the strip between two rings can be triangulated in one half and mirrored. Near the middle of a circle the line is
+one node.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.structured import disc
 
-READ_OUT, _RIM = 390, 64  # nodes of the read-out mesh, and of its rim
-_PUNYO = 0.05725, 0.040  # semi-axes of the Punyo [m]
+# nodes in all and on the rim of the Punyo's published mesh; Euler's formula then gives its 714 triangles
+READ_OUT, _RIM = 390, 64
+_SMOOTHINGS = 30
 _GROWTH = 0.2  # of the edge with the distance from what touches: bands of one size are then five triangles wide
 _LEVELS = 5  # a triangle is cut so often at most
 _MOST_NODES = 20_000  # nodes; as many as [sensor] may ask for
@@ -74,22 +75,123 @@ def closed(faces: np.ndarray, rim: np.ndarray) -> np.ndarray:
 
 
 def ellipse(a: float, b: float, nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A flat ellipse: for `READ_OUT` nodes the read-out mesh, else rings of about as many.
+    """A flat ellipse of exactly ``nodes`` nodes, with edges of one length; for `READ_OUT` nodes the read-out mesh.
 
     Args:
-        a, b: semi-axes along x and y [m].
-        nodes: number of nodes wished for; a disc of k rings has 1 + 3 k (k + 1).
+        a, b: semi-axes along x and y [m], a >= b.
+        nodes: number of nodes, 30 or more.
 
     Returns:
-        Points (n, 2) [m]; triangles (f, 3), counter-clockwise; the rim in order (r,).
+        Points (n, 2) [m], the rim first; triangles (f, 3), counter-clockwise; the rim in order (r,).
     """
-    if nodes == READ_OUT:
-        with np.load(Path(__file__).with_name("read_out.npz")) as known:
-            flat, triangles = known["flat"] * (np.array([a, b]) / _PUNYO), known["faces"].astype(np.int64)
-        return flat, triangles, np.arange(_RIM)
-    rings = max(2, round(math.sqrt((nodes - 0.25) / 3.0) - 0.5))
-    plane, triangles = disc(1.0, rings)
-    return plane * [a, b], triangles, np.arange(len(plane) - 6 * rings, len(plane))
+    assert a >= b > 0.0 and nodes >= 30
+    inside = nodes + 0.5 * _perimeter(a, b) / math.sqrt(math.pi * a * b / nodes)
+    edge = math.sqrt(2.0 / math.sqrt(3.0) * math.pi * a * b / inside)
+    rim = _RIM if nodes == READ_OUT else max(8, 4 * round(_perimeter(a, b) / edge / 4))
+    rows = max(1, round(b / (edge * math.sqrt(0.75))))
+    counts, middle = _counts(a, b, rim, nodes, rows)
+    rings = [_ring(a - b * k / rows, b - b * k / rows, n) for k, n in enumerate(counts)]
+    line = np.zeros((middle, 2))
+    if middle > 1:
+        line[:, 0] = np.linspace(-1.0, 1.0, middle) * max(a - b, 0.3 * (middle - 1) * b / rows)
+    points = np.concatenate([*rings, line])
+    start = np.cumsum([0, *counts])
+    loops = [np.arange(start[k], start[k + 1]) for k in range(len(counts))]
+    # around the line and back, from its right end
+    ends = start[-1] + np.arange(middle)
+    loops.append(np.concatenate([ends[::-1], ends[1:-1]]) if middle > 1 else ends)
+    triangles = np.concatenate([_strip(points, outer, inner) for outer, inner in itertools.pairwise(loops)])
+    points = _smooth(points, triangles, rim)
+    return points, triangles, np.arange(rim)
+
+
+def _perimeter(a: float, b: float) -> float:
+    """Of an ellipse [m] (Ramanujan 1914)."""
+    return math.pi * (3.0 * (a + b) - math.sqrt((3.0 * a + b) * (a + 3.0 * b)))
+
+
+def _counts(a: float, b: float, rim: int, nodes: int, rows: int) -> tuple[list[int], int]:
+    """Nodes of the rings from the rim inwards, multiples of 4 that add up to ``nodes`` with those of the line in the
+    middle."""
+    while True:
+        length = np.array([_perimeter(a - b * k / rows, b - b * k / rows) for k in range(1, rows)])
+        rest = nodes - rim
+        row = b / rows
+        middle_wish = max(1.0, 2.0 * (a - b) / (1.1 * row) + 1.0)
+        middle = max(1, round(middle_wish))
+        # the rings have multiples of 4: the line gets the nearest number with the right remainder
+        choice = [m for m in range(1, middle + 5) if (rest - m) % 4 == 0]
+        middle = min(choice, key=lambda m: (abs(m - middle_wish), m))
+        rings = (rest - middle) // 4
+        if rows > 1 and rings < rows - 1:
+            rows -= 1
+            continue
+        if rows == 1:
+            return [rim], rest
+        share = length / length.sum() * rings
+        whole = np.maximum(1, np.floor(share)).astype(int)
+        while whole.sum() != rings:
+            off = share - whole
+            k = int(off.argmax()) if whole.sum() < rings else int(np.where(whole > 1, off, np.inf).argmin())
+            whole[k] += 1 if whole.sum() < rings else -1
+        return [rim, *(4 * int(n) for n in whole)], middle
+
+
+def _ring(a: float, b: float, count: int) -> np.ndarray:
+    """``count`` points at equal arc lengths of an ellipse, from (a, 0) on; one quarter and its mirror images."""
+    angle = np.linspace(0.0, 0.5 * math.pi, 2001)
+    fine = np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
+    at = np.interp(np.linspace(0.0, way[-1], count // 4 + 1), way, angle)
+    quarter = np.stack([a * np.cos(at), b * np.sin(at)], axis=1)
+    quarter[0, 1] = quarter[-1, 0] = 0.0
+    half = np.concatenate([quarter, (quarter * [-1.0, 1.0])[-2::-1]])
+    return np.concatenate([half, (half * [1.0, -1.0])[-2:0:-1]])
+
+
+def _strip(points: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Triangles between two loops that both begin on the +x axis: one quarter by the shorter diagonal each time, the
+    others its mirror images."""
+    if len(inner) == 1:
+        return np.stack([outer, np.roll(outer, -1), np.full(len(outer), inner[0])], axis=1)
+    n, m = len(outer), len(inner)
+    i = j = 0
+    quarter: list[tuple[int, int, int]] = []  # nodes of the outer loop, then n plus those of the inner one
+    while i < n // 4 or j < m // 4:
+        # on the long axis a triangle of the line and the ring's first node would have no area
+        outward = j >= m // 4 or i == 0 or bool(
+            i < n // 4 and np.linalg.norm(points[outer[i + 1]] - points[inner[j]])
+            <= np.linalg.norm(points[outer[i]] - points[inner[j + 1]]))
+        quarter.append((i, i + 1, n + j) if outward else (i, n + j + 1, n + j))
+        i, j = (i + 1, j) if outward else (i, j + 1)
+    first = np.array(quarter)
+    steps, inward = np.arange(n), np.arange(m)
+    x = np.concatenate([(n // 2 - steps) % n, n + (m // 2 - inward) % m])  # mirrored in x, and in y
+    y = np.concatenate([-steps % n, n + -inward % m])
+    four = np.stack([first, x[first][:, ::-1], y[x[first]], y[first][:, ::-1]], axis=1).reshape(-1, 3)
+    out = np.concatenate([outer, inner])[four]
+    if m % 4 == 2:
+        # the middle of a line with an even number of nodes is an edge, of triangles that are their own mirror images
+        j = m // 4
+        out = np.concatenate([out, [(outer[n // 4], inner[j + 1], inner[j]),
+                                    (outer[3 * n // 4], inner[-j % m], inner[(-j - 1) % m])]])
+    return out[[len(set(corners)) == 3 for corners in out.tolist()]]
+
+
+def _smooth(points: np.ndarray, triangles: np.ndarray, rim: int) -> np.ndarray:
+    """Inner nodes moved to the middle of the triangles around them, by area, again and again: evens out areas and keeps
+    the mirror symmetry."""
+    out = points.copy()
+    for _ in range(_SMOOTHINGS):
+        a, b, c = (out[triangles[:, k]] for k in range(3))
+        area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+        middle = (a + b + c) / 3.0
+        total, weight = np.zeros_like(out), np.zeros(len(out))
+        for k in range(3):
+            np.add.at(total, triangles[:, k], area[:, None] * middle)
+            np.add.at(weight, triangles[:, k], area)
+        out[rim:] = (total / weight[:, None])[rim:]
+    return out
 
 
 def cut(flat: np.ndarray, triangles: np.ndarray, rim: np.ndarray, semi_axes: tuple[float, float], which: np.ndarray,
