@@ -83,7 +83,7 @@ def test_the_objects_of_the_episodes_teach_the_estimator_nothing(env):
 
 
 def test_the_example_of_the_page_makes_the_least_certain_touches_first(env, monkeypatch, capsys):
-    (code,) = [b for b in blocks((ROOT / "docs" / "methods.md").read_text(), "py") if "gymnasium.make" in b]
+    (code,) = [b for b in blocks((ROOT / "docs" / "howto.md").read_text(), "py") if "gymnasium.make" in b]
     made = env(method=Zero(), touches=2, objects="test")
     monkeypatch.setattr(gymnasium, "make", lambda name, **given: made)
     exec(code, {})

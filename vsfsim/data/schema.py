@@ -1,4 +1,4 @@
-"""The one table of what an object file holds, `schema.md` beside this file, with which docs/dataset.md ends; writer,
+"""The one table of what an object file holds, `schema.md` beside this file, which docs/dataset.md includes; writer,
 reader and verifier are made from it. Its rows without ``*`` are the fields of the records (`vsfsim.data.records`).
 
 A path is relative to the root of the HDF5 file; ``*`` stands for the three-digit number of a touch. A dimension is a
