@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from vsfsim.core.table import between
-from vsfsim.scenes import table
+from vsfsim.core.table import between, shipped_rows
 
 REGIONS = ("joint", "trunk", "branch", "petiole", "leaf")
 JOINT, TRUNK, BRANCH, PETIOLE, LEAF = range(5)
@@ -96,7 +95,7 @@ class Kind:
     """Radius and height of the pot [m]."""
 
 
-KINDS: dict[str, Kind] = table("artificial_kinds", Kind)
+KINDS: dict[str, Kind] = shipped_rows(__file__, "tables/artificial_kinds.toml", Kind)
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ class Named:
     """Factor on the number of leaves and of branches [-]."""
 
 
-PLANTS: dict[str, Named] = table("artificial_plants", Named)
+PLANTS: dict[str, Named] = shipped_rows(__file__, "tables/artificial_plants.toml", Named)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ import numpy as np
 
 from vsfsim.core.material import FOAMS, Foam
 from vsfsim.core.solid import Appearance, Law
-from vsfsim.scenes import table
+from vsfsim.core.table import shipped_rows
 
 Colour = tuple[float, float, float]
 
@@ -61,7 +61,7 @@ class Material:
     """Distance h of the lining behind the sheet [m]; 0 for none."""
 
 
-MATERIALS: dict[str, Material] = table("footwear_materials", Material)
+MATERIALS: dict[str, Material] = shipped_rows(__file__, "tables/footwear_materials.toml", Material)
 """Materials by name."""
 
 
@@ -138,10 +138,11 @@ class Model:
     """Parts that look like another material than their own."""
 
 
-MODELS: dict[str, Model] = table("footwear_models", Model)
+MODELS: dict[str, Model] = shipped_rows(__file__, "tables/footwear_models.toml", Model)
 """The named shoes."""
 
-CHOICES: dict[str, dict[str, tuple[str, ...]]] = table("footwear_choices", dict[str, tuple[str, ...]])
+CHOICES: dict[str, dict[str, tuple[str, ...]]] = shipped_rows(
+    __file__, "tables/footwear_choices.toml", dict[str, tuple[str, ...]])
 """Materials that the parts of a random shoe of each style are drawn from."""
 WALLS = {"tongue": {"padding": 0.010, "fleece": 0.009}}
 """Thickness of a padded part [m]; the other parts are as thick as the form's wall."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vsfsim.core.solid import Appearance
-from vsfsim.scenes import table
+from vsfsim.core.table import shipped_rows
 
 _BRIGHTNESS_CORRELATION = 0.6
 """Correlation of a region's log brightness with its stiffness within the class [-]."""
@@ -36,7 +36,7 @@ class MaterialClass:
     """Bounds of the texture's relative amplitude, 0 to 1."""
 
 
-CLASSES: dict[str, MaterialClass] = table("shoe_classes", MaterialClass)
+CLASSES: dict[str, MaterialClass] = shipped_rows(__file__, "tables/shoe_classes.toml", MaterialClass)
 """Classes whose typical colours and textures both depend on the material."""
 
 COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55),

@@ -12,8 +12,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from vsfsim.core.table import between
-from vsfsim.scenes import table
+from vsfsim.core.table import between, shipped_rows
 
 REGIONS = ("trunk", "branch", "petiole", "leaf")
 TRUNK, BRANCH, PETIOLE, LEAF = range(4)
@@ -99,7 +98,7 @@ class Species:
     """Radius and height of the pot [m]."""
 
 
-SPECIES: dict[str, Species] = table("plant_species", Species)
+SPECIES: dict[str, Species] = shipped_rows(__file__, "tables/plant_species.toml", Species)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from vsfsim.core.table import between, typed, value
-from vsfsim.scenes import table
+from vsfsim.core.table import between, shipped_rows, typed, value
 
 REGIONS = ("sole", "toe_cap", "upper", "tongue", "heel_counter")
 
@@ -68,7 +67,7 @@ class Style:
     """Material classes that each region may be made of."""
 
 
-STYLES: dict[str, Style] = table("shoe_styles", Style)
+STYLES: dict[str, Style] = shipped_rows(__file__, "tables/shoe_styles.toml", Style)
 
 
 @dataclass(frozen=True)

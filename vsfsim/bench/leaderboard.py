@@ -187,8 +187,8 @@ def ship(rows: Mapping[Path, tuple[Result, str, float]], out: Path) -> None:
         if entry is None or entry.sha256 != sha256:
             spent = max(seconds, sum(row.timing.get(key, 0.0) for key in ("meta_fit_s", "adapt_s", "predict_s")))
             entry = Entry(sha256, row.task, row.method, "verified" if entry and is_same(row, before) else "open",
-                          command or command_of(row, whole=not row.preset), str(row.made_by.get("commit")),
-                          str(row.machine.get("cpu")), round(spent, 1), bool(given.data))
+                          command or command_of(row, whole=not row.preset), row.made_by.get("commit") or "",
+                          row.machine.get("cpu") or "", round(spent, 1), bool(given.data))
         row.save(target)
         entries[sha256] = entry
     write_list(entries.values(), out / LIST)

@@ -157,5 +157,5 @@ class Foam:
         return 0.5 * lam / (lam + mu)
 
 
-FOAMS = shipped_rows("foams.toml", Foam)
+FOAMS: dict[str, Foam] = shipped_rows(__file__, "foams.toml", Foam)
 """Foams that ``material`` in ``[object]`` of a scene may name."""

@@ -76,9 +76,13 @@ def _deeper(tree: Any, levels: int) -> bool:
     return bool(row)
 
 
-def shipped_rows(file: str, kind: type[T]) -> dict[str, T]:
-    """The records of a TOML file beside this module, by the names of their tables."""
-    return msgspec.toml.decode(Path(__file__).with_name(file).read_bytes(), type=dict[str, kind])  # type: ignore[valid-type]
+def shipped_rows(module: str, file: str, kind: Any) -> dict[str, Any]:
+    """The tables of a TOML ``file`` that ships, by their names, each of class ``kind``.
+
+    Args:
+        module: the ``__file__`` of the module whose folder ``file`` is relative to.
+    """
+    return msgspec.toml.decode(Path(module).parent.joinpath(file).read_bytes(), type=dict[str, kind])
 
 
 def between(low: float, high: float, unit: str = "", *, whole: bool = False) -> msgspec.Meta:

@@ -2,6 +2,7 @@
 the user; every way is tried."""
 
 import dataclasses
+import fcntl
 import hashlib
 import os
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import hostile_leaks
 import pytest
+import toy_methods
 
 import vsfsim
 from vsfsim.bench.evaluate import evaluate
@@ -172,3 +174,20 @@ def test_memory_processes_and_files_are_limited_by_default(one_trial):
                               ("open('/tmp/x', 'wb').write(bytes(3 << 30))", "OSError")):
             make("0", CODE=code)
             assert make.log.read_text().split()[-1] == printed
+
+
+@container
+def test_trials_that_run_at_once_cannot_signal_by_what_the_kernel_keeps_of_a_file(one_trial):
+    """Locks of all kinds, leases and watches of a file that two containers see have no effect, and no error."""
+    held = open(toy_methods.__file__, "rb")
+    fcntl.flock(held, fcntl.LOCK_EX)
+    with one_trial("hostile_methods:Greedy", Isolation("namespaces")) as make:
+        for code in ("fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)",
+                     "for what in (6, 7, 37, 38): fcntl.fcntl(file, what, bytes(32))",
+                     "for what in (1024, 1026): fcntl.fcntl(file, what, 1)",
+                     "assert LIBC.inotify_add_watch(LIBC.inotify_init1(0), file.name.encode(), 32) == 0"):
+            make("0", CODE="import fcntl; LIBC = ctypes.CDLL(None); file = open(toy_methods.__file__, 'rb')\n"
+                           f"{code}\nraise EOFError")
+            assert make.log.read_text().split()[-1] == "EOFError"
+    locks = Path("/proc/locks").read_text()
+    assert locks.count(f":{os.fstat(held.fileno()).st_ino} ") == 1, "the test's own"

@@ -15,10 +15,10 @@ from vsfsim.bench.board.templates import filled
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.leaderboard import Row, collect, score_table
 from vsfsim.bench.result import Result
-from vsfsim.bench.task import OTHERS, Task, load_task
+from vsfsim.bench.task import OTHERS, Task, load_task, retired
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import file_stem
-from vsfsim.core.shelf import methods
+from vsfsim.core.shelf import methods, tasks
 from vsfsim.data.disk import write_atomic
 
 
@@ -40,6 +40,9 @@ def submit(path: Path, out: Path, *, task: Task | None = None) -> tuple[str, dic
     if others is not None:
         raise TaskError(f"{path} is a result of {result.task}, which has other objects than {others[1]}; it is no row. "
                         f"Evaluate the method on {others[1]} with the settings that were chosen.")
+    if task is None and result.task not in {*tasks(), *retired()}:
+        raise TaskError(f"{path} is a result of task '{result.task}', which is not installed here. Give the task's "
+                        f"file: vsfsim submit {shlex.quote(str(path))} --task FILE.toml")
     task = task or load_task(result.task)
     board = collect(task, [path])
     mine = [row for row in board.rows if row.path == path]

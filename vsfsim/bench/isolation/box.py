@@ -24,11 +24,15 @@ _BIND, _REC, _PRIVATE, _DETACH = 4096, 16384, 1 << 18, 2
 _MOUNT_SETATTR, _RECURSIVE, _RDONLY, _NOSUID = 442, 0x8000, 1, 2
 _DUMPABLE, _SECCOMP, _NO_NEW_PRIVILEGES = 4, 22, 38
 _NOBODY = 65534
-_CALLS = {"x86_64": (0xC000003E, 41, (248, 249, 250)), "aarch64": (0xC00000B7, 198, (217, 218, 219))}
-# Of a machine, the number of its system calls' table, and in it socket, and add_key, request_key and keyctl: the
-# kernel's keyrings are in no namespace of root's, and sockets to the host of a virtual machine (AF_VSOCK) in none.
+_CALLS = {"x86_64": (0xC000003E, 41, (248, 249, 250), 72, (73, 254)),
+          "aarch64": (0xC00000B7, 198, (217, 218, 219), 25, (32, 27))}
+# Of a machine, the number of its system calls' table, and in it socket, add_key, request_key and keyctl, fcntl, flock
+# and inotify_add_watch. The kernel's keyrings are in no namespace of root's, and sockets to the host of a virtual
+# machine (AF_VSOCK) in none. Locks, leases, hints and watches are of the file that all trials see.
 _VSOCK, _X32 = 40, 0x40000000
 # The family of these sockets, and the least number of a call of x86_64's second table.
+_ON_FILES = (6, 7, 37, 38, 1024, 1026, 1036)
+# Of fcntl: locks of a process and of an open file, set and waited for; a lease, a watch and the hint of a file.
 
 
 def leave() -> None:
@@ -120,15 +124,19 @@ def _lose_privileges(libc: ctypes.CDLL) -> None:
             libc.prctl(_DUMPABLE, 1, 0, 0, 0)
     _check(libc.capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()), "capset")
     if platform.machine() in _CALLS:
-        table, socket, keys = _CALLS[platform.machine()]
-        # load the table's number; if it is another one, refuse; load the call's number; compare; of a socket, load its
-        # family and compare; allow; refuse (EPERM)
-        steps = [(0x20, 0, 0, 4), (0x15, 0, len(keys) + 6, table), (0x20, 0, 0, 0),
-                 (0x35, len(keys) + 4, 0, _X32),
-                 *((0x15, len(keys) + 3 - k, 0, call) for k, call in enumerate(keys)),
-                 (0x15, 0, 2, socket), (0x20, 0, 0, 16), (0x15, 1, 0, _VSOCK),
-                 (0x06, 0, 0, 0x7FFF0000), (0x06, 0, 0, 0x50001)]
-        buffer = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))  # see seccomp(2)
+        table, socket, keys, control, shared = _CALLS[platform.machine()]
+        load, equal, at_least = 0x20, 0x15, 0x35
+        # see seccomp(2): the table's number, the call's number, the family of a socket, what fcntl is asked
+        rules = [(load, 4), (equal, table, 0, "refuse"), (load, 0), (at_least, _X32, "refuse", 0),
+                 *((equal, call, "refuse", 0) for call in keys), *((equal, call, "ignore", 0) for call in shared),
+                 (equal, socket, 0, 2), (load, 16), (equal, _VSOCK, "refuse", "allow"),
+                 (equal, control, 0, "allow"), (load, 24), *((equal, what, "ignore", 0) for what in _ON_FILES)]
+        # ends: allow, refuse with EPERM, say that it was done; a jump counts the steps that it leaves out
+        ends = {"allow": 0x7FFF0000, "refuse": 0x50001, "ignore": 0x50000}
+        place = {name: len(rules) + k for k, name in enumerate(ends)}
+        steps = [(code, *(place[to] - k - 1 if to in place else to for to in jumps or (0, 0)), value)
+                 for k, (code, value, *jumps) in enumerate(rules)] + [(0x06, 0, 0, value) for value in ends.values()]
+        buffer = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
         program = (ctypes.c_uint64 * 2)(len(steps), ctypes.addressof(buffer))
         _check(libc.prctl(_SECCOMP, 2, program, 0, 0), "seccomp")
 

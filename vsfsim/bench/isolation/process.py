@@ -24,6 +24,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import vsfsim
 from vsfsim.bench.identity import named_by
 from vsfsim.bench.isolation.limits import LARGEST_FOLDER, LARGEST_LOG, Isolation, environment, kernels, places
 from vsfsim.bench.isolation.wire import Garbled, Reply, receive_reply
@@ -104,8 +105,9 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         self.hides = device == "cpu"
         """No process sees a GPU."""
         self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
+        # the working folder only where vsfsim itself lies in it: its other modules are the user's
         self._search = [path for path in dict.fromkeys(map(os.path.abspath, filter(None, sys.path)))
-                        if path != os.getcwd()]
+                        if path != os.getcwd() or path == str(Path(vsfsim.__path__[0]).parent)]
         self._places = {"size": LARGEST_FOLDER, **places(name, self.parameters, search=self._search, hidden=hidden,
                                                          given=environment(os.environ))}
         self._lock, self._hosts = threading.Lock(), dict[bool, tuple[subprocess.Popen[bytes], socket.socket]]()

@@ -118,13 +118,13 @@ _FRAMES = {"free": (2, 1), "in": (6, 1), "hold": (1, 0), "out": (3, 0)}
 """Default and least number of readings of each phase."""
 
 
-def parse_touches(node: Any, path: Path) -> TouchSpec:
-    """The table ``[touches]`` of the scene file ``path``.
+def parse_touches(node: Any, path: Path, *, row: str = "[touches]") -> TouchSpec:
+    """The table ``[touches]`` of the scene file ``path``; messages call it ``row``.
 
     Raises:
         SceneError: an unknown key, or a value that is not allowed.
     """
-    where = f"{path} [touches]"
+    where = f"{path} {row}"
     written = check_keys(node, where, [field.name for field in fields(TouchSpec)])
     frames = check_keys(written.get("frames", {}), f"{where} frames", _FRAMES)
     for key in ("depth", "approach"):
@@ -134,21 +134,23 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
     found = typed(node, TouchSpec, where, also=("frames", "other"), frames=tuple(
         value(frames.get(key, usual), Annotated[int, between(least, 1000, whole=True)], f"{where} frames: {key}")
         for key, (usual, least) in _FRAMES.items()), other=tuple(
-        _other(node, row, f"{path} [[touches.other]] {k}", path)
-        for k, row in enumerate(value(written.get("other", []), Rows, f"{where}: other"), start=1)))
+        _other(node, one, f"[[touches.other]] {k}", path)
+        for k, one in enumerate(value(written.get("other", []), Rows, f"{where}: other"), start=1)))
     return replace(found, **{key: bounds[1] for key in ("depth", "approach")
                              if (bounds := getattr(found, f"{key}_range"))})
 
 
-def _other(own: Mapping[str, Any], node: Any, where: str, path: Path) -> tuple[ProbeShape | None, TouchSpec]:
+def _other(own: Mapping[str, Any], node: Any, name: str, path: Path) -> tuple[ProbeShape | None, TouchSpec]:
     """A press of another kind: what its row does not say is as in [touches]."""
+    where = f"{path} {name}"
     row = dict(check_keys(node, where, ("shape", "depth", "depth_range", "tilt", "level")))
     shape = parse_probe_shape(row.pop("shape"), where) if "shape" in row else None
     if isinstance(shape, MeshFile):
         raise SceneError(f"{where}: shape is {node['shape']!r}; a touch of a dataset is made with a simple shape, e.g. "
                          f"shape = {{ cylinder = [0.01, 0.02] }}.")
     dropped = {"other", *(("depth", "depth_range") if {"depth", "depth_range"} & row.keys() else ())}
-    return shape, parse_touches({**{key: value for key, value in own.items() if key not in dropped}, **row}, path)
+    return shape, parse_touches({**{key: value for key, value in own.items() if key not in dropped}, **row}, path,
+                                row=name)
 
 
 def parse_dataset(node: Any, path: Path) -> DatasetSpec:

@@ -119,7 +119,7 @@ class DepthCamera:
     """Share of the pixels at depth edges without a depth [-]."""
 
 
-DEPTH_CAMERAS = shipped_rows("cameras.toml", DepthCamera)
+DEPTH_CAMERAS: dict[str, DepthCamera] = shipped_rows(__file__, "../cameras.toml", DepthCamera)
 """Cameras that ``model`` in ``[camera]`` may name."""
 
 
