@@ -6,6 +6,7 @@ import toy_methods  # noqa: F401  (the methods below extend one of it, in a proc
 
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.identity import _SCORES, contents_of, files_of, method_sha256
+from vsfsim.bench.isolation.limits import works
 from vsfsim.core.errors import MethodError
 
 KEPT = "r.parts/*/*.answers"
@@ -80,6 +81,31 @@ def test_a_result_says_what_decided_it(author, tmp_path):
     assert set(found.contents) == {"the method", "the harness", str(tmp_path / "w.txt"), "table.csv"}
     assert type(found).load(tmp_path / "r.json").contents == found.contents
     assert contents_of("mine:Mine", found.parameters, opened=found.contents) == found.contents
+
+
+@pytest.mark.skipif(not works("namespaces"), reason="no namespaces here")
+def test_every_file_of_a_folder_that_a_parameter_names_counts(task, toy_dataset, tmp_path, monkeypatch):
+    """Also one that is first opened in a trial: in a container none of them can be written."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tables" / "deep").mkdir(parents=True)
+    table, folder = tmp_path / "tables" / "deep" / "a.txt", str(tmp_path / "tables")
+    table.write_text("5.6")
+    (tmp_path / "reads.py").write_text(
+        "from toy_methods import Constant\n\nclass Reads(Constant):\n    def __init__(self, *, tables=''):\n"
+        "        super().__init__()\n        self.tables = tables\n    def adapt(self, view, support):\n"
+        "        self.value = float(open(self.tables + '/deep/a.txt').read())\n"
+        "        try:\n            open(self.tables + '/note', 'w')\n        except OSError:\n"
+        "            super().adapt(view, support)\n")
+
+    def run(progress=lambda *_: None):
+        return evaluate("reads:Reads", task, toy_dataset, check=False, seeds=1, parameters={"tables": folder},
+                        sandbox="namespaces", progress=progress)
+
+    before = run().contents
+    assert set(before) == {"the method", "the harness", folder}
+    with pytest.raises(MethodError, match=rf"was changed while it was evaluated: {folder} has another content"):
+        run(lambda done, *_: done == 3 and table.write_text("5.7"))
+    assert contents_of("reads:Reads", {"tables": folder}, opened=before)[folder] != before[folder]
 
 
 def test_answers_pass_through_the_particle_model_and_ceilings_through_the_solver(monkeypatch):

@@ -11,7 +11,7 @@ from vsfsim.baselines.near_springs import NearSprings
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record, specimen
 from vsfsim.bench.task import load_task, parse_task
-from vsfsim.core.errors import DatasetError
+from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Cylinder, Sphere
 from vsfsim.core.shelf import find_scene
@@ -63,6 +63,15 @@ def test_the_scenes_own_touches_are_those_of_the_scene_without_others(made, tmp_
         np.testing.assert_array_equal(view.touches[k].mount_pose, plain.touches[k].mount_pose)
         np.testing.assert_allclose(view.touches[k].force, plain.touches[k].force, rtol=2e-4, atol=1e-7)
     assert all(touch.press is None for touch in plain.touches) and plain.others == ()
+
+
+@pytest.mark.parametrize(("old", "new"), [("depth = 0.002", "depth = -1.0"), ("level = true", "level = 3"),
+                                          ("level = true", "levels = true")])
+def test_a_wrong_press_of_another_kind_is_named_by_its_row(tmp_path, old, new):
+    (tmp_path / "kinds.toml").write_text(text("kinds").replace(old, new))
+    row = 1 if "depth" in old else 2
+    with pytest.raises(SceneError, match=rf"kinds.toml \[\[touches.other\]\] {row}: .*{new.split()[0]}"):
+        load_scene(tmp_path / "kinds.toml")
 
 
 def test_queries_are_other_presses_and_only_the_scenes_own_are_learned_from(made, task):

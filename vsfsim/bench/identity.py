@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from vsfsim.core.errors import MethodError
 from vsfsim.core.shelf import ceilings, methods
-from vsfsim.core.system.content import file_sha256, files_sha256, named_files, source_files
+from vsfsim.core.system.content import file_sha256, files_sha256, named_files, named_folders, source_files
 
 METHOD, SCORER = "the method", "the harness"
 """Names of the two digests in `contents_of`."""
@@ -27,14 +28,18 @@ _SCORES = ("inclusions", "metrics", "noise", "observations", "protocol", "task",
 
 
 def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path = "",
-                opened: Iterable[str] = ()) -> dict[str, str]:
+                opened: Collection[str] = ()) -> dict[str, str]:
     """What decides a method's answers, each a sha256 by name: `METHOD`, its source; `SCORER`; every file that a
     parameter names; and every other file that its process opened. Nothing of the method is imported.
 
     Args:
         name: as `vsfsim.bench.method.find_method` takes it, or of a ceiling; it exists. parameters: all of them, as
         JSON values. folder: in which modules and files are looked for; default: the working folder. opened: names of
-        files, relative to ``folder`` or absolute; what is no file is left out.
+        files, relative to ``folder`` or absolute, and folders as a parameter names them, of which every file counts;
+        what is neither is left out.
+
+    Raises:
+        MethodError: a file of such a folder cannot be read.
     """
     folder = folder or os.getcwd()
     here = Path(__file__).parent
@@ -46,6 +51,13 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
         path = Path(folder, text)
         if os.path.isfile(path) and (path := path.resolve()) not in seen:  # of no file is even a name too long
             named[str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)] = path
+    whole = named_folders(dict(parameters), folder)
+    try:
+        out |= {text: files_sha256({str(one.relative_to(whole[text])): one for one in whole[text].rglob("*")
+                                    if one.is_file()}) for text in opened if text in whole}
+    except OSError as error:
+        raise MethodError(f"a folder that a parameter of {name} names cannot be read whole: {error}. Name one whose "
+                          f"files stay as they are, and can be read.") from error
     return out | {text: file_sha256(path) for text, path in named.items()}
 
 

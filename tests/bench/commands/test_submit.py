@@ -56,6 +56,12 @@ def test_what_the_board_would_not_rank_is_refused_and_nothing_is_written(result,
     assert not (tmp_path / "out").exists()
 
 
+def test_a_task_that_is_not_installed_is_asked_for(result, tmp_path):
+    result.save(tmp_path / "r.json")
+    with pytest.raises(TaskError, match=r"task 'toy-v1', which is not installed.* --task FILE.toml"):
+        submit(tmp_path / "r.json", tmp_path / "out")
+
+
 def test_a_method_that_is_not_installed_is_refused(result, task, tmp_path):
     result.save(tmp_path / "r.json")
     with pytest.raises(TaskError, match="'toy_methods:Constant' is not installed here"):

@@ -18,6 +18,7 @@ import vsfsim
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation import limits
 from vsfsim.bench.isolation.limits import SANDBOXES, Isolation
+from vsfsim.bench.isolation.process import MethodHost
 from vsfsim.core.errors import MethodError
 
 BOXES = [name for name in SANDBOXES if limits.works(name)]
@@ -54,10 +55,12 @@ def test_a_container_shows_what_a_parameter_names_and_not_the_dataset(one_trial,
     (tmp_path / "weights").write_text("1")
     with one_trial("hostile_methods:NeedsFile", Isolation(box), path=str(tmp_path / "weights")) as make:
         make("0")
-    with one_trial("hostile_methods:NeedsPart", Isolation(box), folder=str(toy_dataset.path.parent),
-                   file=toy_dataset.entries[1].file) as make, pytest.raises(
-            MethodError, match=r"(FileNotFound|Permission)Error in .*It runs in a container \(--sandbox "):
+    with one_trial("hostile_methods:NeedsFile", Isolation(box), path=str(tmp_path / "weights") + "x") as make, \
+            pytest.raises(MethodError, match=r"FileNotFoundError in .*It runs in a container \(--sandbox "):
         make("0")
+    with pytest.raises(MethodError, match=r"in which .*/toy lies, which no method may see"), one_trial(
+            "hostile_methods:NeedsPart", Isolation(box), folder=str(toy_dataset.path.parent), file="any"):
+        pass
 
 
 def test_the_default_is_the_strongest_that_works(monkeypatch):
@@ -89,6 +92,15 @@ def test_a_container_shows_packages_that_no_folder_of_the_path_holds(box, name, 
             "    print(one.look(check=False).entry)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout.strip() == entry, done.stderr
+
+
+@pytest.mark.parametrize(("folder", "is_searched"), [(Path(vsfsim.__path__[0]).parent, True), (Path("/usr"), False)])
+def test_of_the_working_folder_the_package_alone_is_imported(monkeypatch, tmp_path, folder, is_searched):
+    """As with PYTHONPATH=. where packages were unpacked; other modules there are the user's."""
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
+    with MethodHost("toy_methods:Constant", {}, Isolation("process"), tmp_path / "log") as host:
+        assert (str(folder) in host._search) == is_searched
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from vsfsim.bench.identity import files_of, imports_of, packages_of
 from vsfsim.bench.isolation import box
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shelf import folder
-from vsfsim.core.system.content import named_files
+from vsfsim.core.system.content import named_files, named_folders
 
 GIB = 1 << 30
 SANDBOXES = ("namespaces", "process")
@@ -133,9 +133,7 @@ def places(name: str, parameters: Mapping[str, Any], *, search: Iterable[str], h
                  or any(Path(path).glob("*.dist-info"))]
     # the method's own, and a package that is installed "editable", which lies where no folder of installed packages is
     sources = packages_of({**imports_of(name), **files_of(name)})
-    texts = [text for text in parameters.values() if isinstance(text, str) and "/" in text and len(text) < 1000]
-    named = [*named_files(dict(parameters), here).values(),
-             *(path for path in (Path(here, text) for text in texts) if path.is_dir())]
+    named = [*named_files(dict(parameters), here).values(), *named_folders(dict(parameters), here).values()]
     weights = [given["VSFSIM_DINOV2"]] if "VSFSIM_DINOV2" in given else []
     weights += [os.path.join(given[key], "hub") for key in ("TORCH_HOME", "HF_HOME")]
     wanted = [*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, *installed, *vsfsim.__path__, folder("baselines"),

@@ -33,7 +33,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.core.extras import EXTRA_OF, MissingPackage
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import methods
-from vsfsim.core.system.content import named_files
+from vsfsim.core.system.content import named_files, named_folders
 
 _START = ("import sys, json; given = json.load(sys.stdin); sys.path[:] = given['search']; "
           "from vsfsim.bench.isolation.child import main; main(given)")
@@ -91,6 +91,9 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         isolation: what it is kept from.
         log: file to which everything goes that it prints.
         hidden: folders that a container must not show.
+
+    Raises:
+        MethodError: a parameter names a folder that holds one of them.
     """
 
     def __init__(self, name: str, parameters: Mapping[str, Any], isolation: Isolation, log: Path, *,
@@ -104,6 +107,13 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         self._on_gpu = device != "cpu" and bool(glob.glob("/dev/nvidia[0-9]*") + glob.glob("/dev/kfd"))
         self.hides = device == "cpu"
         """No process sees a GPU."""
+        named = named_folders(self.parameters, "") if isolation.sandbox != "process" else {}
+        for text, path in named.items():
+            if inside := [one for one in hidden if one.is_dir() and one.is_relative_to(path.resolve())]:
+                raise MethodError(f"a parameter of {name} names the folder '{text}', in which {inside[0]} lies, which "
+                                  f"no method may see. Name one that holds what the method needs and nothing else.")
+        self.folders = tuple(named)
+        """Folders that parameters name, whose files no process of the method can change."""
         self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
         # the working folder only where vsfsim itself lies in it: its other modules are the user's
         self._search = [path for path in dict.fromkeys(map(os.path.abspath, filter(None, sys.path)))

@@ -120,7 +120,7 @@ class Evaluation(contextlib.AbstractContextManager["Evaluation"]):
             MethodError: it is unknown, or breaks its contract.
         """
         self.said = self.host.look(check=check and not any(self.parts.glob("*/*.answers")))
-        self.contents = contents_of(self.method, self.said.parameters)
+        self.contents = contents_of(self.method, self.said.parameters, opened=self.host.folders)
 
     @property
     def runs(self) -> tuple[int, ...]:
@@ -180,7 +180,7 @@ class Evaluation(contextlib.AbstractContextManager["Evaluation"]):
         self._check_contents()
         tell(0, f"{self.parts.stem} {job.name}: meta-fit")
         learned = pool.submit(self.host.learn, specimens, seed=job.seed, environment=environment).result()
-        opened = contents_of(self.method, self.said.parameters, opened=learned.opened)
+        opened = contents_of(self.method, self.said.parameters, opened=(*self.contents, *learned.opened))
         trials = [pool.submit(run_trial, self.host, learned, subjects[name],
                               asked_of(subjects[name], label, run, self.task.protocol))
                   for run, name, label in job.asked(self.task.protocol.labels)]
@@ -201,8 +201,7 @@ class Evaluation(contextlib.AbstractContextManager["Evaluation"]):
             MethodError: what decides the answers is no longer what it was when the evaluation began.
         """
         known = self.contents if known is None else known
-        odd = differences(known, contents_of(self.method, self.said.parameters,
-                                             opened=[name for name in known if name not in self.contents]))
+        odd = differences(known, contents_of(self.method, self.said.parameters, opened=tuple(known)))
         if odd:
             raise MethodError(f"{self.method} was changed while it was evaluated: {'; '.join(odd)}. Its answers would "
                               f"be of two methods; run the same command again, and what the change touches is made "

@@ -81,6 +81,12 @@ def named_files(values: Any, folder: str | Path) -> dict[str, Path]:
     return {text: path.absolute() for text, path in found.items() if os.path.isfile(path)}
 
 
+def named_folders(values: Any, folder: str | Path) -> dict[str, Path]:
+    """The folders that texts with a slash name, by that text; operands as of `named_files`."""
+    found = {text: Path(folder, Path(text).expanduser()) for text in texts_of(values) if "/" in text}
+    return {text: path.absolute() for text, path in found.items() if os.path.isdir(path)}
+
+
 def differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
     """In words, how the contents ``here`` differ from those ``there``, each a sha256 by name."""
     out = [f"{name} has another content (sha256 {there[name][:12]} there, {here[name][:12]} here)"
