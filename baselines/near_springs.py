@@ -1,5 +1,5 @@
 """`near-springs`: a spring under each touched place; a touch is predicted from those near it. No paper: the simplest
-method that a newcomer would write, and the example of the README.
+method that a newcomer would write, and the example of docs/tutorial.md.
 
 A touch i at the place x_i is a spring k_i = sum F d / sum d^2 over its frames (F force, d depth past the visible
 surface). The training objects' touches together give the spring k_0. The force of a touch at x and depth d is that of

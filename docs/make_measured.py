@@ -220,15 +220,22 @@ MEASURED: dict[str, partial[str]] = {
     "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None)}
 """Table by name of its file."""
+SHOWN = ("#", "method", "0-shot", "1-shot", "5-shot", "of possible")
+"""Columns of the README's table."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""
 
 
 def readme(text: str) -> str:
-    """The README with its marked table as it is in ``measured/``, without the rows that have the papers' settings."""
+    """The README with its marked table as it is in ``measured/``, of `SHOWN` columns and without the rows that have the
+    papers' settings."""
     def table(mark: re.Match[str]) -> str:
-        lines = (FOLDER / mark[2]).read_text().splitlines()[1:]
-        return mark[1] + "".join(f"{line}\n" for line in lines if "(paper)" not in line) + mark[3]
+        _, title, empty, head, *rows = (FOLDER / mark[2]).read_text().splitlines()
+        columns = [k for k, name in enumerate(head.split(" | ")) if name.strip("| ") in SHOWN]
+        cut = [f"| {' | '.join(row.strip('|').split(' | ')[k].strip() for k in columns)} |"
+               for row in (head, *rows) if "(paper)" not in row]
+        said = [s for s in re.split(r"(?<=\.) (?=[A-Z\\])", title) if not s.startswith(("No row of", "Rank corr."))]
+        return mark[1] + "\n".join([" ".join(said), empty, *cut]) + "\n" + mark[3]
 
     return re.sub(r"(<!-- measured: ([\w.-]+) -->\n).*?(<!-- end -->)", table, text, flags=re.DOTALL)
 

@@ -1,11 +1,11 @@
-"""The notebook of the first hour runs from top to bottom, and its method is the README's."""
+"""The notebook of the first hour runs from top to bottom, and its method is the tutorial's."""
 
 import ast
 import json
 
 import nbformat
 import pytest
-from pages import README, ROOT, named
+from pages import ROOT, TUTORIAL, named
 
 PATH = ROOT / "docs" / "notebooks" / "first_hour.ipynb"
 
@@ -41,7 +41,7 @@ def test_its_cells_run_one_after_the_other(notebook, tmp_path, monkeypatch):
     held(tmp_path)
 
 
-def test_it_holds_the_method_of_the_readme_and_no_outputs(notebook):
+def test_it_holds_the_method_of_the_tutorial_and_no_outputs(notebook):
     texts = [cell.source for cell in notebook.cells]
-    assert f"%%writefile mine.py\n{named(README, 'mine.py', 'python').rstrip()}" in texts
+    assert f"%%writefile mine.py\n{named(TUTORIAL, 'mine.py', 'python').rstrip()}" in texts
     assert all(not cell.get("outputs") and cell.get("execution_count") is None for cell in notebook.cells)

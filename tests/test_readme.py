@@ -18,15 +18,26 @@ def vsfsim(*words, cwd):
 
 
 def test_the_readme_is_short():
-    assert len(README.splitlines()) <= 150
+    assert len(README.split()) <= 1200
     for picture in re.findall(r"!\[[^]]+\]\(([^)]+)\)", README):
         assert (ROOT / picture).stat().st_size < 200_000
 
 
+def test_bibtex_and_citation_file_agree():
+    import vsfsim as package
+
+    said = (ROOT / "CITATION.cff").read_text()
+    (bibtex,) = blocks(README, "bibtex")
+    for cff, tex in (("title", "title"), ("version", "version"), ("license", "license"), ("  - name", "author")):
+        (value,) = re.findall(rf"^{cff}: \"?([^\"\n]+)", said, re.MULTILINE)
+        assert re.search(rf"{tex} *= {{+{re.escape(value)}}}", bibtex), value
+    assert f"version: {package.__version__}\n" in said
+
+
 def test_the_method_is_found_in_the_current_folder_and_conforms(tmp_path):
     (tmp_path / "mine.py").write_text(named(README, "mine.py", "python"))
-    out = vsfsim("check", "mine:NearSprings", cwd=tmp_path)
-    assert out.returncode == 0 and "mine:NearSprings conforms" in out.stdout, out.stdout + out.stderr
+    out = vsfsim("check", "mine:OneSpring", cwd=tmp_path)
+    assert out.returncode == 0 and "mine:OneSpring conforms" in out.stdout, out.stdout + out.stderr
 
 
 def test_ci_runs_the_second_command_of_the_readme():
