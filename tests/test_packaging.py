@@ -126,7 +126,7 @@ def test_a_wheel_has_the_command_and_the_entry_points(installed):
 
 
 BASE = {"numpy", "scipy", "h5py", "typer", "rich", "filelock", "msgspec", "jinja2", "fsspec"}
-IMPORTED_AS = {"pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn",
+IMPORTED_AS = {"mat-io": "matio", "pyyaml": "yaml", "warp-lang": "warp", "pillow": "PIL", "scikit-learn": "sklearn",
                "scikit-fem": "skfem"}
 """Distributions whose package has another name."""
 

@@ -273,8 +273,10 @@ def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str],
 
 
 def possible(board: Board) -> dict[str, float]:
-    """By shot, the mean ratio of the lowest ceiling that ran at the data's own tier; {} where the board has none, or
-    does not rank by the error over that of predicting zero."""
+    """By shot, the mean ratio of the lowest ceiling that ran at the data's own tier, or of recordings their
+    repeatability; {} where the board has none, or does not rank by the error over that of predicting zero."""
+    if board.record is not None and board.record.repeat and board.task.primary == "rmse_ratio":
+        return dict.fromkeys(board.task.protocol.labels, board.record.repeat)
     found = [row.scores["rmse_ratio"] for row in board.rows if row.mark == CEILING
              and board.task.primary == "rmse_ratio" and not row.result.parameters.get("tier")]
     return {shot: min(one[shot].mean for one in found if shot in one) for shot in found[0]} if found else {}

@@ -61,6 +61,8 @@ class DatasetWanted:
     """Of the recipe, or "auto" for any."""
     sha256: str = ""
     """Of the content, or "" for any."""
+    recorded: str = ""
+    """Commands that make it of recordings, which are not made by a scene; "" for data of a scene."""
 
     def path(self) -> Path:
         """Where it is looked for: under $VSFSIM_DATASETS, else under ./datasets."""
@@ -68,6 +70,8 @@ class DatasetWanted:
 
     def command(self, out: Path | None = None) -> str:
         """The command that makes it, quoted for a shell."""
+        if self.recorded:
+            return f"{self.recorded} --out {shlex.quote(str(out or self.path()))}"
         counts = f"--objects {self.objects} --views {self.views} --touches {self.touches} --seed {self.seed}"
         return shlex.join(["vsfsim", "generate", self.scene, *counts.split(), "--tier", self.tier,
                            "--out", str(out or self.path())])
@@ -273,7 +277,8 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         if (place / "dataset.json").exists():
             raise
         raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(place)}\n") from error
-    asked = {key: value for key, value in asdict(task.dataset).items() if key != "folder" and value not in ("", "auto")}
+    asked = {key: value for key, value in asdict(task.dataset).items()
+             if key not in ("folder", "recorded") and value not in ("", "auto")}
     # a recipe names the tier that was chosen, never "auto"
     there = {key: dataset.sha256 if key == "sha256" else getattr(dataset.recipe, key) for key in asked}
     wrong = [f"{_SAID.get(key, key)} is {there[key]!r}, not {value!r}" for key, value in asked.items()

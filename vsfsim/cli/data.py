@@ -57,6 +57,7 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
     report("\n".join(lines), numbers, json)
 
 
+ORIGINS = ("openvsf", "probings")
 KINDS = ("scenes", "families", "tasks", "methods", "formats")
 
 
@@ -86,7 +87,7 @@ def list_(what: Annotated[str, typer.Argument(autocompletion=lambda: list(KINDS)
         from vsfsim.data.formats.export import FORMATS
 
         rows = [*((name, "export", f"vsfsim lab export DATASET --to {name}") for name in FORMATS),
-                ("openvsf", "import", "vsfsim lab import FOLDER --from openvsf")]
+                *((name, "import", f"vsfsim lab import FOLDER --from {name}") for name in ORIGINS)]
     if rows:
         head = ("family" if what == "families" else what[:-1], "kind", "description")
         found = catalogue.Catalogue(what, {row[0]: row for row in rows}, head, rows)
@@ -143,26 +144,47 @@ def export(folder: str, to: Annotated[str, typer.Option()], out: Path | None = N
 def import_(folder: Path, origin: Annotated[str, typer.Option("--from")], out: Path | None = None,
             assets: Path | None = None, bubble: Path | None = None, pressure_unit: str = "hPa",
             tare: Annotated[int | None, typer.Option(min=0)] = None, every: AtLeastOne = 1,
-            json: JsonFile = None) -> None:
+            pitch: Annotated[float, typer.Option(min=0.0, max=0.02)] = 0.0007,
+            contact_offset: Annotated[float, typer.Option(min=0.0, max=0.01)] = 0.0,
+            touches: Annotated[int | None, typer.Option(min=1)] = None,
+            again: Annotated[list[str] | None, typer.Option()] = None, json: JsonFile = None) -> None:
     """Make a dataset without truth from recordings of a real robot, on which methods run and tasks score readings.
 
     The new folder appears when it is whole. Stiffness is unknown there, so that no metric of stiffness is given.
 
     Args:
-        folder (FOLDER): Of one recorded object, or of several.
-        origin: Its layout: openvsf.
+        folder (FOLDER): openvsf: of one recorded object, or of several. probings: with a file of presses of a ball for
+            each object, .csv, .npz or .mat.
+        origin: Its layout: openvsf or probings.
         out: New folder; default: FOLDER-dataset.
         assets (FOLDER): Cloud and box of each object, where they do not lie beside its sequences.
         bubble (FILE): Mesh of the free bubble.
         pressure_unit: Of recorded pressures: hPa or Pa.
         tare: Frames without contact at the start of a sequence; default: 20 of torques, 10 of pressures.
         every: Keep each so many-th frame.
+        pitch: Of probings: edge of a pixel of the picture, interpolated between contact points [m]; 0: these alone.
+        contact_offset: Of probings: how far the surface lies above the recorded contacts [m].
+        touches: Of probings: presses of each object, drawn; default: all.
+        again (NAME): Of probings: recording of places that another one touched too. It becomes no object; how well it
+            repeats the other is told. May be given again.
     """
-    one_of(origin, ("openvsf",), "--from")
-    from vsfsim.generate.recorded.openvsf import Options, import_openvsf
+    new = out or Path(f"{folder.resolve().name}-dataset")
+    if one_of(origin, ORIGINS, "--from") == "openvsf":
+        from vsfsim.generate.recorded.openvsf import Options, import_openvsf
 
-    made = import_openvsf(folder, out or Path(f"{folder.resolve().name}-dataset"),
-                          Options(assets, bubble, pressure_unit, tare, every))
-    touches, frames = (sum(getattr(e, key) for e in made.entries) for key in ("touches", "frames"))
-    report(f"{made.path}: {len(made)} recorded objects, {touches} touches, {frames} frames, no truth",
-           {"out": str(made.path), "objects": len(made), "touches": touches, "frames": frames}, json)
+        made = import_openvsf(folder, new, Options(assets, bubble, pressure_unit, tare, every))
+    else:
+        from vsfsim.generate.recorded import probings
+
+        made = probings.import_probings(folder, new, probings.Options(pitch, contact_offset, touches,
+                                                                       tuple(again or ())))
+    found, frames = (sum(getattr(e, key) for e in made.entries) for key in ("touches", "frames"))
+    told = made.recipe.options
+    report("\n".join([
+        f"{made.path}: {len(made)} recorded objects, {found} touches, {frames} frames, no truth; sha256 {made.sha256}",
+        *(f"{name}: left out {', '.join(f'{count} {why}' for why, count in of.items())}"
+          for name, of in told.get("left_out", {}).items() if of),
+        *(f"{name} repeats {of['places']} places of {of['of']}: error over that of predicting zero {of['rmse_ratio']}"
+          for name, of in told.get("again", {}).items())]),
+        {"out": str(made.path), "objects": len(made), "touches": found, "frames": frames, "sha256": made.sha256,
+         **told}, json)

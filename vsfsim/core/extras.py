@@ -14,7 +14,7 @@ EXTRA_OF = {
     "warp": "sim", "mujoco": "sim", "trimesh": "sim", "pytetwild": "sim", "pyvista": "sim",
     "torch": "methods", "sklearn": "methods",
     "s3fs": "cloud", "ray": "ray", "pyarrow": "export", "yaml": "export",
-    "gymnasium": "active",
+    "gymnasium": "active", "matio": "recorded",
     "matplotlib": "render", "PIL": "render", "pyrender": "render",
 }
 """The extra that a message names, by the name that is imported. `pyproject.toml` may list a package in several."""

@@ -78,6 +78,9 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
     again: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0
     """Share of the same planned touches that read otherwise where another machine made them, as far as that was
     measured: rounding decides which of several equilibria an object reaches, as when a branch snaps off a link [-]."""
+    repeat: float = 0.0
+    """Of recordings: how well the same places, pressed on another day, foretell the readings (error over that of
+    predicting zero, mean over the objects that were pressed twice) [-]; 0 where none was."""
 
     def table(self) -> dict[str, Any]:
         """As JSON values; msgspec converts them back."""
@@ -118,8 +121,9 @@ def make_record(task: Task, dataset: Dataset) -> Record:
         for k, (touch, clean) in enumerate(zip(view.touches, record(view, task).clean, strict=True), start=1):
             rows += [(name, k, DIRECTION, *_print(touch.axis)), (name, k, READING, *_print(np.nan_to_num(clean)))]
     vectors = pack(dict(zip(_COLUMNS, map(list, zip(*rows, strict=True)), strict=True)))
+    days = [one["rmse_ratio"] for one in dataset.recipe.options.get("again", {}).values()]
     return Record("vsfsim-task-record", 3, task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
-                  tuple(entries), vectors, share_unresolved(queries))
+                  tuple(entries), vectors, share_unresolved(queries), repeat=sum(days) / max(len(days), 1))
 
 
 def record_path(task: Task) -> Path:

@@ -80,7 +80,11 @@ def _make(name: str, part: Part, out: Path, workers: int, progress: Progress, st
           audit: Callable[..., Any]) -> Iterator[tuple[str, str]]:
     """What is there now of a task, and "" or why it could not be made."""
     task, known, seconds = load_task(name), list[Path](), dict[str, float]()
-    data = dataset_of(task, workers)
+    try:
+        data = dataset_of(task, workers)
+    except TaskError as error:  # recordings that nobody may ship are not everywhere
+        yield "dataset", str(error)
+        return
     record = fingerprint.shipped_record(task)
     if record is None or record.dataset_sha256 != data.sha256:  # the rows stand on the data of this machine
         new, again = fingerprint.make_record(task, data), record.again if record is not None else 0.0
@@ -103,8 +107,8 @@ def _make(name: str, part: Part, out: Path, workers: int, progress: Progress, st
 
 
 def dataset_of(task: Task, workers: int) -> Dataset:
-    """The task's dataset, made if it is not there."""
-    if not (task.dataset.path() / "dataset.json").is_file():
+    """The task's dataset, made if it is not there and of a scene."""
+    if not task.dataset.recorded and not (task.dataset.path() / "dataset.json").is_file():
         subprocess.run([sys.executable, "-m", *shlex.split(task.dataset.command()), "--workers", str(workers)],
                        check=True)
     return open_dataset(task)

@@ -29,18 +29,15 @@ from vsfsim.core.extras import require
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.disk import whole_folder
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, Truth, View
-from vsfsim.data.writer import DatasetWriter
+from vsfsim.data.records import ObjectView, Touch, View
 from vsfsim.generate.aim import cloud_normals
 from vsfsim.generate.recorded.clouds import read_pcd, view_of_cloud
+from vsfsim.generate.recorded.written import SPLIT, nothing_known, recorded_touch, write_recorded
 from vsfsim.physics.mesh.formats import parse
 from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, chain_of
 
 CLOUD, BOX, WORLD, ABOUT = "bg_pcd.pcd", "rgbd_factory_config.yaml", "openvsf.yaml", "manifest.json"
-SPLIT = "recorded"
 TARE = {"torque": 20, "pressure": 10}
 """Frames without contact at the start of a sequence that openvsf's own configurations take their tare from."""
 UNITS = {"hPa": 100.0, "Pa": 1.0}
@@ -89,15 +86,7 @@ def import_openvsf(folder: Path, out: Path, options: Options = Options()) -> Dat
     (kind,) = kinds
     views = [_view(number, place, sequences, kind, options)
              for number, (place, sequences) in enumerate(objects.items())]
-    recipe = Recipe(scene=folder.resolve().name, scene_text=f"recorded: {kind}, openvsf's layout, {len(views)} objects",
-                    seed=0, objects=len(views), views=1, touches=min(len(v.touches) for v in views),
-                    splits={SPLIT: len(views)}, device="none", tier=SPLIT, precision="float64", renderer="none")
-    with whole_folder(out) as part:
-        with DatasetWriter(part, recipe, [view.name for view in views]) as writer:
-            for view in views:
-                writer.add(view, "a real robot")
-            writer.finish()
-    return Dataset.open(out)
+    return write_recorded(folder, out, views, f"recorded: {kind}, openvsf's layout, {len(views)} objects")
 
 
 def _objects(folder: Path) -> dict[Path, list[Path]]:
@@ -168,7 +157,8 @@ def _view(number: int, place: Path, sequences: list[Path], kind: str, options: O
         touches.append(_touch(fields, met[keep], keep, cloud, eye))
     probe: ProbeShape = chain_of(arm) if bubble is None else bubble.dome
     name = place.resolve().name
-    return ObjectView(name, number, 0, SPLIT, probe, shown, tuple(touches), _nothing_known(len(sequences), name))
+    return ObjectView(name, number, 0, SPLIT, probe, shown, tuple(touches), nothing_known(
+        f"{name} is a real object, recorded in {len(sequences)} sequences"))
 
 
 _PER_FRAME = ("mount_pose", "q", "torque", "pressure", "node_position", "node_force", "force")
@@ -181,19 +171,14 @@ def _touch(fields: dict[str, Any], met: np.ndarray, frame: np.ndarray, cloud: np
     way = poses[deepest, :3, 3] - poses[0, :3, 3]
     length = float(np.linalg.norm(way))
     target = cloud[np.argmin(np.linalg.norm(cloud - poses[deepest, :3, 3], axis=1))]
-    unread = np.full(frames, np.nan)
     # the way of an arm that was recorded stands for its plan, which nobody recorded
     plan = {} if "torque" not in fields else {"planned_time": frame.astype(float),
                                               "planned_pose": poses, "planned_q": fields["q"],
                                               "planned_frame": np.arange(frames)}
-    return Touch(time=frame.astype(float),
-                 axis=way / length if length > 1e-6 else poses[deepest, :3, 2],
-                 target=target, normal=cloud_normals(cloud, target[None], eye)[0],
-                 reaction=np.full((frames, 3), np.nan), converged=np.ones(frames, bool),
-                 residual=unread, iterations=np.zeros(frames, np.int64),
-                 touched=bool(met[deepest] > _MET), reason=np.zeros(frames, np.int64),
-                 audit={name: unread for name in AUDIT_COLUMNS if name != "min_det_f"},
-                 **{"force": np.full((frames, 3), np.nan), **plan, **fields})
+    return recorded_touch(
+        time=frame.astype(float), axis=way / length if length > 1e-6 else poses[deepest, :3, 2], target=target,
+        normal=cloud_normals(cloud, target[None], eye)[0], touched=bool(met[deepest] > _MET),
+        **{"force": np.full((frames, 3), np.nan), **plan, **fields})
 
 
 def _off_tare(values: np.ndarray, tare: int) -> tuple[np.ndarray, np.ndarray]:
@@ -328,8 +313,3 @@ def _yaml(path: Path) -> dict[str, Any]:
         raise DatasetError(f"{path} is no table.")
     return table
 
-
-def _nothing_known(sequences: int, name: str) -> Truth:
-    note = f"{name} is a real object, recorded in {sequences} sequences; nothing of its stiffness is known."
-    return Truth(points=np.zeros((0, 3)), young_modulus=np.zeros(0), region=np.zeros(0, np.int64),
-                 region_names=(), notes=(note,))
