@@ -18,6 +18,8 @@ PICTURES = {
     "shoe": [["show", "shoes-v3-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
+    "hidden": [["generate", str(FOLDER / "hidden.toml"), "--out", "DATASET"],
+               ["show", "DATASET", "--method", "fem-map-seen", "--set", "reach=0.02", "--out", "GIF"]],
     "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
     "accuracy": [["lab", "tradeoff", "foam-block", "--touches", "2", "--picture", "OUT"]],  # of tradeoff/foam-block
     "contact-sheet": [["generate", "shoes-v3-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",

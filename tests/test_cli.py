@@ -1,8 +1,10 @@
 """The command line as a user meets it: fast help, exit codes, one-paragraph errors."""
 
 import re
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -60,3 +62,32 @@ def test_a_method_that_cannot_be_imported_is_named_without_a_traceback(vsfsim, t
     (tmp_path / "broken.py").write_text("1 / 0")
     out = vsfsim("check", "broken:X", cwd=tmp_path)
     assert out.returncode == 2 and "ZeroDivisionError" in out.stderr and "Traceback" not in out.stderr
+
+
+@pytest.mark.parametrize(("words", "found"), [
+    (("press", "indent", "--tier", "fine"), "fem-fine"),
+    (("generate", "shoes-mini", "--tier", "FEM"), "--tier is 'FEM'"),
+    (("press", "scan.toml"), "mesh file 'none.stl' cannot be read"),
+    (("press", "probe.toml"), "mesh file 'none.txt' ends in '.txt'"),
+    (("show", "scan.toml"), "mesh file 'none.stl' cannot be read")])
+def test_a_wrong_tier_and_a_wrong_path_are_told_before_the_simulator_is_imported(words, found, tmp_path):
+    soft = "young_modulus = 1e5\npoisson_ratio = 0.3\n"
+    (tmp_path / "scan.toml").write_text('[object]\nshape = { mesh = "none.stl" }\n' + soft)
+    (tmp_path / "probe.toml").write_text('[object]\nshape = { sphere = 0.1 }\n' + soft +
+                                         '[probe]\nshape = { mesh = "none.txt" }\n')
+    code = ("import sys; from vsfsim.cli.main import main\ntry:\n    main()\nfinally:\n    assert not "
+            "{'warp', 'torch', 'scipy'} & set(sys.modules)")
+    out = subprocess.run([sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True)
+    assert out.returncode == 2 and found in out.stderr, out.stderr
+
+
+@pytest.mark.parametrize("after", [0.05, 0.3, 0.8, 2.0])
+def test_ctrl_c_ends_in_one_line_also_while_libraries_are_imported(after, tmp_path):
+    running = subprocess.Popen([sys.executable, "-c", "from vsfsim.cli import start; print('on', flush=True); start()",
+                                "press", "indent"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               text=True)
+    assert running.stdout.readline() == "on\n"
+    time.sleep(after)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=120)
+    assert running.returncode == 130 and "Traceback" not in said and len(said.strip().splitlines()) == 1, said

@@ -118,7 +118,7 @@ def test_an_installed_wheel_finds_its_scenes_tasks_and_methods(installed, tmp_pa
 def test_a_wheel_has_the_command_and_the_entry_points(installed):
     (dist,) = importlib.metadata.distributions(path=[str(installed)])
     points = {(ep.group, ep.name): ep.value for ep in dist.entry_points}
-    assert points["console_scripts", "vsfsim"] == "vsfsim.cli.main:main"
+    assert points["console_scripts", "vsfsim"] == "vsfsim.cli:start"
     assert {name for group, name in points if group == "vsfsim.methods"} >= METHODS
 
 

@@ -1,6 +1,6 @@
 """`python -m vsfsim` is the command `vsfsim`."""
 
-from vsfsim.cli.main import main
+from vsfsim.cli import start
 
 if __name__ == "__main__":
-    main()
+    start()

@@ -14,7 +14,7 @@ def lines_of(scene, tmp_path):
     lines, numbers = inspect(str(tmp_path / "small.toml"), tmp_path / "small.png", seed=3, device="cpu")
     assert (tmp_path / "small.png").read_bytes()[:4] == b"\x89PNG"
     assert numbers["picture"] == str(tmp_path / "small.png") and lines[0] == f"small: {numbers['lines'][0]}"
-    assert lines[0].startswith("small: ") and lines[-1] == f"turntable: {tmp_path / 'small.png'}"
+    assert lines[0].startswith("small: ") and lines[-1] == f"picture: {tmp_path / 'small.png'}"
     return lines
 
 

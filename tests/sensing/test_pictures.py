@@ -1,9 +1,11 @@
 """The PNGs a user looks at: they hold what they should, checked by their pixels."""
 
 import numpy as np
+import pytest
 import trimesh
 from PIL import Image
 from scipy import ndimage
+from scipy.spatial import Delaunay
 
 from vsfsim.core.scene import CameraSpec
 from vsfsim.core.shape import Sphere
@@ -11,8 +13,9 @@ from vsfsim.core.solid import Appearance
 from vsfsim.data.contact_sheet import contact_sheet
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.cut import Elements, cut, opened
+from vsfsim.sensing.portrait import portrait
 from vsfsim.sensing.surface import Surface
-from vsfsim.sensing.turntable import turntable
 
 RED = Appearance(np.array([[0.6, 0.02, 0.02]]), ("plain",), np.ones(1), np.zeros(1))
 
@@ -31,12 +34,57 @@ def reddish(image: np.ndarray) -> np.ndarray:
     return (image[..., 0] > 1.8 * image[..., 1]) & (image[..., 0] > 60)
 
 
-def test_turntable_shows_the_object_from_eight_sides(tmp_path):
-    out = tmp_path / "turn.png"
-    turntable(block(), out, title="block")
+def cells(stiff: float = 1e6) -> Elements:
+    """A box of 0.1 x 0.1 x 0.05 m, whose part with x, y in 10 to 30 mm and z in 15 to 35 mm is stiff."""
+    axes = [np.linspace(-0.05, 0.05, 11), np.linspace(-0.05, 0.05, 11), np.linspace(0.0, 0.05, 11)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    tets = Delaunay(points + 1e-4 * np.random.default_rng(0).standard_normal(points.shape) * (
+        abs(points - [0, 0, 0.025]) < [0.049, 0.049, 0.024])).simplices
+    away = abs(points[tets].mean(axis=1) - [0.02, 0.02, 0.025]).max(axis=1)
+    volume = np.linalg.det(points[tets[:, 1:]] - points[tets[:, :1]])
+    tets = np.where(volume[:, None] < 0.0, tets[:, [0, 2, 1, 3]], tets)[abs(volume) > 1e-12]
+    return Elements(points, tets, np.where(away[abs(volume) > 1e-12] < 0.01, stiff, 1e5), np.arange(len(tets)))
+
+
+@pytest.mark.parametrize("normal", [(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.48, -0.6, 0.64)])
+@pytest.mark.parametrize("shift", [0.0, 0.0033])
+def test_a_body_that_is_cut_open_is_closed_and_has_the_volume_that_is_left(normal, shift):
+    body, normal = cells(), np.array(normal)
+    place = np.array([0.0, 0.0, 0.025]) + shift * normal
+    left = cut(body, (body.points - place) @ normal, normal)
+    for stretch in (np.eye(3), np.array([[1.2, 0.1, 0.0], [0.0, 0.9, 0.0], [0.2, 0.0, 1.0]])):  # of a deformed state
+        a, b, c = np.moveaxis(left.at(body.points @ stretch.T)[left.triangles], 1, 0)
+        area = np.cross(b - a, c - a) / 2.0
+        assert abs(area.sum(axis=0)).max() < 1e-12, "a closed surface"
+        volume = (area * a).sum() / 3.0
+        fine = np.stack(np.meshgrid(*(np.linspace(-0.5, 0.5, 81)[1:] - 1 / 160,) * 3), axis=-1).reshape(-1, 3)
+        part = ((fine * [0.1, 0.1, 0.05] + [0, 0, 0.025] - place) @ normal <= 0.0).mean()
+        assert volume == pytest.approx(5e-4 * part * np.linalg.det(stretch), rel=0.01)
+
+
+def test_the_face_of_a_cut_shows_the_elements_that_it_passes():
+    body = cells()
+    for y, met in ((0.02, True), (-0.02, False)):
+        surface, shows = opened(body, np.array([0.0, -1.0, 0.0]), np.array([0.0, y, 0.0]))
+        middle = surface.vertices[surface.triangles].mean(axis=1)
+        face = (abs(middle[:, 1] - y) < 1e-4) & (shows >= 0)
+        stiff = face & (body.young_modulus[shows] > 1e5)
+        assert stiff.any() == met and (shows == -1).any()
+        assert (abs(middle[stiff] - [0.02, y, 0.025]) <= 0.0101).all()
+
+
+def test_the_picture_of_an_object_shows_it_from_two_sides_and_what_is_hidden_in_it(tmp_path):
+    out = tmp_path / "block.png"
+    portrait(block(), None, out, title="block")
     parts, count = ndimage.label(reddish(picture(out)))
-    assert count == 8, "each whole and apart from the others"
-    assert np.bincount(parts.ravel())[1:].min() > 0.1 * 320**2 / 2
+    assert count == 2, "each whole and apart from the other"
+    assert np.bincount(parts.ravel())[1:].min() > 20_000
+    yellow = {}
+    for stiff in (1e5, 1e6):
+        portrait(block(), cells(stiff), out, title="block")
+        image = picture(out)[:, :900]  # without the bar
+        yellow[stiff] = int(((image[..., 1] > 150) & (image[..., 2] < 90)).sum())
+    assert yellow[1e5] == 0 and yellow[1e6] > 1000
 
 
 def object_view(index: int, touches: int) -> ObjectView:

@@ -7,13 +7,17 @@ import os
 import re
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from mock_dataset import written
 from texts import text
 
+from vsfsim.core.errors import MethodError
 from vsfsim.data.dataset import Dataset
+from vsfsim.sensing.cut import Elements
+from vsfsim.view import growth
 from vsfsim.view.command import page, view
 
 
@@ -144,6 +148,27 @@ class Steep:
         from vsfsim.bench.method import Estimate
         return Estimate(3.0 + points[:, 0], np.ones(len(points)))
 """
+
+
+def test_a_gif_shows_what_a_method_makes_of_an_object_touch_by_touch(tmp_path, monkeypatch):
+    Image = pytest.importorskip("PIL.Image")
+    given = written(tmp_path / "toy", train=1, test=1, touches=3)
+    points = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.1)]) * [1, 0.5, 1]
+    tets = np.array([[0, 1, 3, 5], [0, 3, 2, 6], [0, 5, 4, 6], [3, 5, 6, 7], [0, 3, 5, 6]])
+    body = Elements(points, tets, np.array([1e5, 1e5, 1e5, 1e5, 1e6]), np.arange(5))
+    monkeypatch.setattr(growth, "draw_view", lambda data, shown: SimpleNamespace(body=body))
+    (tmp_path / "steep.py").write_text(METHOD)
+    monkeypatch.chdir(tmp_path)
+    _, numbers = growth.growth(str(given.path), tmp_path / "x.gif", method="steep:Steep", settings={})
+    places = 3.0 + points[tets].mean(axis=1)[:, 0]
+    off = np.log(np.median(np.exp(np.log(body.young_modulus / places))) * places / body.young_modulus)
+    assert np.allclose(numbers["off_by"], np.exp(abs(off).mean()), rtol=1e-6) and len(numbers["off_by"]) == 4
+    assert Image.open(tmp_path / "x.gif").n_frames == 4, "of 0, 1, 2 and 3 touches"
+    (tmp_path / "flat.py").write_text(METHOD.replace("def stiffness", "def softness"))
+    for words, why in (({"method": "flat:Steep"}, "has no function stiffness"),
+                       ({"method": "steep:Steep", "settings": {"reach": 1}}, "has no parameter 'reach'")):
+        with pytest.raises(MethodError, match=why):
+            growth.growth(str(given.path), tmp_path / "y.gif", **{"settings": {}, **words})
 
 
 @pytest.fixture(scope="module")

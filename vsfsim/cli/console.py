@@ -28,6 +28,8 @@ class Progress:
         self._start = self._written = time.perf_counter()
 
     def __enter__(self) -> Progress:
+        if self._live:
+            self._rewrite(f"{self.label}: libraries are loaded")  # of the simulator, which takes seconds
         return self
 
     def __exit__(self, *_: object) -> None:

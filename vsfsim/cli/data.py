@@ -9,7 +9,7 @@ import typer
 
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.lab import lab
-from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Seed, Shown, command
+from vsfsim.cli.options import AtLeastOne, Device, JsonFile, Parameters, Seed, Shown, command, parameters_of
 from vsfsim.core.errors import TaskError, one_of
 
 if TYPE_CHECKING:
@@ -19,12 +19,12 @@ app = typer.Typer()
 
 
 @command(app)
-def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "", seed: Seed = 0, device: Device = "cpu",
-         json: JsonFile = None) -> None:
+def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "", method: str = "",
+         settings: Parameters = None, seed: Seed = 0, device: Device = "cpu", json: JsonFile = None) -> None:
     """Show a dataset, a scene's object, or where a method errs: in words, as a picture, or as a page.
 
-    A dataset: its summary and a contact sheet. A scene: a turntable of its object, coloured by Young's modulus. A
-    result of `vsfsim evaluate`: errors by object and by touch, the worst first.
+    A dataset: its summary and a contact sheet. A scene: its object from two sides, and cut open, coloured by
+    Young's modulus. A result of `vsfsim evaluate`: errors by object and by touch, the worst first.
 
     A page (--out NAME.html) is one file for a browser that needs no network: the object, to be turned and cut; touches,
     forces and pressures frame by frame; the RGB-D picture. Of a result it has the true and the estimated stiffness side
@@ -35,6 +35,8 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
         out: File to write: a picture (.png) or a page (.html); default: NAME.png here, and for a result no file.
         objects: Object views of a dataset or result on a page, at most.
         shot: Number of touches at which a result's errors are sorted; default: the one that ranks.
+        method: Of a dataset: draw what this method makes of the first test object, touch by touch, beside the truth,
+            with --out NAME.gif.
         seed: Of a scene's object.
     """
     result = Path(what).suffix == ".json"
@@ -43,8 +45,16 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
 
         report(*inspect_result(Path(what), shot=shot), json)
         return
+    if (method != "") != (out is not None and out.suffix == ".gif"):
+        raise TaskError("--method METHOD and --out NAME.gif belong together: the GIF shows what a method makes of an "
+                        "object, touch by touch.")
     with Progress("show") as progress:
-        if out is not None and out.suffix == ".html":
+        if method and out is not None:
+            from vsfsim.view.growth import growth
+
+            lines, numbers = growth(what, out, method=method, settings=parameters_of(settings), device=device,
+                                    progress=progress)
+        elif out is not None and out.suffix == ".html":
             from vsfsim.view.command import view
 
             lines, numbers = view(what, out, objects=objects, seed=seed, progress=progress)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import signal
 import sys
 import traceback
 from typing import Annotated, Any
@@ -62,6 +63,14 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Unicode shows a question mark
+    stopped: list[int] = []
+
+    def stop_once(number: int, frame: Any) -> None:
+        stopped.append(number)
+        signal.default_int_handler(number, frame)
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, stop_once)
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
@@ -76,6 +85,11 @@ def main() -> None:
         if not word.startswith("-") and word not in command.commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, command.commands)}")
         command(prog_name="vsfsim")
+    except SystemExit:  # which typer makes of Ctrl-C
+        if not stopped:
+            raise
+        print("\ninterrupted", file=sys.stderr)
+        sys.exit(130)
     except Interrupted as stop:
         print(f"\n{stop}", file=sys.stderr)
         sys.exit(143 if isinstance(stop.__cause__, Terminated) else 130)
@@ -83,6 +97,9 @@ def main() -> None:
         sys.stderr.close()  # The reader of a pipe has left; nothing is wrong.
         sys.exit(0)
     except Exception as error:
+        if stopped:  # some libraries turn Ctrl-C while they are imported into an error of their own
+            print("\ninterrupted", file=sys.stderr)
+            sys.exit(130)
         if (said := _said(error)) is None or debug:
             traceback.print_exc()
         our_bug = "this is a bug in vsfsim, not in what you gave it. Please report it with the lines above."

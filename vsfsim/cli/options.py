@@ -16,7 +16,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 
-from vsfsim.core.errors import MethodError, VsfsimError
+from vsfsim.core.errors import MethodError, VsfsimError, one_of
 from vsfsim.core.plain_text import file_stem
 from vsfsim.core.scene_tables.request import Request
 
@@ -32,6 +32,14 @@ def _checked_device(device: str) -> str:
 
         check_device(device)
     return device
+
+
+def _known_tier(tier: str | None) -> str | None:
+    if tier is not None:
+        from vsfsim.core.scene_tables.object import Tier
+
+        one_of(tier, [name for name in get_args(Tier) if name != "auto"], "--tier")
+    return tier
 
 
 def _writable(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
@@ -100,7 +108,7 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callbac
 Picture = Annotated[Path | None, typer.Option(metavar="PNG", callback=_writable(*PICTURES))]
 ArchiveFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".npz"))]
 GifFile = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(".gif"))]
-Shown = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(*PICTURES, ".html"))]
+Shown = Annotated[Path | None, typer.Option(metavar="FILE", callback=_writable(*PICTURES, ".html", ".gif"))]
 Folders = Annotated[list[Path] | None, typer.Option(metavar="DIR")]
 MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim list methods`), or module:attribute.")]
@@ -112,6 +120,7 @@ Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALU
                                                       help="Parameter of the method; may be given again.")]
 ASKED: dict[str, Any] = {
     "seed": Seed, "device": Device, "workers": Workers, "objects": Several, "views": Several, "touches": Several,
+    "tier": Annotated[str | None, typer.Option(callback=_known_tier)],
     "allow": Annotated[list[str], typer.Option(metavar="WORD")],
     "limit": Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS")],
     "accuracy": Annotated[str | None, typer.Option(metavar="SHARE", callback=_share)]}

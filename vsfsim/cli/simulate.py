@@ -52,9 +52,9 @@ def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Pictu
     from vsfsim.core.shelf import find_scene
 
     loaded = load_scene(find_scene(scene))
-    from vsfsim.press.command import press as run  # takes seconds; a mistake in the scene is reported before
-
     with Progress("press") as progress:
+        from vsfsim.press.command import press as run  # takes seconds; a mistake in the scene is reported before
+
         made = run(loaded, request.but(progress=progress), refine=refine)
         words = [made.text()]
         for what, path, write in (("plot", plot, made.plot), ("picture", picture, made.picture),
@@ -84,9 +84,10 @@ def generate(scene: SceneName, request: Request, out: str | None = None, json: J
     fan = cluster.asked()
     part = list(fan.shard or ())
     loaded = load_scene(find_scene(scene))
-    from vsfsim.generate.run import make, planned  # takes seconds; a mistake in the scene is reported before
-
     began = time.perf_counter()
+    with Progress("generate"):
+        from vsfsim.generate.run import make, planned  # takes seconds; a mistake in the scene is reported before
+
     plan = planned(loaded, out, request.but(note=note, fan=fan, allow=tuple(request.allow)))
     folder = plan.folder
     if cluster.by_shards(min(100, plan.recipe.objects * plan.recipe.views)):

@@ -171,9 +171,15 @@ def load_scene(path: str | Path) -> SceneFile:
 
     Raises:
         SceneError: not readable, not TOML, an unknown key, or a value (or an end of a distribution) out of range.
+        MeshError: a mesh file that it names cannot be read.
     """
     path = Path(path)
-    return parse_scene(read_text(path, "scene", SceneError), path)
+    scene = parse_scene(read_text(path, "scene", SceneError), path)
+    first = scene.sample(0)
+    for shape in (*(() if first.object is None else (first.object.shape,)), *first.bodies):
+        if isinstance(shape, MeshFile):
+            shape.content()
+    return scene
 
 
 def parse_scene(text: str, path: str | Path) -> SceneFile:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -16,7 +17,7 @@ import numpy as np
 
 from vsfsim.core.chain import Chain, read_chain
 from vsfsim.core.dome import Dome
-from vsfsim.core.errors import SceneError, one_of
+from vsfsim.core.errors import MeshError, SceneError, one_of
 from vsfsim.core.table import typed, value
 
 LEAST = 1e-5
@@ -96,6 +97,22 @@ class MeshFile:
     up: Literal["x", "y", "z"] = "z"
     """Axis of the file that points up, which becomes z."""
 
+    def content(self) -> bytes:
+        """The bytes of the file.
+
+        Raises:
+            MeshError: its ending is not of `MESH_FORMATS`, or it cannot be read.
+        """
+        path = Path(self.path)
+        if path.suffix.lower() not in MESH_FORMATS:
+            raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(MESH_FORMATS)}. "
+                            "Convert it, e.g. with MeshLab.")
+        try:
+            return path.read_bytes()
+        except OSError as error:
+            raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY or "
+                            "STL file, relative to the scene file.") from error
+
 
 @dataclass(frozen=True)
 class Family:
@@ -114,6 +131,8 @@ ProbeShape = Analytic | MeshFile | Chain | Dome
 _KINDS: dict[str, Any] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "rod": Rod, "capsule": Capsule,
                           "plane": Plane}
 """The shapes that are given by numbers, in the order of their fields."""
+MESH_FORMATS = (".obj", ".ply", ".stl")
+"""Endings of mesh files that are read."""
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 

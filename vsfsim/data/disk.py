@@ -14,7 +14,7 @@ import os
 import shutil
 import socket
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +98,21 @@ def write_figure(figure: Any, path: str | Path) -> None:
     path, buffer = Path(path), io.BytesIO()
     figure.savefig(buffer, format=path.suffix[1:].lower() or "png")
     write_atomic(path if path.suffix else path.with_suffix(".png"), buffer.getvalue(), error=VsfsimError)
+
+
+def write_animation(path: Path, pictures: Sequence[bytes], milliseconds: Sequence[int]) -> None:
+    """Write PNGs as a GIF that repeats, of 256 colours a frame.
+
+    Raises:
+        VsfsimError: the file cannot be written.
+    """
+    from PIL import Image
+
+    first, *others = (Image.open(io.BytesIO(one)).convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE)
+                      for one in pictures)
+    whole = io.BytesIO()
+    first.save(whole, "GIF", save_all=True, append_images=others, loop=0, optimize=True, duration=list(milliseconds))
+    write_atomic(path, whole.getvalue(), error=VsfsimError)
 
 
 def own_number() -> str:

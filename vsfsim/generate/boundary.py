@@ -10,28 +10,30 @@ from vsfsim.physics.mesh.quadratic import QuadraticMesh
 _SPLIT = 3  # parts of an edge of a quadratic triangle that is drawn
 
 
-def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray, *, parts: int = _SPLIT,
-                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray, nodal: np.ndarray | None = None, *,
+                     parts: int = _SPLIT) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The deformed boundary: every quadratic triangle is cut into ``parts``^2 flat ones.
 
     Args:
         mesh: the body.
         displacement: of its nodes (n, 3) [m].
+        nodal: values at its nodes (n,); None for the lengths of their displacements [m].
         parts: of an edge of a quadratic triangle.
 
     Returns:
-        Vertices (v, 3) [m]; triangles (g, 3); the boundary triangle of each (g,); length of the displacement at its
-        middle (g,) [m].
+        Vertices (v, 3) [m]; triangles (g, 3); the boundary triangle of each (g,); the nodal value at its middle
+        (g,).
     """
     moved, cut = mesh.points + displacement, subdivided(parts)
     shape = shape_values(cut.reshape(-1, 3))
     points = np.einsum("sa,fac->fsc", shape, moved[mesh.faces]).reshape(-1, 3)
-    length = np.linalg.norm(np.einsum("sa,fac->fsc", shape, displacement[mesh.faces]), axis=2)
+    nodal = np.linalg.norm(displacement, axis=1) if nodal is None else nodal
+    value = np.einsum("sa,fa->fs", shape, nodal[mesh.faces])
     # Copies of a corner in neighbouring triangles are merged, so that the shading is smooth.
     _, first, same = np.unique(np.round(points / (1e-7 * np.ptp(moved, axis=0).max())).astype(np.int64), axis=0,
                                return_index=True, return_inverse=True)
     return (points[first], same.reshape(-1, 3), np.repeat(np.arange(len(mesh.faces)), len(cut)),
-            length.reshape(-1, 3).mean(axis=1))
+            value.reshape(-1, 3).mean(axis=1))
 
 
 def face_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
@@ -51,3 +53,12 @@ def face_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
     np.add.at(around, mesh.faces, area[:, None])
     share = force / np.where(around > 0.0, around, 1.0)[:, None]
     return np.linalg.norm(share[mesh.faces].sum(axis=1), axis=1)
+
+
+def node_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
+    """Contact pressure at every node (n,) [Pa]: the mean over the boundary triangles around it, see `face_pressure`."""
+    area = np.repeat(mesh.face_area()[:, None], 6, axis=1)
+    pressure = np.broadcast_to(face_pressure(mesh, surface_force)[:, None], area.shape)
+    total, around = (np.bincount(mesh.faces.ravel(), values.ravel(), len(mesh.points))
+                     for values in (area * pressure, area))
+    return total / np.where(around > 0.0, around, 1.0)

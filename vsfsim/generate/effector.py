@@ -36,6 +36,7 @@ from vsfsim.data.records import ObjectView, Truth
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import PressResult
 from vsfsim.physics.tiers import TIERS
+from vsfsim.sensing.cut import Elements
 from vsfsim.sensing.surface import Surface
 
 
@@ -51,6 +52,8 @@ class Drawing:
     """Follows the scene's name in the picture's title; None for the seed."""
     lines: tuple[str, ...]
     """What is printed; the scene's name is put before the first line."""
+    body: Elements | None = None
+    """Its elements, placed as the surface is. None where it has none."""
     truth: Truth | None = None
     """Its elements, as a dataset records them: without probed points and particles. None where only a surface is
     drawn."""

@@ -1,14 +1,18 @@
-"""What `vsfsim show` draws: a dataset's summary and contact sheet, or a turntable of a scene's object."""
+"""What `vsfsim show` draws: a dataset's summary and contact sheet, or a scene's object from outside and cut open."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vsfsim.core.errors import DatasetError, no_such_file
+from vsfsim.data.streams import Stream, stream
 
 if TYPE_CHECKING:
+    from vsfsim.data.dataset import Dataset
+    from vsfsim.data.records import ObjectView
     from vsfsim.generate.effector import Drawing
 
 
@@ -50,13 +54,27 @@ def draw_scene(name: str, seed: int) -> tuple[str, Drawing]:
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.data.streams import Stream, stream
-
     loaded = load_scene(find_scene(name))
     from vsfsim.generate.effector import effector_of
 
     scene = loaded.sample(stream(seed, Stream.SCENE, 0))
     return loaded.name, effector_of(scene).draw(scene, stream(seed, Stream.BODY, 0))
+
+
+def draw_view(data: Dataset, shown: ObjectView) -> Drawing:
+    """The object of a view, built again from its dataset's recipe; without its elements where its truth is withheld.
+
+    Raises:
+        VsfsimError: it cannot be made again: it was recorded, or its scene needs what is not here.
+    """
+    from vsfsim.generate.effector import effector_of
+    from vsfsim.generate.resim import job_of
+
+    job = job_of(data.recipe, shown.name)
+    scene = job.scene()
+    body = dataclasses.replace(scene.required_object, tier=data.recipe.tier)
+    drawing = effector_of(scene).draw(dataclasses.replace(scene, object=body), job.stream(Stream.BODY))
+    return drawing if shown.truth is not None else dataclasses.replace(drawing, body=None, young_modulus=None)
 
 
 def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[str], dict[str, Any]]:
@@ -75,14 +93,14 @@ def _dataset(folder: Path, out: Path | None, progress: Progress) -> tuple[list[s
 
 def _scene(name: str, out: Path | None, *, seed: int, device: str,
            progress: Progress) -> tuple[list[str], dict[str, Any]]:
-    from vsfsim.sensing.turntable import turntable
+    from vsfsim.sensing.portrait import portrait
 
     progress(0, 2, "the object is built")
     name, drawing = draw_scene(name, seed)
     progress(1, 2, "its pictures are drawn")
     path = out or Path(f"{name}.png")
-    turntable(drawing.surface, path, young_modulus=drawing.young_modulus,
-              title=f"{name}, {drawing.subtitle or f'seed {seed}'}", device=device)
+    portrait(drawing.surface, drawing.body, path, young_modulus=drawing.young_modulus,
+             title=f"{name}, {drawing.subtitle or f'seed {seed}'}", device=device)
     first, *others = drawing.lines
-    return ([f"{name}: {first}", *others, f"turntable: {path}"],
+    return ([f"{name}: {first}", *others, f"picture: {path}"],
             {"scene": name, "seed": seed, "lines": list(drawing.lines), "picture": str(path)})

@@ -28,6 +28,7 @@ from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
+from vsfsim.sensing.cut import Elements
 
 ONE_IN = 10
 """One touch in so many is audited, and one of every view at least."""
@@ -157,7 +158,8 @@ class OnSolids(abc.ABC):
         surface = surface_of(solid, scene)
         truth = Truth(points=surface.vertices[solid.tets].mean(axis=1), young_modulus=mean,
                       region=np.asarray(solid.region), region_names=solid.region_names)
-        return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), truth)
+        body = Elements(surface.vertices, solid.tets, mean, np.arange(len(mean)))
+        return Drawing(surface, mean[solid.surface()[1]], None, tuple(lines), body, truth)
 
 
 def _disc(radius: float) -> np.ndarray:

@@ -20,6 +20,7 @@ from vsfsim.data.records import Touch
 from vsfsim.data.schema import FIELDS
 from vsfsim.generate.record import BALANCE
 from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.sensing.colours import Colours
 from vsfsim.sensing.surface import Surface
 
 PICTURE = (640, 512)  # width and height of a view [px]
@@ -59,22 +60,6 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Colours:
-    """How numbers become colours."""
-
-    name: str
-    """Colour map of matplotlib."""
-    low: float
-    """Value of its lower end, in the unit of the label; below zero, the map's middle is zero."""
-    high: float
-    """Value of its upper end, in the unit of the label."""
-    label: str = ""
-    """Label of the colour bar with its unit; empty for no bar."""
-    grey_zero: bool = False
-    """Draw values of zero and less in light grey."""
-
-
-@dataclass(frozen=True)
 class BodyPanel:
     """A rendered body, and rigid bodies in grey."""
 
@@ -87,7 +72,7 @@ class BodyPanel:
     rigid: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
     """Vertices (v, 3) [m] and triangles (g, 3) of each rigid body, in the surface's frame."""
     values: np.ndarray | None = None
-    """One value a triangle of the surface (f,), in the unit of the colours."""
+    """One value a triangle of the surface (f,), in the unit of the colours; NaN is a line."""
     colours: Colours | None = None
     """Of the values."""
 

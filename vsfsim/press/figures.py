@@ -5,19 +5,15 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
-from PIL import Image
 
-from vsfsim.core.errors import VsfsimError
 from vsfsim.core.system.interactive import new_figure
-from vsfsim.data.disk import write_atomic, write_figure
-from vsfsim.generate.press_result import BodyPanel, Colours, MapPanel, PressResult
+from vsfsim.data.disk import write_animation, write_figure
+from vsfsim.generate.press_result import BodyPanel, MapPanel, PressResult
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import flat_coloured, with_rigid
 
@@ -27,7 +23,6 @@ _WORDS = 0.7  # height of title and caption [inch]
 _BAR = 0.9  # width of a colour bar with its label [inch]
 _MAP = 1.45  # width of a map with its axes over its height
 _DOT = 30.0  # area of the largest dot [square points]
-_GREY = 0.82  # of a surface without contact
 _SHADING = 0.55  # of a body that is coloured by values, so that a colour can be found again on the bar
 
 
@@ -73,13 +68,10 @@ def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu
     for t in range(count):
         buffer = io.BytesIO()
         picture(result, title, frame=t, device=device).savefig(buffer, dpi=_GIF_DPI, format="png")
-        frames.append(Image.open(buffer).convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE))
+        frames.append(buffer.getvalue())
         if progress is not None:
             progress(t + 1, count, "pictures")
-    whole = io.BytesIO()
-    frames[0].save(whole, "GIF", save_all=True, append_images=frames[1:], loop=0, optimize=True,
-                   duration=[1200 if t == result.deepest else 200 for t in range(count)])
-    write_atomic(path, whole.getvalue(), error=VsfsimError)
+    write_animation(path, frames, [1200 if t == result.deepest else 200 for t in range(count)])
 
 
 def picture(result: PressResult, title: str, path: str | Path | None = None, *,
@@ -113,7 +105,7 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *,
         axes.imshow(rendered(panel, device) if isinstance(panel, BodyPanel) else panel)
         axes.set_axis_off()
         if bar is not None:
-            figure.colorbar(_scale(bar), ax=axes, shrink=0.5).set_label(bar.label, fontsize=9)
+            bar.bar(figure, axes, shrink=0.7)
     mark = f"   {result.marks()[t]}".rstrip()
     head = result.headline if frame is None else (f"depth {1e3 * result.depth[t]:.2f} mm, normal "
                                                   f"force {result.normal_force[t]:.3g} N")
@@ -125,37 +117,25 @@ def picture(result: PressResult, title: str, path: str | Path | None = None, *,
     return figure
 
 
-def _scale(colours: Colours) -> Any:
-    """From a value to a colour."""
-    high = max(colours.high, 1e-12)
-    norm = (matplotlib.colors.TwoSlopeNorm(0.0, colours.low, high) if colours.low < 0.0
-            else matplotlib.colors.Normalize(colours.low, high))
-    return matplotlib.cm.ScalarMappable(norm, colours.name)
-
-
 def rendered(panel: BodyPanel, device: str) -> np.ndarray:
     """The panel's body and rigid bodies as sRGB (H, W, 3) uint8."""
     surface, shading = panel.surface, 1.0
     if panel.values is not None and panel.colours is not None:
-        colour = _scale(panel.colours).to_rgba(panel.values)[:, :3]
-        if panel.colours.grey_zero:
-            colour[panel.values <= 0.0] = _GREY
-        surface, shading = flat_coloured(surface.vertices, surface.triangles, colour), _SHADING
+        surface = flat_coloured(surface.vertices, surface.triangles, panel.colours.rgb(panel.values))
+        shading = _SHADING
     return render(with_rigid(surface, panel.rigid), *panel.camera, *panel.size, device=device,
                   shading=shading, background=(255, 255, 255)).rgb
 
 
 def _map(axes: Axes, panel: MapPanel) -> None:
-    scale = _scale(panel.colours)
+    scale = panel.colours.scale()
     x, y = panel.points.T
-    drawn = axes.tripcolor(Triangulation(x, y, panel.triangles), panel.values, shading="gouraud",
-                            cmap=scale.cmap, norm=scale.norm)
+    axes.tripcolor(Triangulation(x, y, panel.triangles), panel.values, shading="gouraud",
+                    cmap=scale.cmap, norm=scale.norm)
     on = panel.dots > 0.0
     if on.any():
         axes.scatter(x[on], y[on], s=_DOT * panel.dots[on] / panel.dots.max(), color="k", linewidths=0.0)
     axes.set_aspect("equal")
     axes.set_xlabel(panel.labels[0])
     axes.set_ylabel(panel.labels[1])
-    low, high = scale.norm.vmin, scale.norm.vmax
-    axes.figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.02, ticks=[low, 0.5 * low, 0.0, 0.5 * high, high],
-                    format=lambda value, _: f"{value:.2g}").set_label(panel.colours.label)
+    panel.colours.bar(axes.figure, axes, fraction=0.04, pad=0.02)

@@ -60,7 +60,7 @@ def look_at(spec: CameraSpec, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def fitting_camera(vertices: np.ndarray, near: np.ndarray, width: int, height: int, *,
-                   elevation: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
+                   elevation: float = 0.6, azimuth: float = -1.0) -> tuple[np.ndarray, np.ndarray]:
     """Intrinsics (3, 3) [px] and pose (4, 4) [m] of a camera that frames a body tightly.
 
     Args:
@@ -68,12 +68,13 @@ def fitting_camera(vertices: np.ndarray, near: np.ndarray, width: int, height: i
         near: of what is next to it (k, 3) [m]; its part close to the body is framed, too.
         width, height: of the picture [px].
         elevation: of the camera above the horizon [rad].
+        azimuth: of the camera about z, from x [rad].
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))
     # A plane or a long handle would push the camera away: only what is close to the body counts.
     framed = np.concatenate([vertices, near[np.linalg.norm(near - middle, axis=1) < 0.75 * reach]])
-    pose = look_at(CameraSpec(width, height, 0.5, 3.0 * reach, -1.0, elevation), middle)[1]
+    pose = look_at(CameraSpec(width, height, 0.5, 3.0 * reach, azimuth, elevation), middle)[1]
     at = (framed - pose[:3, 3]) @ pose[:3, :3]
     at = at[:, :2] / at[:, 2:]
     first, last = at.min(axis=0), at.max(axis=0)

@@ -132,7 +132,7 @@ class ArmEffector:
                              f"{1e3 * r.min():.2g} to {1e3 * r.max():.2g} mm")
         lines.extend(f"note: {sentence}" for sentence in plant.notes)
         modulus = np.repeat(plant.young_modulus[1:], triangles_of(plant)[1:])
-        return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines), segments(plant))
+        return Drawing(plant_surface(plant, pot=False), modulus, None, tuple(lines), None, segments(plant))
 
 
 EFFECTOR = ArmEffector()

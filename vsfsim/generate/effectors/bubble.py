@@ -24,7 +24,6 @@ from vsfsim.generate.on_solids import Manner, OnSolids
 from vsfsim.generate.press_result import (
     PICTURE,
     BodyPanel,
-    Colours,
     Column,
     MapPanel,
     Panel,
@@ -47,6 +46,7 @@ from vsfsim.physics.solve.kernels import coupled_kernels, solver_kernels
 from vsfsim.robot.path import pose_at, press_path
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 from vsfsim.sensing.camera import fitting_camera
+from vsfsim.sensing.colours import Colours
 from vsfsim.sensing.surface import Surface
 from vsfsim.sensing.tessellate import tessellate
 

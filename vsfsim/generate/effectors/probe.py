@@ -20,12 +20,11 @@ from vsfsim.data.records import Touch
 from vsfsim.generate import effects, rigid_touch
 from vsfsim.generate.aim import Aim, aim_probe, clearance, in_kinds
 from vsfsim.generate.assume import with_press, with_probe
-from vsfsim.generate.boundary import deformed_surface, face_pressure
+from vsfsim.generate.boundary import deformed_surface, face_pressure, node_pressure
 from vsfsim.generate.on_solids import Manner, OnSolids
 from vsfsim.generate.press_result import (
     PICTURE,
     BodyPanel,
-    Colours,
     Column,
     PressResult,
     direction,
@@ -48,12 +47,15 @@ from vsfsim.physics.solve.increments import inside
 from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.robot.path import body_poses, pose_at, press_path
 from vsfsim.sensing.camera import fitting_camera
+from vsfsim.sensing.colours import Colours, of_modulus
+from vsfsim.sensing.cut import Elements, facing, halved, opened
 from vsfsim.sensing.surface import Surface
 from vsfsim.sensing.tessellate import tessellate
 from vsfsim.vsf.stick_slip import stick_slip
 
 RATIO = 1.3  # of the edges of two meshes: three meshes span 1.69, the finest has 4.8 times the tetrahedra of the first
 SMALLER = 0.5  # a round part under this share of the probe's reach gets elements of its own
+_AZIMUTH = 0.4  # of the camera from the normal of the cut [rad]
 SPACING = 0.1  # of the points of a body's edges, over its half-width
 
 
@@ -262,7 +264,7 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
                                    "force on the probe": normal}},
         model=f"tier {tier}, {tets} tetrahedra",
         headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
-        caption="left: with the rigid bodies; right: the body alone",
+        caption="left: cut open where it is pressed; right: the whole body",
         panels=_panels(model, scene.bodies, placed, moved, np.nan_to_num(push), full),
         arrays=_arrays(model, placed, moved, push))
 
@@ -277,7 +279,7 @@ def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force:
 
 def _panels(model: Model, shapes: tuple[ProbeShape, ...], poses: np.ndarray, moved: np.ndarray,
             push: np.ndarray, full: int) -> Callable[[int], tuple[BodyPanel, ...]]:
-    """Of a frame, the deformed body with the rigid bodies, and alone, as the frame of full depth is seen.
+    """Of a frame, the body cut open where it is pressed, with the rigid bodies; and whole, with the contact pressure.
 
     Args:
         model: the body.
@@ -287,27 +289,36 @@ def _panels(model: Model, shapes: tuple[ProbeShape, ...], poses: np.ndarray, mov
         push: forces on the surface's nodes (T, s, 3) [N].
         full: number of the frame of full depth.
     """
-    at_full, *_, furthest = deformed_surface(model.mesh, moved[full])
-    size = float(np.ptp(at_full, axis=0).max())
+    mesh = model.mesh
+    body = Elements.of_quadratic(mesh.points, mesh.tets, model.young_modulus.mean(axis=1))
+    pressure = [node_pressure(mesh, f) / 1e3 for f in push]
+    where = mesh.points + moved[full]
+    at = (np.average(where, axis=0, weights=pressure[full]) if pressure[full].any() else poses[full, 0, :3, 3])
+    normal = facing(body, at)
+    size = float(np.ptp(where, axis=0).max())
     solid = [tessellate(shape, 1.2 * size) for shape in shapes]
 
     def placed(t: int) -> list[tuple[np.ndarray, np.ndarray]]:
         return [(v @ pose[:3, :3].T + pose[:3, 3], f) for (v, f), pose in zip(solid, poses[t], strict=True)]
 
-    camera = fitting_camera(at_full, np.concatenate([v for v, _ in placed(full)]), *PICTURE)
-    eye, most = camera[1], face_pressure(model.mesh, push[full]).max()
-    lengths = Colours("viridis", 0.0, 1e3 * float(furthest.max()), "displacement [mm]")
-    pressures = Colours("inferno_r", 0.0, float(most) / 1e3, "contact pressure [kPa]", True)
+    near, azimuth = np.concatenate([v for v, _ in placed(full)]), _AZIMUTH + float(np.arctan2(normal[1], normal[0]))
+    left = opened(body, normal, at, moved[full])[0].vertices
+    eye = fitting_camera(left[(left - at) @ normal < 0.01 * size], near, *PICTURE, azimuth=azimuth, elevation=0.35)
+    above = fitting_camera(where, where, *PICTURE, azimuth=azimuth, elevation=0.8)
+    modulus = of_modulus(body.young_modulus)
+    label = "contact pressure, mean over elements [kPa]"
+    pressures = Colours("inferno_r", 0.0, float(pressure[full].max()), label, True)
 
     def panels(t: int) -> tuple[BodyPanel, ...]:
-        vertices, triangles, owner, length = deformed_surface(model.mesh, moved[t])
-        pressure = face_pressure(model.mesh, push[t])[owner]
+        inside, shows = opened(body, normal, at, moved[t])
         # A wall between the camera and the body would hide it.
-        shown = [part for part, shape, p in zip(placed(t), shapes, poses[t], strict=True)
-                 if not (isinstance(shape, Plane) and float((eye[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0)]
+        shown = [halved(*part, normal, at) for part, shape, p in zip(placed(t), shapes, poses[t], strict=True)
+                 if not (isinstance(shape, Plane) and float((eye[1][:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0)]
+        vertices, triangles, _, value = deformed_surface(mesh, moved[t], pressure[t], parts=6)
         surface = Surface(vertices, triangles, np.zeros(len(triangles), int), None, vertices)
-        return (BodyPanel(surface, camera, PICTURE, tuple(shown), 1e3 * length, lengths),
-                BodyPanel(surface, camera, PICTURE, (), pressure / 1e3, pressures))
+        return (BodyPanel(inside, eye, PICTURE, tuple(shown),
+                          np.where(shows < 0, np.nan, body.young_modulus[shows]), modulus),
+                BodyPanel(surface, above, PICTURE, (), value, pressures))
 
     return panels
 

@@ -81,9 +81,7 @@ def baked(shape: MeshFile) -> DistanceGrid:
     Raises:
         MeshError: as `vsfsim.physics.mesh.repair.read_surface`, or a surface that cannot be closed.
     """
-    from vsfsim.physics.mesh.repair import content  # imports trimesh, which a sphere does not need
-
-    return _baked(shape, content(shape))
+    return _baked(shape, shape.content())
 
 
 @functools.lru_cache(maxsize=16)

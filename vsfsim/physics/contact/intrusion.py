@@ -33,9 +33,18 @@ _SMALL = 0.25  # the same over the inner radius of the smallest body
 _SPACING = 0.5  # of a body's samples over the element size, and over the inner radius of the body
 _SHEET = 0.1  # `DEEP` of a sheet
 _FAR = 2.0  # way of the tip of the cone behind the rim of a sheet, over the rim's width
+_BULGE = 1.5  # of the ball about the nodes of a quadratic face, which bulges beyond them
 _GRID = (6, 20)  # least and most steps of the grid on a face
 # of two soft bodies: that depth, and the spacing of the points on a face, over the smaller of both element sizes
 _DEEP_PAIR, _SPACING_PAIR, _GRID_PAIR = 0.1, 0.4, (3, 16)
+
+
+def _balls(x: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """Balls about the ``faces`` (1, F, 3 or 6) with nodes at x (k, n, 3) [m]: middles and radii (k, F, 4) [m]."""
+    corner = x[:, faces[0].long()]
+    middle = corner.mean(dim=2)
+    radius = (corner - middle[:, :, None]).norm(dim=3).amax(dim=2)
+    return torch.cat([middle, (_BULGE if faces.shape[2] == 6 else 1.0) * radius[:, :, None]], dim=2).contiguous()
 
 
 class Enclosure:
@@ -75,7 +84,7 @@ class Enclosure:
         wp.launch(nearest_faces, dim=depth.shape, device=self.device, inputs=[
             self.faces.shape[2], wp.from_torch(self.faces.expand(count, -1, -1)), self._closing, near or 1e30, facing,
             wp.from_torch(points.contiguous(), dtype=vec3), wp.from_torch(outward.contiguous(), dtype=vec3), low, high,
-            wp.from_torch(closest_point.balls(x, self.faces), dtype=vec4), wp.from_torch(x.contiguous(), dtype=vec3),
+            wp.from_torch(_balls(x, self.faces), dtype=vec4), wp.from_torch(x.contiguous(), dtype=vec3),
             wp.from_torch(depth), wp.from_torch(face), wp.from_torch(more[0], dtype=closest_point.vec6),
             wp.from_torch(more[1], dtype=vec3)])
         return depth, face, *more
@@ -132,7 +141,7 @@ class Intrusion:
         x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         faces = x.new_zeros(count, len(self._faces))
         # the grid of those faces that a body may reach, padded to the most of any touch
-        ball = closest_point.balls(x, self._surface.faces)
+        ball = _balls(x, self._surface.faces)
         reached = self._bodies.nearest(here[None], ball[:, :, :3].transpose(0, 1)).T < ball[:, :, 3]
         if (at := first_of(reached)).shape[1]:
             corners = x[torch.arange(count, device=self.device)[:, None, None], self._faces[at]]
@@ -186,7 +195,7 @@ class PairOverlap:
         count = len(columns)
         x = self._rest + u[:, columns].view(-1, 3, count).permute(2, 0, 1)
         x[:, self._count:] = x[:, self._count:] @ turn.mT + origin
-        balls = [closest_point.balls(x, surface.faces) for surface in self._surfaces]
+        balls = [_balls(x, surface.faces) for surface in self._surfaces]
         touch, out = torch.arange(count, device=x.device)[:, None, None], x.new_zeros(count)
         for own, other, grid, ball, around in zip(self._surfaces, self._surfaces[::-1], self._grids, balls,
                                                   balls[::-1], strict=True):

@@ -2,7 +2,6 @@
 functions."""
 
 import numpy as np
-import torch
 import warp as wp
 
 from vsfsim.physics.runtime import real, vec3
@@ -15,16 +14,6 @@ at_nodes = wp.constant(wp.types.matrix(shape=(6, 3), dtype=real)(
 half_turn = wp.constant(real(np.pi))
 plain = wp.constant(real(0.999))  # cosine between a normal and the way to a point; above, the nearest is on no edge
 same = wp.constant(real(1e-12))  # difference of two distances [m] under which they are one
-_BULGE = 1.5  # of the ball about the nodes of a quadratic face, which bulges beyond them
-
-
-def balls(x: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
-    """Balls about the ``faces`` (1, F, 3 or 6) with nodes at x (k, n, 3) [m]: middles and radii (k, F, 4) [m]."""
-    corner = x[:, faces[0].long()]
-    middle = corner.mean(dim=2)
-    radius = (corner - middle[:, :, None]).norm(dim=3).amax(dim=2)
-    return torch.cat([middle, (_BULGE if faces.shape[2] == 6 else 1.0) * radius[:, :, None]], dim=2).contiguous()
-
 
 @wp.func
 def on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
@@ -11,8 +12,10 @@ from scipy import ndimage
 from vsfsim.core.errors import MeshError
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
 from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.repair import Surface
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
+
+if TYPE_CHECKING:
+    from vsfsim.physics.mesh.repair import Surface  # imports trimesh, which a box does not need
 
 BASE = 0.01
 """Height of the part of a scan whose nodes are its base face, over the scan's: below it the filling is cut flat [-]."""

@@ -22,9 +22,6 @@ import numpy as np
 
 from vsfsim.core.errors import MeshError
 
-FORMATS = (".obj", ".ply", ".stl")
-"""File formats that are read."""
-
 
 @dataclass(frozen=True)
 class Facets:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.formats import FORMATS, parse
+from vsfsim.physics.mesh.formats import parse
 from vsfsim.physics.mesh.surface_distance import SurfaceDistance
 from vsfsim.physics.mesh.validity import joined
 
@@ -59,23 +59,6 @@ class Surface:
         return np.ptp(self.vertices, axis=0)
 
 
-def content(shape: MeshFile) -> bytes:
-    """The bytes of a mesh file.
-
-    Raises:
-        MeshError: the ending is not of `FORMATS`, or the file cannot be read.
-    """
-    path = Path(shape.path)
-    if path.suffix.lower() not in FORMATS:
-        raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, "
-                        "e.g. with MeshLab.")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY or "
-                        "STL file, relative to the scene file.") from error
-
-
 def read_surface(shape: MeshFile) -> Surface:
     """The surface of a mesh file, repaired, once in a process.
 
@@ -83,7 +66,7 @@ def read_surface(shape: MeshFile) -> Surface:
         MeshError: the file is unreadable, or the mesh has no faces, is not finite, is flat, or is too large or too
             small.
     """
-    return _repaired(shape, content(shape))
+    return _repaired(shape, shape.content())
 
 
 @functools.lru_cache(maxsize=16)

@@ -24,7 +24,7 @@ from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.account import BASE, TOLD, Account, account, level, refuse, scan_volume
 from vsfsim.physics.mesh.lattice import CELL, DENSITY, fill_lattice, pull_to_features
-from vsfsim.physics.mesh.repair import DEBRIS, Surface, content, read_surface
+from vsfsim.physics.mesh.repair import DEBRIS, Surface, read_surface
 from vsfsim.physics.mesh.structured import check_cells
 from vsfsim.physics.mesh.surface_distance import nearest_on
 from vsfsim.physics.mesh.validity import body_of_each_tet, drop_pinches
@@ -77,7 +77,7 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float) -> Solid:
         MeshError: the file is unreadable, or the mesh has no faces, is not finite, is flat, is too large or too small,
             holds several objects, cannot be filled, or the filling is off by more than 10 % of it.
     """
-    return _filled(shape, resolution, content(shape))
+    return _filled(shape, resolution, shape.content())
 
 
 @functools.lru_cache(maxsize=4)
