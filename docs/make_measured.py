@@ -41,7 +41,7 @@ def leaderboard(task: str) -> str:
     board = BOARDS[task] = BOARDS.get(task) or collect(load_task(task))
     title = next(line for line in markdown(board).splitlines() if "mean ± st" in line)
     said = [line for line in footnotes(board, escaped)
-            if line.startswith(("of possible: ", "rank corr.: ", "no row of "))]
+            if line.startswith(("gap closed: ", "rank corr.: ", "no row of "))]
     title += "." * bool(said) + "".join(f" {line[0].upper()}{line[1:]}." for line in said)
     ceilings = dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING)
     title += f" \\* Not ranked ({', '.join(ceilings)}): {CEILING}." if ceilings else ""
@@ -244,7 +244,7 @@ MEASURED: dict[str, partial[str]] = {
     "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None)}
 """Table by name of its file."""
-SHOWN = ("#", "method", "0-shot", "1-shot", "5-shot", "of possible")
+SHOWN = ("#", "method", "0-shot", "1-shot", "5-shot", "gap closed")
 """Columns of the README's table."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""

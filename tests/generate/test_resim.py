@@ -63,14 +63,14 @@ def test_scores_are_a_share_of_the_possible(board):
     rows = leaderboard.table(found)["rows"]
     assert [row["share_of_possible"]["1"] for row in rows] == pytest.approx([1.0 - springs, 1.0], abs=1e-4)
     head, first, second = (leaderboard.text(found).splitlines()[k] for k in (2, 4, 5))
-    assert "of possible" in head and f"{1.0 - springs:.2f}" in first and "1.00" in second and "resim *" in second
+    assert "gap closed" in head and f"{1.0 - springs:.2f}" in first and "1.00" in second and "resim *" in second
     # a ceiling that errs itself: (1 - e) / (1 - c)
     half = dataclasses.replace(found.rows[1].scores["rmse_ratio"]["1"], mean=0.5)
     ceiling = dataclasses.replace(found.rows[1], scores={"rmse_ratio": {"1": half}})
     assert leaderboard.share_of_possible(found.rows[0], leaderboard.possible(dataclasses.replace(
         found, rows=(found.rows[0], ceiling))), "1") == pytest.approx((1.0 - springs) / 0.5)
     assert leaderboard.possible(dataclasses.replace(found, rows=found.rows[:1])) == {}
-    assert all(f">{cell}</" in leaderboard.page([found]) for cell in ("of possible", f"{1.0 - springs:.2f}", "1.00"))
+    assert all(f">{cell}</" in leaderboard.page([found]) for cell in ("gap closed", f"{1.0 - springs:.2f}", "1.00"))
 
 
 def test_the_command_finds_the_data_by_the_environment(made, tmp_path, monkeypatch, vsfsim):

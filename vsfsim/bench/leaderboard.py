@@ -257,7 +257,7 @@ def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str],
     task = board.task
     labels = task.protocol.labels
     ceiling = possible(board)
-    head = ["#", "method", *(f"{label}-shot" for label in labels), *(["of possible"] if ceiling else []), "rank corr.",
+    head = ["#", "method", *(f"{label}-shot" for label in labels), *(["gap closed"] if ceiling else []), "rank corr.",
             "evidence"]
     rows, names = [], labels_of(board.rows)
     for row, label in zip(board.rows, names):
