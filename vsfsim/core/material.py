@@ -159,3 +159,19 @@ class Foam:
 
 FOAMS: dict[str, Foam] = shipped_rows(__file__, "foams.toml", Foam)
 """Foams that ``material`` in ``[object]`` of a scene may name."""
+
+
+def parse_law(given: Any, where: str) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """The name of the law that ``law`` gives, and its rows of numbers.
+
+    Raises:
+        SceneError: it is no name or table of numbers.
+    """
+    said = value(given, Annotated[str | dict[str, str | Finite | list[Finite]], msgspec.Meta(
+        description='a name, or a table of a name and numbers, e.g. law = { name = "hyperfoam", mu = [2e5, 2e4], '
+                    'alpha = [8.0, -2.0], beta = [0.0, 0.0] }')], f"{where}: law")
+    rows = {"name": said} if isinstance(said, str) else said
+    if [key for key, row in rows.items() if isinstance(row, str)] != ["name"]:
+        raise SceneError(f"{where}: law is {said!r}; it must have a name, and numbers besides.")
+    return rows["name"], {key: tuple(row) if isinstance(row, list) else (row,)
+                          for key, row in rows.items() if key != "name"}

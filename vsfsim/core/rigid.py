@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import msgspec
 
 from vsfsim.core.errors import SceneError
+from vsfsim.core.material import parse_law
 from vsfsim.core.shape import MeshFile, ProbeShape, Sphere, parse_probe_shape
 from vsfsim.core.table import Angle, Friction, Rows, Vector, between, check_keys, typed, value
 
@@ -76,24 +77,29 @@ def beside(shape: ProbeShape, path: Path) -> ProbeShape:
     return shape
 
 
-def parse_probe(node: Any, path: Path, *, touches: bool) -> tuple[ProbeShape, tuple[RigidBody, ...], float | None]:
-    """Shape, parts and stiffness of the mount [N/m] of ``[probe]``; a ball of 20 mm radius on a rigid mount, which has
-    None, where there is no such table. ``touches``: whether the scene makes touches of a dataset.
+def parse_probe(node: Any, path: Path, *, touches: bool) -> tuple[
+        ProbeShape, tuple[RigidBody, ...], dict[str, Any]]:
+    """Shape and parts of ``[probe]``, and fields of the scene: the stiffness of the mount [N/m], None for a rigid one,
+    and the law of contact. Without such a table it is a ball of 20 mm radius.
+
+    Args:
+        touches: whether the scene makes touches of a dataset.
 
     Raises:
         SceneError: an unknown key, a value that is not allowed, or a mount that nothing uses.
     """
     where = f"{path} [probe]"
     if node is None:
-        return Sphere(0.02), (), None
-    table = check_keys(node, where, ("shape", "parts", "mount_stiffness"))
+        return Sphere(0.02), (), {}
+    table = check_keys(node, where, ("shape", "parts", "mount_stiffness", "law"))
     mount = table.get("mount_stiffness")
     if mount is not None and not touches:
         raise SceneError(f"{where}: mount_stiffness is {mount!r}, but there is no [touches]; a [press] moves the probe "
                          f"itself. Take mount_stiffness out.")
     stiffness = value(mount, Annotated[float, between(1.0, 1e9, "N/m")] | None, f"{where}: mount_stiffness")
     return (beside(parse_probe_shape(table.get("shape"), where), path),
-            parse_bodies(table.get("parts", []), path, "probe.parts", "offset"), stiffness)
+            parse_bodies(table.get("parts", []), path, "probe.parts", "offset"),
+            {"mount_stiffness": stiffness, "contact_law": parse_law(table["law"], where) if "law" in table else None})
 
 
 def parse_bodies(node: Any, path: Path, name: str, place: str) -> tuple[RigidBody, ...]:

@@ -71,6 +71,8 @@ class Scene:
     `vsfsim.core.shelf.effectors`."""
     mount_stiffness: float | None = None
     """Stiffness of the spring that carries the probe along its press [N/m]; None for a rigid mount."""
+    contact_law: tuple[str, Mapping[str, tuple[float, ...]]] | None = None
+    """Name and rows of numbers of the law that ``[probe] law`` gives, see `vsfsim.physics.contact.law`."""
     effector_table: Mapping[str, Any] = field(default_factory=dict)
     """The table of the effector as it is written, e.g. [sensor] or [arm]; an effector that has no parser of its own in
     `vsfsim.core` reads its settings from it."""
@@ -222,7 +224,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")
-    probe, parts, mount = parse_probe(tree.get("probe"), path, touches="touches" in tree)
+    probe, parts, carried = parse_probe(tree.get("probe"), path, touches="touches" in tree)
     obstacles = parse_bodies(tree.get("obstacles", []), path, "obstacles", "pose")
     if (bodies := 1 + len(parts) + len(obstacles)) > MAX_BODIES:
         raise SceneError(f"{path}: probe, parts and obstacles are {bodies} rigid bodies; {MAX_BODIES} are allowed. "
@@ -237,4 +239,4 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         tree, Scene, str(path), also=_KEYS, name=str(tree.get("name", path.stem)), probe=probe, parts=parts,
         obstacles=obstacles, camera=parse_camera(tree.get("camera", {}), path), source=path, given=frozenset(tree),
         sensor=sensor, arm=typed(tree["arm"], ArmSpec, f"{path} [arm]") if "arm" in tree else None, effector=effector,
-        mount_stiffness=mount, effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))), **tables)
+        effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))), **carried, **tables)

@@ -27,6 +27,7 @@ FITTED_GROUP = "vsfsim.fitted_ceilings"
 EFFECTOR_GROUP = "vsfsim.effectors"
 FAMILY_GROUP = "vsfsim.families"
 LAW_GROUP = "vsfsim.laws"
+CONTACT_LAW_GROUP = "vsfsim.contact_laws"
 
 
 def folder(name: str) -> Path:
@@ -119,8 +120,8 @@ def plug_ins(scene: Mapping[str, Any], effector: str) -> list[importlib.metadata
     Args:
         scene: its tables. effector: the name of its effector.
     """
-    texts = {effector, *texts_of(scene.get("object", {}))}
-    return [entry for group in (EFFECTOR_GROUP, FAMILY_GROUP, LAW_GROUP)
+    texts = {effector, *texts_of([scene.get("object", {}), scene.get("probe", {})])}
+    return [entry for group in (EFFECTOR_GROUP, FAMILY_GROUP, LAW_GROUP, CONTACT_LAW_GROUP)
             for entry in importlib.metadata.entry_points(group=group) if entry.name in texts]
 
 

@@ -15,6 +15,7 @@ from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, MESH_COLUMNS, To
 from vsfsim.generate.aim import Aim, starts
 from vsfsim.generate.record import batches, recorded
 from vsfsim.physics import tiers
+from vsfsim.physics.contact.law import contact_law_of
 from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.mesh.resolved import resolved
 from vsfsim.physics.model import Model
@@ -47,7 +48,7 @@ def solve(scene: Scene, model: Model, aims: Sequence[Aim], *, tier: str, device:
                           touch_path(scene.required_touches, scene.probe, a.contact, a.axis, depth=a.depth,
                                      approach=a.approach) for a in part], axis=1)
         solver = Solver(model, scene.bodies, friction=scene.frictions, device=device,
-                        options=options, linear=not tiers.TIERS[tier].nonlinear)
+                        options=options, linear=not tiers.TIERS[tier].nonlinear, law=contact_law_of(scene))
         width = len(part)
         placed = np.stack([body_poses(scene, poses[:, k]) for k in range(width)], axis=1)
         frames = solver.run(placed, start=body_poses(scene, starts(scene, part, poses[0])), keep=keep,

@@ -14,6 +14,7 @@ from vsfsim.core.shape import Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.shelf import family
 from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.law import contact_law_of
 from vsfsim.physics.laws import hyperfoam, neo_hooke
 from vsfsim.physics.laws.catalogue import law_of
 from vsfsim.physics.mesh.account import scan_foot
@@ -76,6 +77,7 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     """
     order = list(TIERS)
     own_law = law_of(scene) is not None
+    contact_law_of(scene)
     enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_DEFAULT)
     tier = asked or scene.object.tier
     if tier == "auto" and isinstance(scene.object.shape, MeshFile) and "needs" not in scene.given:

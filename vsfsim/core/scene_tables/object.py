@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from vsfsim.core.errors import SceneError, one_of
-from vsfsim.core.material import FOAMS, MaterialField, parse_material
+from vsfsim.core.material import FOAMS, MaterialField, parse_law, parse_material
 from vsfsim.core.rigid import beside
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
-from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, shipped_rows, typed, value
+from vsfsim.core.table import Angle, Finite, Friction, Vector, between, check_keys, shipped_rows, typed
 
 Tier = Literal["auto", "linear", "fem-coarse", "fem", "fem-fine", "rod"]
 """Fidelities that a scene may name."""
@@ -79,23 +79,7 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
         raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
                          f"{{ base = 1e5, inclusions = [..] }}.")
     return typed(table, ObjectSpec, where, also=own, shape=shape, young_modulus=material,
-                 law=_law(table["law"], where) if "law" in table else None)
-
-
-def _law(given: Any, where: str) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """The name of the law that ``law`` gives, and its rows of numbers.
-
-    Raises:
-        SceneError: it is no name or table of numbers.
-    """
-    said = value(given, Annotated[str | dict[str, str | Finite | list[Finite]], msgspec.Meta(
-        description='a name, or a table of a name and numbers, e.g. law = { name = "hyperfoam", mu = [2e5, 2e4], '
-                    'alpha = [8.0, -2.0], beta = [0.0, 0.0] }')], f"{where}: law")
-    rows = {"name": said} if isinstance(said, str) else said
-    if [key for key, row in rows.items() if isinstance(row, str)] != ["name"]:
-        raise SceneError(f"{where}: law is {said!r}; it must have a name, and numbers besides.")
-    return rows["name"], {key: tuple(row) if isinstance(row, list) else (row,)
-                          for key, row in rows.items() if key != "name"}
+                 law=parse_law(table["law"], where) if "law" in table else None)
 
 
 @dataclass(frozen=True)

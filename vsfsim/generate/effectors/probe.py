@@ -37,6 +37,7 @@ from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
+from vsfsim.physics.contact.law import contact_law_of
 from vsfsim.physics.contact.patch import smooth_radius
 from vsfsim.physics.elements.block import elements_of
 from vsfsim.physics.mesh.edge_refine import EdgePath
@@ -75,7 +76,7 @@ class Probe(OnSolids):
     def kernels(self, scene: Scene) -> list[Any]:
         """Those of the solver, and of the oracle VSF's stick and slip."""
         own = tiers.elements(scene, tiers.choose(scene))
-        return [*solver_kernels(own), stick_slip]
+        return [*solver_kernels(own, contact_law_of(scene)[0]), stick_slip]
 
     def shapes(self, subject: Subject, aims: Sequence[Aim]) -> tuple[ProbeShape, list[ProbeShape], float]:
         """The scene's own probe, that of each kind of press, and the object's friction."""
@@ -216,7 +217,8 @@ def solve(prepared: Prepared, request: Request) -> PressResult:
               path=press_path(spec, scene.probe), start=first)
     assert aim.path is not None
     begin, placed = body_poses(scene, first[None])[0], body_poses(scene, aim.path)
-    compile_kernels(solver_kernels(elements_of(model.blocks)), request.device, progress=request.progress)
+    compile_kernels(solver_kernels(elements_of(model.blocks), contact_law_of(scene)[0]), request.device,
+                    progress=request.progress)
     gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:moving], begin, strict=False))
     begun = overlap(model, RigidBodies(scene.bodies), begin, str(scene.source))
     linear, options = not tiers.TIERS[tier].nonlinear, limited(tiers.options(tier), request)

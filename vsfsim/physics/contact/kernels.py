@@ -2,10 +2,11 @@
 
     Pi_n = sum_q w_q/2 <-g(x_q)>^2,     f_n = -w_q g n     where g < 0
 
-g is the distance of the point q from the other body and w_q its stiffness. Sources are rigid bodies (`rigid_kernels`)
-and the deformable surface of a sensor (`pair.kernels`). The first part of the penetration may be softer: there it
-stands for the indentation that the mesh is too coarse for (`local_indentation`). On a sheet under bodies with edges the
-stiffness grows with the depth down to h (`patch.sheet_contact`), and the force is w_q g^2 / (2 h) there.
+g is the distance of the point q from the other body and w_q its stiffness; a package may bring another `law`. Sources
+are rigid bodies (`rigid_kernels`) and the deformable surface of a sensor (`pair.kernels`). The first part of the
+penetration may be softer: there it stands for the indentation that the mesh is too coarse for (`local_indentation`). On
+a sheet under bodies with edges the stiffness grows with the depth down to h (`patch.sheet_contact`), and the force is
+w_q g^2 / (2 h) there.
 
 Friction acts as `friction` says, with the tangential stiffness STICK w_q: a stuck point gives way by a thousandth of an
 element at most. Slipping points drag their anchor along when the frame is done: stick-slip with history. Where
@@ -48,6 +49,7 @@ class Points:
     share: wp.array3d(dtype=real)  # of it that acts down to the depth `soft`, see `local_indentation` [-]
     soft: wp.array2d(dtype=real)  # (B, f) [m]
     onset: real  # of a sheet, see `patch.sheet_contact` [m]
+    terms: wp.array(dtype=real)  # of the law of contact, see `law`
     coulomb: wp.array(dtype=real)  # (B,), see `rigid_contact`
     coefficient: wp.array(dtype=real)  # of friction, of each body or face [-]
     # nodes of the patches, now and when the step began (B, s) [m]
@@ -94,7 +96,7 @@ def bound(struct: Any, given: Mapping[str, Any], size: tuple[int, ...],
     return out, tensors
 
 
-def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, on_faces: bool) -> Any:
+def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], push: Any, *, on_faces: bool) -> Any:
     """The kernels of the contact points of a source.
 
     Args:
@@ -106,6 +108,7 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
             in which the gap grows, and the Hessian of the gap; all but the gap only where that is negative.
             ``held`` (owner): where an anchor is. ``anchors`` (j) makes one, and sets its owner.
             ``drags`` (at, d, left): moves the anchor ``at`` to where d, the way to the point, has the length ``left``.
+        push: the Warp function of a law of contact, see `law`.
         on_faces: whether anchors are on faces of one surface, where friction acts apart from the pressure; else one on
             another body than the nearest holds nothing.
 
@@ -128,23 +131,6 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
 
     source = make(Struct, place)
     meet, held, anchors, drags = source.meet, source.held, source.anchors, source.drags
-
-    @wp.func(module=module)
-    def push(w: real, share: real, soft: real, onset: real, depth: real):
-        # normal force, stiffness and energy of a point at a depth >= 0; the stiffness is share w down to the depth soft
-        # or, on a sheet, grows from 0 to w down to the depth onset
-        if depth < onset:
-            slope = w * depth / onset
-            return real(0.5) * slope * depth, slope, slope * depth * depth / real(6.0)
-        if onset > real(0.0):
-            more = depth - onset
-            force = real(0.5) * w * onset
-            return (force + w * more, w, w * onset * onset / real(6.0) + force * more + real(0.5) * w * more * more)
-        if depth <= soft:
-            return share * w * depth, share * w, real(0.5) * share * w * depth * depth
-        more = depth - soft
-        force = share * w * soft
-        return (force + w * more, w, real(0.5) * force * soft + force * more + real(0.5) * w * more * more)
 
     @wp.func(module=module)
     def holds(owner: int, j: int):
@@ -177,7 +163,7 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
                 slope = real(0.0)
                 if gap < real(0.0):
                     c.normal[b, f, q] = n
-                    size, slope, work = push(w, c.share[b, f, q], c.soft[b, f], c.onset, -gap)
+                    size, slope, work = push(w, c.share[b, f, q], c.soft[b, f], c.onset, -gap, c.terms)
                     force = size * n
                     stiff = slope * wp.outer(n, along_gap)
                     geometric = size * bend
@@ -232,7 +218,8 @@ def contact_kernels(module: str, own: type, make: Callable[[Any, Any], Any], *, 
             g = c.gap[b, f, q]
             if g < real(0.0):
                 j = c.body[b, f, q]
-                size, _slope, _work = push(c.stiffness[b, f, q], c.share[b, f, q], c.soft[b, f], c.onset, -g)
+                size, _slope, _work = push(c.stiffness[b, f, q], c.share[b, f, q], c.soft[b, f], c.onset, -g,
+                                           c.terms)
                 limit = c.coefficient[j] * size
                 c.across[b, f, q] = wp.normalize(c.normal[b, f, q])
                 owner = c.owner[b, f, q]

@@ -19,6 +19,7 @@ from vsfsim.physics.contact.body_points import BodyPoints, remember, stacked
 from vsfsim.physics.contact.body_samples import inner_radius
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.kernels import bound
+from vsfsim.physics.contact.law import PENALTY, ContactLaw
 from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, lacks_something
 from vsfsim.physics.contact.mount import Mount, Springs
 from vsfsim.physics.contact.patch import CUTS, NO_PART, Patch, at_points, make_patch, neighbours, sheet_contact
@@ -47,6 +48,7 @@ class RigidContact(Contact):
         local: whether round bodies sink in locally, see `local_indentation`; ``by_place``: where they touch.
         mount: springs that carry the bodies; poses are then those of the mounts.
         linear: whether the object's stiffness stays that at rest.
+        law: of the contact, and its terms, see `law`.
     """
 
     # measure under which a step is accepted for its residual alone, because rounding hides the potential, and the
@@ -67,10 +69,11 @@ class RigidContact(Contact):
     """Contact force at each Gauss point (B, 6 f, 3) [N]."""
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
-                 linear: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None):
+                 linear: bool = True, local: bool = False, by_place: bool = False, mount: Mount | None = None,
+                 law: tuple[ContactLaw, np.ndarray] = (PENALTY, np.zeros(1))):
         self.model, self.bodies, self.device, self._linear, self._sinks = model, bodies, device, linear, local
         self._by_place = local and by_place and lacks_something(model, bodies)
-        self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
+        self.kernels, self._terms, self.batch = rigid_kernels.kernels(law[0]), law[1], poses.shape[1]
         self.has_friction = bool((friction > 0.0).any())
         self._coefficient = torch.as_tensor(friction, dtype=torch.float64, device=device)
         self.springs = None if mount is None else Springs(mount, len(bodies), device)
@@ -120,8 +123,8 @@ class RigidContact(Contact):
             **{name: parts[name] for name in ("shape", "local", "stiffness", "host", "spot", "leave", "soft")},
             "share": np.tile(parts["share"][:, :, None], 6),
             "bodies": self.bodies.on(self.device), "count": len(self.bodies),
-            "coulomb": self.coulomb, "coefficient": self._coefficient, "onset": self._onset, "x": self._x,
-            "x_before": self._x_before, "origin": self._now[0], "turn": self._now[1],
+            "coulomb": self.coulomb, "coefficient": self._coefficient, "onset": self._onset, "terms": self._terms,
+            "x": self._x, "x_before": self._x_before, "origin": self._now[0], "turn": self._now[1],
             "origin_before": self._before[0], "turn_before": self._before[1]}, (batch, faces, 6), self.device)
         # of every contact point; a padded part has all its nodes at 0 and no stiffness
         self._local, self._values, self._stiffness = (found[name] for name in ("local", "shape", "stiffness"))

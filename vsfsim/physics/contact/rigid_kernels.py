@@ -13,15 +13,16 @@ import warp as wp
 
 from vsfsim.physics.contact import mount, sdf
 from vsfsim.physics.contact.kernels import contact_kernels
+from vsfsim.physics.contact.law import ContactLaw
 from vsfsim.physics.runtime import mat33, real, vec3
 
 _ADVANCES = wp.constant(24)  # of a point along its way, each as far as it surely meets nothing
-_MODULE = "vsfsim_contact"
 
 
 @functools.cache
-def kernels() -> Any:
-    """The contact kernels and their types."""
+def kernels(law: ContactLaw) -> Any:
+    """The contact kernels under a law, and their types."""
+    module = f"vsfsim_contact_{law.name}"
 
     class Rigid:
         host: wp.array2d(dtype=wp.int32)  # body whose point a part is, see `body_points`; -1 for parts of faces
@@ -36,11 +37,11 @@ def kernels() -> Any:
         origin_before: wp.array2d(dtype=vec3)
         turn_before: wp.array2d(dtype=mat33)
 
-    found = contact_kernels(_MODULE, Rigid, _source, on_faces=False)
+    found = contact_kernels(module, Rigid, functools.partial(_source, module), law.push(module), on_faces=False)
     Points = found.Points
     exact, touch, trials = wp.constant(real(mount.EXACT)), wp.constant(real(mount.TOUCH)), wp.constant(mount.TRIALS + 1)
 
-    @wp.kernel(module=_MODULE, enable_backward=False)
+    @wp.kernel(module=module, enable_backward=False)
     def settle(c: Points, columns: wp.array(dtype=wp.int32), s: mount.Arrays):
         # evaluate all parts of a touch, by the threads of one block, until its spring is in balance; every thread finds
         # the same and writes where the bodies go
@@ -71,7 +72,7 @@ def kernels() -> Any:
             # where contact is lost the bodies go in by the gap
             w += wp.where(gap < real(0.0), over / (slope + s.stiffness), wp.max(-gap - touch, -w))
 
-    @wp.kernel(module=_MODULE, enable_backward=False)
+    @wp.kernel(module=module, enable_backward=False)
     def reach(
         # model
         c: Points,
@@ -112,10 +113,10 @@ def kernels() -> Any:
     return SimpleNamespace(**vars(found), settle=settle, reach=reach)
 
 
-def _source(Points: Any, place: Any) -> Any:
+def _source(module: str, Points: Any, place: Any) -> Any:
     """The functions of rigid bodies, see `kernels.contact_kernels`."""
 
-    @wp.func(module=_MODULE)
+    @wp.func(module=module)
     def meet(c: Points, b: int, f: int, q: int, p: vec3):
         near = int(0)  # noqa: UP018, RUF046
         gap = real(1e30)
@@ -137,11 +138,11 @@ def _source(Points: Any, place: Any) -> Any:
             bend = -(r * sdf.curvature(c.bodies, near, inside) * wp.transpose(r))
         return near, gap, n, n, bend
 
-    @wp.func(module=_MODULE)
+    @wp.func(module=module)
     def held(c: Points, b: int, f: int, q: int, owner: int):
         return c.origin[b, owner] + c.turn[b, owner] * c.anchor[b, f, q]
 
-    @wp.func(module=_MODULE)
+    @wp.func(module=module)
     def anchors(c: Points, b: int, f: int, q: int, j: int):
         # where the body's surface met the point in this step if the point had stood still; where the point is now if it
         # did not, because the object bulged up
@@ -158,7 +159,7 @@ def _source(Points: Any, place: Any) -> Any:
             c.anchor[b, f, q] = wp.transpose(c.turn[b, j]) * (place(c, c.x, b, f, q) - c.origin[b, j])
         c.owner[b, f, q] = -2 - j
 
-    @wp.func(module=_MODULE)
+    @wp.func(module=module)
     def drags(c: Points, b: int, f: int, q: int, at: vec3, d: vec3, left: real):
         j = c.body[b, f, q]
         there = at + (real(1.0) - left / wp.length(d)) * d

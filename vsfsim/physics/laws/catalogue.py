@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.scene import Scene
 from vsfsim.core.shelf import LAW_GROUP, Registry
@@ -21,14 +23,24 @@ def law_of(scene: Scene) -> tuple[SolidLaw, Settings] | None:
     """
     if scene.object.law is None:
         return None
-    name, rows = scene.object.law
-    law = LAWS[one_of(name, LAWS, f"{scene.source} [object]: the law", SceneError)]
-    where = f"{scene.source} [object]: law '{name}'"
-    if set(rows) != set(law.settings):
-        raise SceneError(f"{where} takes {', '.join(law.settings) or 'no numbers'} beside its name; the scene gives "
-                         f"{', '.join(rows) or 'none'}.")
+    where = f"{scene.source} [object]"
+    law, rows = named(LAWS, scene.object.law, where)
     if not law.pressed and scene.object.poisson_ratio > MOST_POISSON_RATIO:
-        raise SceneError(f"{where} acts at points alone, where a nearly incompressible element locks: poisson_ratio = "
-                         f"{scene.object.poisson_ratio:g} is more than {MOST_POISSON_RATIO:g}. Give less, or leave law "
-                         f"out.")
+        raise SceneError(f"{where}: law '{law.name}' acts at points alone, where a nearly incompressible element "
+                         f"locks: poisson_ratio = {scene.object.poisson_ratio:g} is more than {MOST_POISSON_RATIO:g}. "
+                         f"Give less, or leave law out.")
+    return law, rows
+
+
+def named(laws: Registry[Any], given: tuple[str, Settings], where: str) -> tuple[Any, Settings]:
+    """The row of a table of laws that a scene names, with its rows of numbers; ``where`` begins messages.
+
+    Raises:
+        SceneError: there is no such law, or it takes other numbers.
+    """
+    name, rows = given
+    law = laws[one_of(name, laws, f"{where}: the law", SceneError)]
+    if set(rows) != set(law.settings):
+        raise SceneError(f"{where}: law '{name}' takes {', '.join(law.settings) or 'no numbers'} beside its name; the "
+                         f"scene gives {', '.join(rows) or 'none'}.")
     return law, rows

@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from vsfsim.physics.contact import intrusion, rigid_kernels
+from vsfsim.physics.contact.law import PENALTY, ContactLaw
 from vsfsim.physics.contact.pair import kernels as pair_kernels
 from vsfsim.physics.elements.block import kernels_of
 from vsfsim.physics.linear.cholesky import factor_kernels
 from vsfsim.physics.solve import elasticity
 
 
-def solver_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:
+def solver_kernels(elements: Sequence[tuple[str, str]], law: ContactLaw = PENALTY) -> list[Any]:
     """One kernel of each module that the solver launches for a body of ``elements`` of these kinds and laws, see
-    `tiers.elements` and `block.elements_of`."""
+    `tiers.elements` and `block.elements_of`, and of a law of contact."""
     solid = factor_kernels() if any(law for _, law in elements) else []
-    return [rigid_kernels.kernels().evaluate, *_body_kernels(elements), *solid]
+    return [rigid_kernels.kernels(law).evaluate, *_body_kernels(elements), *solid]
 
 
 def coupled_kernels(elements: Sequence[tuple[str, str]]) -> list[Any]:

@@ -21,6 +21,7 @@ from vsfsim.core.shape import ProbeShape
 from vsfsim.physics import clock
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.intrusion import LOST
+from vsfsim.physics.contact.law import PENALTY, ContactLaw
 from vsfsim.physics.contact.mount import Mount
 from vsfsim.physics.contact.points import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
@@ -58,13 +59,15 @@ class Solver:
         device: Warp device, "cpu" or "cuda:0".
         options: limits.
         linear: use the linear elasticity of the rest state (the `linear` tier) instead of the elements.
+        law: of the contact, and its terms, see `vsfsim.physics.contact.law`.
     """
 
     def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *,
                  friction: float | Sequence[float] = 0.0, device: str = "cpu",
-                 options: SolverOptions | None = None, linear: bool = False):
+                 options: SolverOptions | None = None, linear: bool = False,
+                 law: tuple[ContactLaw, np.ndarray] = (PENALTY, np.zeros(1))):
         bodies = RigidBodies(shapes)
-        self.bodies = bodies
+        self.bodies, self._law = bodies, law
         self._setup(model, bodies.reaches, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device,
                     options, linear)
 
@@ -164,7 +167,7 @@ class Solver:
             way = increments.pieces(first, poses[0], increments.stride(bodies, thickness), bodies.reaches)
             poses = np.stack([*way, *poses])
         contact = RigidContact(model, bodies, self.friction, poses, device=self.device, mount=self._mount,
-                               linear=self.linear, **self.options.indentation)
+                               linear=self.linear, law=self._law, **self.options.indentation)
         thinnest = increments.thinnest(model, [patch.faces for patch in contact.patches])
         self._stride = increments.stride(bodies, min(thickness, thinnest), friction=contact.has_friction)
         self._inside = increments.inside(bodies, model, start, self.device)

@@ -25,6 +25,7 @@ import warp as wp
 
 from vsfsim.physics.contact import friction
 from vsfsim.physics.contact.kernels import contact_kernels
+from vsfsim.physics.contact.law import PENALTY
 from vsfsim.physics.elements import closest_point
 from vsfsim.physics.elements.closest_point import vec6
 from vsfsim.physics.runtime import mat33, real, vec3
@@ -52,7 +53,7 @@ def kernels() -> Any:
         there: wp.array2d(dtype=vec6)  # shape values of the nearest point, on the face `body` (B, f)
 
     # pressure acts at the nearest place of the other surface, friction at the anchor
-    found = contact_kernels(_MODULE, Surface, _source, on_faces=True)
+    found = contact_kernels(_MODULE, Surface, _source, PENALTY.push(_MODULE), on_faces=True)
     Points = found.Points
 
     @wp.kernel(module=_MODULE, enable_backward=False)

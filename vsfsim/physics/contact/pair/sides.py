@@ -120,7 +120,7 @@ def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarra
         **both, "corners": faces.shape[2], "stiffness": stiffness[:, :, None], "faces": faces,
         "local": np.concatenate([facet, node, node, node], axis=2), "shape": np.tile(np.eye(6)[3], (batch, n, 1, 1)),
         "count": np.array(count), "candidates": np.full((batch, n, CANDIDATES), -1),
-        "smooth": np.zeros((*faces.shape, 3)), "onset": 0.0,
+        "smooth": np.zeros((*faces.shape, 3)), "onset": 0.0, "terms": np.zeros(1),
         "coefficient": np.full(faces.shape[1], both["coefficient"])}, (batch, n, 1), device)
     tensors["gap"].fill_(1e30)
     tensors["owner"].fill_(-1)
