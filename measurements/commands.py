@@ -63,6 +63,18 @@ def trust(cells: AtLeastOne = 300, seed: Number = 0, limit: Annotated[float, typ
     _report(measure(cells, seed, limit=limit, workers=workers or os.cpu_count() or 1, progress=step), out)
 
 
+@command(app)
+def unused(scene: Names = None, out: JsonFile = None) -> None:
+    """Functions of the physics that no shipped scene and no cell of the gate runs.
+
+    Args:
+        scene: Run this one alone; may be given again. Default: all, and the cells.
+    """
+    from measurements.unused import measure
+
+    _report(measure(scene or (), progress=step), out)
+
+
 @command(app, "plant-ceilings")
 def plant_ceilings(scene: str = "plants-v4-mini", objects: Several = None, first: Number = 0,
                    touches: Annotated[int, typer.Option(min=26)] = 26,

@@ -36,7 +36,8 @@ NAMED = '{ name = "rough", height = 1e-5 }'
 
 
 def lawful(law):
-    return text("block", ("{ shape = ", f"{{ law = {law}, shape = "))
+    """A box, under which no indentation is local."""
+    return text("block", ("shape = { sphere = 0.01 }", f"law = {law}, shape = {{ box = [0.02, 0.02, 0.02] }}"))
 
 
 @pytest.fixture(autouse=True)

@@ -178,11 +178,11 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
             process.ask("meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
             reply = process.ask("state", None, "a copy of what it learned", most=_STATE)
         # a container's own files are no one else's, whatever lies here at their paths
-        shown = ["/"] if self.isolation.sandbox == "process" else self._places["shown"]
+        shown = tuple(f"{path}/" for path in ([""] if self.isolation.sandbox == "process" else self._places["shown"]))
         said = reply.head.get("opened")
         opened = tuple(name for name in map(str, said if isinstance(said, list) else ())
                        if not name.startswith(("/proc/", "/sys/")) and not name.endswith(".pyc")
-                       and any(Path(name).is_relative_to(path) for path in shown))
+                       and f"{name}/".startswith(shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened, process.seconds["meta_fit"],
                        given)
 

@@ -9,8 +9,9 @@ scene names it in ``[probe] law``, as it names a material's law in ``[object] la
 
 w is the point's stiffness [N/m]: of the surface that the point stands for, over a small part of an element. A force
 that is much smaller than w times the depth lets bodies pass into one another, which `intrusion` marks. The first part
-of the depth, ``soft`` [m], may stand for indentation that the mesh is too coarse for, with ``share`` of the stiffness;
-``onset`` [m] is that of a sheet. ``terms`` (n,) are the numbers that the scene gives, row after row of ``settings``.
+of the depth, ``soft`` [m], stands for indentation under round bodies that the mesh is too coarse for, with ``share`` of
+the stiffness: a law that leaves them out is as much too stiff there as the mesh. ``onset`` [m] is that of a sheet.
+``terms`` (n,) are the numbers that the scene gives, row after row of ``settings``.
 """
 
 from __future__ import annotations
