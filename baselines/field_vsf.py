@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.known_object import PoseSearch, locate, touched_points
 from vsfsim.baselines.sensor_surface import dense_touch
 from vsfsim.baselines.visible_cloud import visible_cloud
@@ -25,6 +26,7 @@ _RINGS = 4  # of the mesh of a ball's front: 61 vertices
 _ZERO = 1e-9  # readings below this, in the task's unit, count as zero
 
 
+@converted
 class NeuralVsf:
     """The papers' 8-layer network.
 
@@ -123,6 +125,7 @@ class NeuralVsf:
         return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, self._search)
 
 
+@converted
 class GridVsf(NeuralVsf):
     """Our field: a sum of trilinear grids, fitted in a few hundred steps at a higher rate.
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
 from vsfsim.baselines.visible_cloud import LearnedArrays
@@ -20,6 +21,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
+@converted
 class GaussianAverage(PosteriorAnswers, LearnedArrays):
     """Prior mean: the average spring constant of the training objects' touched particles.
 

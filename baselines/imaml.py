@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.visible_cloud import LearnedArrays, digest, one_thread
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
@@ -29,6 +30,7 @@ ENCODER = (64, 7)
 PRECISIONS = ("float64", "float32")
 
 
+@converted
 class Imaml(LearnedArrays):
     """iMAML without vision.
 

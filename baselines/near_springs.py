@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.surface_touches import SurfaceView, single_number
 from vsfsim.baselines.visible_cloud import LearnedArrays
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
@@ -21,6 +22,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
+@converted
 class NearSprings(LearnedArrays):
     """Springs under the surface.
 

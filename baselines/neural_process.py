@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.surface_touches import SurfaceView, functions, projected, single_number
 from vsfsim.baselines.visible_cloud import LearnedArrays, one_thread
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
@@ -25,6 +26,7 @@ _SPACING = 0.005  # pixels within this of a place describe it [m]
 _CLIP = 4.0  # standardised descriptions stay within this many deviations: a test object may lie far outside
 
 
+@converted
 class NeuralProcess(LearnedArrays):
     """A conditional neural process over touches.
 

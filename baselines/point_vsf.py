@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, VsfSettings
 from vsfsim.baselines.posterior import Filtered, Posterior, PosteriorAnswers
@@ -20,6 +21,7 @@ from vsfsim.data.records import View
 ESTIMATORS = ("batch", "filter")
 
 
+@converted
 class PointVsf(PosteriorAnswers):
     """Learns nothing from training objects.
 
@@ -79,6 +81,7 @@ class PointVsf(PosteriorAnswers):
             self.posterior = Posterior.of(model, support, **prior)
 
 
+@converted
 class DenseVsf(PointVsf):
     """The point VSF from dense contact forces (Neural VSF section III-C).
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.known_object import PoseSearch, locate
 from vsfsim.baselines.particle_model import ParticleModel
 from vsfsim.bench.method import Action, Estimate, Reading, check_support
@@ -162,6 +163,7 @@ class Filtered(Posterior):
         return np.sqrt(self.var)
 
 
+@converted
 class PosteriorAnswers:
     """What every particle method answers: the answers of the posterior that its `adapt` left."""
 

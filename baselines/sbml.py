@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
@@ -31,6 +32,7 @@ if TYPE_CHECKING:  # torch is imported where it is used
     from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
 
 
+@converted
 class Sbml(PosteriorAnswers, LearnedArrays):
     """SBML with a prior learned by `meta_fit`.
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.baselines.converted import converted
 from vsfsim.baselines.surface_touches import DEPTH, Projected, SurfaceView, functions, projected, single_number
 from vsfsim.baselines.visible_cloud import LearnedArrays, one_thread
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
@@ -44,6 +45,7 @@ class _Object:
     """y (n, 2) [N]."""
 
 
+@converted
 class SurfaceGp(LearnedArrays):
     """A Gaussian process over the surface; settings come from the training objects."""
 

@@ -6,10 +6,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Iterator
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 
+from vsfsim.baselines.converted import Units
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
@@ -60,6 +62,7 @@ class LearnedArrays:
     _settings: tuple[str, ...] = ()
     """Attributes without which the arrays say nothing: a method with others does not load them."""
     _arrays: dict[str, np.ndarray] | None = None
+    _units = Units()
 
     @property
     def _learned(self) -> dict[str, np.ndarray]:
@@ -76,6 +79,7 @@ class LearnedArrays:
         learned = self._learned
         folder.mkdir(parents=True, exist_ok=True)
         settings = {f"set.{key}": np.array(str(getattr(self, key))) for key in self._settings}
+        settings["units"] = np.array(astuple(self._units))
         np.savez(folder / f"{self._name}.npz", **learned, **settings)
 
     def load(self, folder: Path) -> None:
@@ -95,4 +99,5 @@ class LearnedArrays:
             if there != here:
                 raise MethodError(f"{self._name}: what lies in '{folder}' was learned with {key} '{there}', not "
                                   f"'{here}'. Give --set {key}={there}.")
+        self._units = Units(*arrays.pop("units").tolist())
         self._learned = arrays
