@@ -120,15 +120,15 @@ class ParticleModel:
                               f"spacing{wider}.")
         return cls(particles, settings, volume / len(particles))
 
-    def knots(self) -> sparse.csr_matrix:
+    def knots(self, reach: float) -> sparse.csr_matrix:
         """Weights with which particles average the springs of knots (n, s); the weights of a particle sum to 1.
 
-        The knots are the mean places of the particles in the cells of a grid of `VsfSettings.reach`, the weights
-        Gaussians of that width. Where knots are independent, particles a width apart have a correlation of about 0.8,
-        and of 0.4 at two.
+        The knots are the mean places of the particles in the cells of a grid of ``reach`` [m], the weights Gaussians
+        of that width, the same in every call. Where knots are independent, particles a width apart have a correlation
+        of about 0.8, and of 0.4 at two.
         """
         if self.near is None:
-            reach, points = self.settings.reach, self.particles
+            points = self.particles
             cell, of = np.unique(np.floor(points / reach).astype(np.int64), axis=0, return_inverse=True)
             members = sparse.csr_matrix((np.ones(len(points)), (of.ravel(), np.arange(len(points)))))
             centres = (members @ points) / np.asarray(members.sum(axis=1))

@@ -59,7 +59,7 @@ class Posterior:
         K = diag(h) B phi with phi >= 0 of the knots, h the prior's means and phi around 1, or h = 1 and phi around 0
         where these are 0. The variance of phi is the one with which the springs have the prior's variance in the mean.
         """
-        mean, weights = np.maximum(prior.total_mean(), 0.0), model.knots()
+        mean, weights = np.maximum(prior.total_mean(), 0.0), model.knots(model.settings.reach)
         around = float(mean.any())
         shape = np.maximum(mean, 1e-3 * mean.max()) if around else np.ones(len(mean))
         scaled = sparse.csr_matrix(sparse.diags_array(shape) @ weights)

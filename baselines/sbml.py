@@ -21,11 +21,12 @@ from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSetti
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
 from vsfsim.baselines.visible_cloud import LearnedArrays, visible_cloud
 from vsfsim.bench.method import Reading, Specimen
+from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
-from vsfsim.vsf.meta.calibration import Held, Level, Missed, Width, blended, pattern_scale
+from vsfsim.vsf.meta.calibration import Felt, Held, Level, Missed, Shares, Width, blended, pattern_scale
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 
 if TYPE_CHECKING:  # torch is imported where it is used
@@ -60,6 +61,10 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
+        reach: with several networks of structure HE, springs deviate from what the networks say together with all
+            others and with those within about this distance [m], and by themselves; how much, and the noise of a
+            reading, is found on objects that the networks did not learn from (`vsfsim.vsf.meta.calibration.Shares`).
+            0: by a common factor and by themselves, with the noise of the settings.
         growth: power of the summed displacement with which a reading grows, see
             `vsfsim.baselines.particle_model.VsfSettings` [-]; 1 as in the paper.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
@@ -68,14 +73,14 @@ class Sbml(PosteriorAnswers, LearnedArrays):
     """
 
     _name = "sbml"
-    _settings = ("structure", "features", "output", "second", "networks")
+    _settings = ("structure", "features", "output", "second", "networks", "reach")
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
                  seed: int = 0, networks: int = 1, common_std: float = 0.5, rate: float = 1e-4, epochs: int = 400,
                  patience: int = 40, dropout: float = 0.1, output: str = "softplus", second: str = "std",
                  validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 3.0,
                  noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
-                 band: float = 0.0, growth: float = 1.0, max_particles: int = 0,
+                 band: float = 0.0, reach: float = 0.0, growth: float = 1.0, max_particles: int = 0,
                  device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
@@ -85,11 +90,12 @@ class Sbml(PosteriorAnswers, LearnedArrays):
                 ("validation", validation, 0.0 <= validation < 1.0, "a fraction from 0 to under 1"),
                 ("noise_std", noise_std, noise_std > 0.0, "greater than 0"),
                 ("networks", networks, networks >= 1, "at least 1"),
-                ("common_std", common_std, common_std >= 0.0, "0 or greater")):
+                ("common_std", common_std, common_std >= 0.0, "0 or greater"),
+                ("reach", reach, 0.0 <= reach < np.inf, "0 or greater, in metres")):
             if not allowed:
                 raise MethodError(f"sbml: {name} is {value!r}; it must be {words}.")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
-        self.second, self.networks, self.common_std = second, networks, common_std
+        self.second, self.networks, self.common_std, self.reach = second, networks, common_std, reach
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, "cpu",
@@ -100,6 +106,7 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         self._normaliser: Normaliser | None = None
         self._trained: list[MetaPrior] = []
         self._level, self._naive = Level(), (0.0, 1.0)  # weights; naive mean [N/m] and variance [(N/m)^2]
+        self._shares: Shares | None = None  # of the springs, and the noise of a reading; None without ``reach``
         self._width: Width | None = None  # of predicted readings; None for noise_std and noise_share
         self.training: list[Training] = []
         """How the training of each network went."""
@@ -134,7 +141,7 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         common = self.networks > 1 and self.structure == "HE" and self.common_std > 0.0
         known = [Composition.of("HE+HO", self._normaliser(f)) for f in raw] if common else parts
         tasks = [self._task(*row) for row in zip(models, specimens, raw, known)]
-        self._trained, self.training, self._width, held_out, own = [], [], None, [], []
+        self._trained, self.training, self._shares, self._width, held_out, own = [], [], None, None, [], []
         for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
                 self.seed, spawn_key=(2, number)).generate_state(1)[0])
@@ -157,6 +164,9 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2
         self._trained = [network.cpu() for network in self._trained]
+        if own and self.reach and self.structure == "HE":
+            self._level = replace(self._level, std=0.0)
+            self._shares = Shares.of([self._felt(*given) for given in own])
         if own:
             self._width = Width.of([one for given in own for one in self._missed(*given)])
 
@@ -171,7 +181,7 @@ class Sbml(PosteriorAnswers, LearnedArrays):
             found = [network.of(features, part) for network in self._trained]
             self._priors[id(model)] = found[0] if self.networks == 1 else self._blended(found, model, view)
         self._view = view
-        self.posterior = Posterior.under(model, support, self._priors[id(model)])
+        self.posterior = Posterior.under(self._as_noisy(model), support, self._priors[id(model)])
         self.posterior.width = self._width
 
     def share(self, other: Sbml) -> None:
@@ -186,7 +196,8 @@ class Sbml(PosteriorAnswers, LearnedArrays):
                    for name, value in network.state_dict().items()}
         self._learned = {"mean": self._normaliser.mean, "std": self._normaliser.std, "naive": np.array(self._naive),
                          "unit": np.array(self._trained[0].unit), "level": np.array(astuple(self._level)),
-                         "width": np.array(astuple(self._width) if self._width else ()), **weights}
+                         "width": np.array(astuple(self._width) if self._width else ()),
+                         "shares": np.array(astuple(self._shares) if self._shares else ()), **weights}
         super().save(folder)
 
     def load(self, folder: Path) -> None:
@@ -206,6 +217,7 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         self._naive, unit = tuple(found.pop("naive").tolist()), float(found.pop("unit"))
         self._level, width = Level(*found.pop("level").tolist()), found.pop("width").tolist()
         self._width = Width(*width) if width else None
+        self._shares = Shares(*shares) if (shares := found.pop("shares").tolist()) else None
         self._trained = []
         for number in dict.fromkeys(name.partition(".")[0] for name in found):
             network = self._build(len(self._normaliser.mean), Spread(unit, unit), self.seed)
@@ -214,14 +226,31 @@ class Sbml(PosteriorAnswers, LearnedArrays):
             self._trained.append(network)
 
     def _blended(self, priors: Sequence[GaussianPrior], model: ParticleModel, view: View) -> GaussianPrior:
-        return blended(priors, self._level, self._near(model, view), naive_mean=self._naive[0],
-                       naive_var=self._naive[1])
+        found = blended(priors, self._level, self._near(model, view), naive_mean=self._naive[0],
+                        naive_var=self._naive[1])
+        if self._shares is None:
+            return found
+        return self._shares.prior(found, model.knots(self.reach), self._naive[0])
 
     def _missed(self, model: ParticleModel, specimen: Specimen, prior: GaussianPrior) -> list[Missed]:
         """Readings of a training object under the prior of the one network that took no step on it: all before any
         touch, and the second half of them after the first."""
         blend, half = self._blended([prior], model, specimen.view), len(specimen.touches) // 2
+        model = self._as_noisy(model)
         return [Posterior.under(model, specimen.touches[:k], blend).missed(specimen.touches[k:]) for k in (0, half)]
+
+    def _as_noisy(self, model: ParticleModel) -> ParticleModel:
+        """The same particles and rows, with the noise that was found. The model itself is shared between trainings."""
+        if self._shares is None:
+            return model
+        return replace(model, settings=replace(model.settings, noise_std=self._shares.noise, noise_share=0.0))
+
+    def _felt(self, model: ParticleModel, specimen: Specimen, prior: GaussianPrior) -> Felt:
+        """All touches of a training object, in newtons as the noise of the settings, under the same prior."""
+        rows, readings = model.plain(specimen.touches)
+        force = OBSERVATIONS[specimen.touches[0].action.observation].force_per_unit
+        return Felt.of(force * rows, force * readings, self._blended([prior], model, specimen.view),
+                       model.knots(self.reach), self._naive[0])
 
     def _near(self, model: ParticleModel, view: View) -> np.ndarray:
         """Particles within two spacings of the visible surface, where touches reach (n,) bool."""

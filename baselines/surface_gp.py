@@ -23,11 +23,13 @@ from vsfsim.baselines.converted import converted
 from vsfsim.baselines.surface_touches import DEPTH, Projected, SurfaceView, functions, projected, single_number
 from vsfsim.baselines.visible_cloud import LearnedArrays, one_thread
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
-from vsfsim.core.errors import MethodError
+from vsfsim.core.errors import MethodError, one_of
 from vsfsim.data.records import View
 
 _REACH, _TURN = 0.03, 0.5  # l [m] and t [-] at the start of the search
 _STEPS = 60  # of the quasi-Newton search; the likelihood changes by less than 0.1 after 40 on twelve shoes
+SHARED = {"both": (0.0, 0.0), "object": (0.0, -40.0), "place": (-40.0, 0.0), "none": (-40.0, -40.0)}
+"""Logarithms of v_o and v_l at the start of the search. From -40 none comes back: the likelihood has no slope there."""
 _LEAST = 1e-6  # v and the diagonal of B stay above this share of the forces' variance
 
 
@@ -47,9 +49,16 @@ class _Object:
 
 @converted
 class SurfaceGp(LearnedArrays):
-    """A Gaussian process over the surface; settings come from the training objects."""
+    """A Gaussian process over the surface; settings come from the training objects.
+
+    Args:
+        shared: what a touch tells of others: "both", "object" (without v_l), "place" (without v_o) or "none".
+    """
 
     _name = "surface-gp"
+
+    def __init__(self, *, shared: str = "both"):
+        self._off = SHARED[one_of(shared, SHARED, "surface-gp: shared", MethodError)]
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Maximise the marginal likelihood of the training objects.
@@ -72,7 +81,7 @@ class SurfaceGp(LearnedArrays):
             raise MethodError(f"surface-gp: no touch of the {len(specimens)} training objects passes the visible "
                               f"surface with a force. Give touches that meet the objects.")
         tensors = [[torch.as_tensor(a) for a in (o.inputs, o.mean, o.factor, o.value)] for o in objects]
-        start = _start(level)
+        start = _start(self._off)
         asked = {name: torch.tensor(value, requires_grad=True) for name, value in start.items()}
         search = torch.optim.LBFGS(list(asked.values()), max_iter=_STEPS, line_search_fn="strong_wolfe",
                                    tolerance_change=1e-9)
@@ -160,9 +169,9 @@ class SurfaceGp(LearnedArrays):
         return _covariance(asked, float(self._learned["level"]), torch.as_tensor(a), torch.as_tensor(b), same).numpy()
 
 
-def _start(level: float) -> dict[str, np.ndarray]:
-    """Unconstrained parameters: all in units of the forces' mean square ``level``."""
-    return {"slope": np.zeros((3, 2)), "diagonal": np.zeros(2), "off": np.zeros(1), "shares": np.zeros(3),
+def _start(shares: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Unconstrained parameters: all in units of the forces' mean square."""
+    return {"slope": np.zeros((3, 2)), "diagonal": np.zeros(2), "off": np.zeros(1), "shares": np.array([*shares, 0.0]),
             "reach": np.array(np.log(_REACH)), "turn": np.array(np.log(_TURN)), "noise": np.array(np.log(0.01))}
 
 

@@ -88,7 +88,7 @@ def test_a_probe_is_enlarged_in_all_its_lengths(probe, larger):
 
 
 def test_what_cannot_be_converted_is_refused(data):
-    with pytest.raises(MethodError, match="meshfile has one size.*a length of 0"):
+    with pytest.raises(MethodError, match=r"meshfile has one size.*a length of 0"):
         enlarged(MeshFile("tip.stl"), 2.0)
     factory = find_method("near-springs")
     for wrong in ([0.03], [-0.03, 6.0], [0.03, float("inf")]):

@@ -22,6 +22,15 @@ A); this module is ours and adds what a few objects can still tell:
    s as its variance, lets one touch correct the whole object. It is the homogeneous component of section 4.5 with a
    multiple of the mean in place of a constant.
 
+What touches tell of other places: `Shares`, in place of the third step. The springs of an object deviate from the
+blend's means by a number common to all, by numbers that neighbours share, and each by itself,
+
+    K = mean + common u 1 + near u B phi + springs sqrt(var) epsilon,   phi, epsilon ~ N(0, 1)
+
+with u the naive mean and B the averages of knots a reach apart. These are components of section 3.2 whose members
+overlap, and eq. 16 holds for them. The three deviations and the noise of a reading maximise the likelihood of eq. 15
+over the objects that the networks did not learn from, each with the same weight.
+
 How wide: the standard deviations of predicted readings, from objects that a prior was not learned on.
 
 In eq. 15 and 16 of SBML the noise of a reading stands for all that the particle model gets wrong in a whole touch; it
@@ -43,7 +52,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, sparse
+from scipy import linalg, optimize, sparse
 
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.meta.composition import GaussianPrior
@@ -139,6 +148,76 @@ def _mixed(parts: Sequence[tuple[np.ndarray, np.ndarray]],
         mean = mean + weight * np.mean(means, axis=0)
         std = std + weight * np.sqrt(np.mean(spreads, axis=0) + np.var(means, axis=0))
     return mean, std**2
+
+
+@dataclass(frozen=True)
+class Felt:
+    """All touches of an object under a prior that was not learned on it: its covariance by parts."""
+
+    error: np.ndarray
+    """Readings minus those of the prior's mean (m,) [N]."""
+    parts: np.ndarray
+    """Covariances of the readings (3, m, m) [N^2] for deviations of 1: the springs', the common and the near one."""
+
+    @classmethod
+    def of(cls, rows: sparse.csr_matrix, readings: np.ndarray, prior: GaussianPrior, knots: sparse.csr_matrix,
+           unit: float) -> Felt:
+        """From W (m, n), z (m,), a prior without shared components, B (n, s) and u [N/m]."""
+        near, own = (unit * (rows @ knots)).toarray(), unit * np.asarray(rows.sum(axis=1))
+        springs = (rows @ sparse.diags_array(prior.var) @ rows.T).toarray()
+        return cls(readings - rows @ prior.total_mean(), np.stack([springs, own @ own.T, near @ near.T]))
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How springs deviate from a learned prior, and the noise of a reading."""
+
+    springs: float
+    """Factor of the prior's own standard deviations [-]."""
+    common: float
+    """Deviation of the part common to an object, over the naive mean [-]."""
+    near: float
+    """Of the part that neighbours share, likewise [-]."""
+    noise: float
+    """Standard deviation of a reading, with what the particles cannot say [N]."""
+
+    @classmethod
+    def of(cls, objects: Sequence[Felt]) -> Shares:
+        """The likeliest.
+
+        Raises:
+            VsfError: no object has a reading that a touched particle explains.
+        """
+        used = [one for one in objects if one.parts[1].any()]
+        if not used:
+            raise VsfError("vsf.shares: no training object has readings that a touched particle explains; give a train "
+                           "split whose touches meet the objects.")
+        unit = float(np.sqrt(np.mean([np.mean(one.error**2) for one in used])))
+
+        def loss(logs: np.ndarray) -> tuple[float, np.ndarray]:
+            factors, total, slope = np.exp(2.0 * logs) * [1.0, 1.0, 1.0, unit**2], 0.0, np.zeros(4)
+            for one in used:
+                inner = np.tensordot(factors[:3], one.parts, 1) + factors[3] * np.eye(len(one.error))
+                factor, inverse = linalg.cholesky(inner, lower=True), np.linalg.inv(inner)
+                white = inverse @ one.error
+                each = np.append(np.tensordot(one.parts, inverse - np.outer(white, white), 2),
+                                 np.trace(inverse) - white @ white)
+                count = len(used) * len(one.error)
+                total += (0.5 * one.error @ white + np.log(factor.diagonal()).sum()) / count
+                slope += factors * each / count
+            return total, slope
+
+        found = optimize.minimize(loss, np.log([1.0, 0.7, 1.0, 0.3]), jac=True, method="L-BFGS-B",
+                                  bounds=[tuple(np.log(_RANGE))] * 4)
+        springs, common, near, noise = (float(x) for x in np.exp(found.x))
+        return cls(springs, common, near, noise * unit)
+
+    def prior(self, prior: GaussianPrior, knots: sparse.csr_matrix, unit: float) -> GaussianPrior:
+        """That of one object around the means of ``prior``, which has no shared components, with B (n, s) and u
+        [N/m]."""
+        members = sparse.csr_matrix(sparse.hstack([np.ones((len(prior.mean), 1)), knots]))
+        std = unit * np.append(self.common, np.full(knots.shape[1], self.near))
+        return GaussianPrior(prior.mean, self.springs**2 * prior.var, members, np.zeros(len(std)), std**2)
 
 
 _RANGE = (1e-3, 1e2)
