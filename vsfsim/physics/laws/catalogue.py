@@ -7,10 +7,10 @@ from typing import Any
 from vsfsim.core.errors import SceneError, one_of
 from vsfsim.core.scene import Scene
 from vsfsim.core.shelf import LAW_GROUP, Registry
-from vsfsim.physics.laws import hyperfoam, neo_hooke
+from vsfsim.physics.laws import fung, hyperfoam, neo_hooke
 from vsfsim.physics.laws.law import MOST_POISSON_RATIO, Settings, SolidLaw
 
-LAWS: Registry[SolidLaw] = Registry(LAW_GROUP, {law.name: law for law in (neo_hooke.LAW, hyperfoam.LAW)})
+LAWS: Registry[SolidLaw] = Registry(LAW_GROUP, {law.name: law for law in (neo_hooke.LAW, hyperfoam.LAW, fung.LAW)})
 """Laws of solid materials."""
 
 

@@ -55,17 +55,7 @@ def parameters(mu: np.ndarray, lam: np.ndarray, settings: Settings) -> tuple[np.
 
 def functions(module: str) -> Any:
     """See `law.SolidLaw`."""
-    crushed, thin = wp.constant(real(CRUSHED)), wp.constant(real(THIN))
-
-    @wp.func(module=module)
-    def exp_rest(y: real):
-        # exp(y) - 1 - y
-        if wp.abs(y) > real(0.5):
-            return wp.exp(y) - real(1.0) - y
-        tail = real(1.0)
-        for n in range(13):
-            tail = real(1.0) + tail * y * (real(1.0) / real(15 - n))  # the compiler divides, once
-        return real(0.5) * y * y * tail
+    exp_rest, crushed, thin = principal.exp_rest(module), wp.constant(real(CRUSHED)), wp.constant(real(THIN))
 
     @wp.func(module=module)
     def power(lam: real, e: real):

@@ -19,6 +19,20 @@ STORED = 33
 _SWEEPS = 6  # of Jacobi's method; it converges quadratically, and four suffice for a 3 x 3 matrix in double precision
 
 
+def exp_rest(module: str) -> Any:
+    """A device function, compiled into ``module``: exp(y) - 1 - y, which keeps its digits near 0."""
+    @wp.func(module=module)
+    def exp_rest(y: real):
+        if wp.abs(y) > real(0.5):
+            return wp.exp(y) - real(1.0) - y
+        tail = real(1.0)
+        for n in range(13):
+            tail = real(1.0) + tail * y * (real(1.0) / real(15 - n))  # the compiler divides, once
+        return real(0.5) * y * y * tail
+
+    return exp_rest
+
+
 def decomposition(module: str) -> Any:
     """Device functions, compiled into ``module``.
 
