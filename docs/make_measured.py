@@ -225,14 +225,13 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
     if scene in DRAWN:
         write_figure(draw(points, f"{scene}: {table['what']}"), ROOT / "docs" / "pictures" / f"{DRAWN[scene]}.png")
     head, rows = front.cells(points)
-    said = [front.sentence(goal, points) for goal in front.GOALS]
-    about = "\n".join(f"- {line[0].upper()}{line[1:]}." for line in (*table["limit"], *said))
+    about = "\n".join(f"- {line[0].upper()}{line[1:]}." for line in (*table["limit"], *table["sentences"]))
     words = scene + "".join(f" --{name} {value}" for name, value in options.items())
     what = f"{table['what'][0].upper()}{table['what'][1:]}, on {table['machine']}"
     return (f"<!-- vsfsim lab tradeoff {words} -->\n{what}:\n\n"
-            + piped(head, [[cell.replace("*", "\\*").replace("~", "\\~") for cell in row] for row in rows])
-            + "\n\\* on the front; \\~ error below that of the limit, not ranked; x the tier does not show the scene's "
-              f"needs.\n\n{about}\n")
+            + piped(head, [[cell.replace("*", "\\*") for cell in row] for row in rows])
+            + "\n\\* on the front; = the scene's own setting; x the tier does not show the scene's needs.\n\n"
+              f"{about}\n")
 
 
 MEASURED: dict[str, partial[str]] = {

@@ -80,6 +80,7 @@ def test_the_columns_of_the_audit_are_rows():
 def test_docs_page_lists_every_attribute_and_every_key_of_the_manifest():
     recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1},
                     device="cpu", tier="linear",
-                    precision="float64", renderer="warp", options={"accuracy": {"asked": 0.05, "expected": 0.02}})
+                    precision="float64", renderer="warp", options={
+                        "accuracy": {"asked": 0.05, "factor": 1.0, "expected": 0.02}})
     listed = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
     assert listed == [*json.loads(make_manifest(recipe, {}, (), {"a": "why"})), *ATTRIBUTES]

@@ -153,6 +153,7 @@ class Truth:
     probe_points: np.ndarray = field(default_factory=_NO_POINTS)  # (P, 3) [m]
     probe_normals: np.ndarray = field(default_factory=_NO_POINTS)  # (P, 3) [-]
     probe_stiffness: np.ndarray = field(default_factory=_NO_NUMBERS)  # (P,) [N/m]
+    probe_error: np.ndarray | None = None  # (P,) [N/m]
     vsf_points: np.ndarray = field(default_factory=_NO_POINTS)  # (n, 3) [m]
     vsf_stiffness: np.ndarray = field(default_factory=_NO_NUMBERS)  # (n,) [N/m]
     vsf_touched: np.ndarray = field(default_factory=_NO_MARKS)  # (n,) [-]

@@ -15,7 +15,7 @@ import numpy as np
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.dataset import Dataset, Progress
 from vsfsim.data.hdf5 import MAKE_AGAIN, examine, fault_of
-from vsfsim.data.manifest import CARD, MANIFEST, Entry, broken, entry_of, observed
+from vsfsim.data.manifest import CARD, MANIFEST, Entry, entry_of, observed, verdict
 from vsfsim.data.records import Touch, values_of
 
 BALANCE_LIMIT = 1e-3
@@ -74,7 +74,9 @@ class Report:
     worst_balance: float = 0.0
     """Largest force imbalance of a converged frame with contact [-]."""
     accuracy: Mapping[str, Any] | None = None
-    """Asked, chosen, expected, observed (`vsfsim.data.manifest.observed`); None of a dataset that promises none."""
+    """Asked, factor, expected, observed (`vsfsim.data.manifest.observed`); None of a dataset that promises none."""
+    labels: float | None = None
+    """Error of the truth's probe stiffness, the median over its points [-]; None where it is not known."""
 
     @property
     def ok(self) -> bool:
@@ -94,10 +96,10 @@ class Report:
                  f"{100.0 * self.unresolved / max(self.frames, 1):.1f} % not resolved by the mesh), "
                  f"worst force balance {self.worst_balance:.1e}"]
         if self.accuracy is not None:
-            seen = self.accuracy["observed"]
-            lines.append(f"accuracy {100 * self.accuracy['asked']:g} % asked, {100 * self.accuracy['expected']:.2g} % "
-                         f"expected; {100 * seen['within']:.0f} % of {seen['audits']} audited touches within, worst "
-                         f"{100 * (seen['worst'] or 0.0):.2g} %")
+            worst = 100 * (self.accuracy["observed"]["worst"] or 0.0)
+            lines.append(f"accuracy of every reading: {verdict(self.accuracy)[0]}; the worst is off by {worst:.2g} %"
+                         + f"; probe_stiffness is known to {100 * (self.labels or 0.0):.2g} % (median)"
+                         * (self.labels is not None))
         lines += [f"  {problem}" for problem in self.problems]
         lines.append("ok" if self.ok else f"{len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
         return "\n".join(lines)
@@ -125,7 +127,7 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
         return Report(path, (Problem(MANIFEST, str(error), ""),))
     problems: list[Problem] = []
     whole: list[Entry] = []  # whose file is as it should be
-    unresolved, untouched, worst = 0, 0, 0.0
+    unresolved, untouched, worst, labels = 0, 0, 0.0, list[np.ndarray]()
     listed = {entry.file for entry in dataset.entries} | {MANIFEST, CARD}
     for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
         problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
@@ -144,6 +146,8 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
         problems += [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.",
                              MAKE_AGAIN) for key, value in vars(found).items() if value != getattr(entry, key)]
         whole.append(found)
+        if view.truth is not None and view.truth.probe_error is not None:
+            labels.append(view.truth.probe_error / view.truth.probe_stiffness)
         for index, touch in enumerate(view.touches):
             balance = np.asarray(touch.audit["force_balance"])
             contact = contact_frames(touch)
@@ -161,11 +165,13 @@ def verify(path: str | Path, progress: Progress = lambda *_: None) -> Report:
             unresolved += int(unresolved_frames(touch).sum())
             untouched += int(not touch.touched)
     recipe = dataset.recipe
-    promise = observed(recipe.options, recipe.tier, [error for entry in whole for error in entry.audits])
-    if promise is not None and (why := broken(promise)) is not None:
-        problems.append(Problem(MANIFEST, why, "Generate it again with a smaller --accuracy."))
+    promise = observed(recipe.options, [error for entry in whole for error in entry.audits])
+    if promise is not None and (told := verdict(promise))[1]:
+        problems.append(Problem(MANIFEST, f"promises an accuracy, which is {told[0]}.",
+                                "Generate it again with a smaller --accuracy."))
     return Report(path, tuple(problems), len(whole), sum(e.touches for e in whole), sum(e.frames for e in whole),
-                  sum(e.unconverged for e in whole), unresolved, untouched, worst, promise)
+                  sum(e.unconverged for e in whole), unresolved, untouched, worst, promise,
+                  float(np.median(np.concatenate(labels))) if labels else None)
 
 
 def skin_loss(touch: Touch) -> tuple[int, float] | None:

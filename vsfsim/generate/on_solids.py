@@ -16,22 +16,21 @@ import numpy as np
 
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
+from vsfsim.data.manifest import apart
 from vsfsim.data.records import ObjectView, Touch, Truth
 from vsfsim.data.streams import Stream
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.solid import Subject, prepare, surface_of
-from vsfsim.generate.trade.setting import LIMIT_TIER, LOCAL, RATIO
+from vsfsim.generate.trade.setting import LIMIT_TIER, LOCAL, MESHES, RATIO, Setting
 from vsfsim.generate.truth import truth_of
 from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
+from vsfsim.physics.convergence import curve_limit
 from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
 from vsfsim.sensing.cut import Elements
-
-ONE_IN = 10
-"""One touch in so many is audited, and one of every view at least."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +79,14 @@ class OnSolids(abc.ABC):
         """Build, look, aim, press."""
         subject = prepare(job, device=device)
         aims = self.aim(subject, device=device)
-        touches = self._audited(subject, aims, device=device)
+        promise = job.recipe.options.get("accuracy")
+        touches = (self.touch(subject, aims, device=device) if promise is None
+                   else self._promised(subject, aims, promise, device=device))
         probe, each, friction = self.shapes(subject, aims)
-        truth = truth_of(subject.model, subject.view, touches, each, friction=friction, device=device)
+        edge = tiers.element_size(subject.scene.required_object, job.recipe.tier, subject.scene.probe)
+        finer = () if promise is None else [subject.again(job.recipe.tier, {"resolution": edge / RATIO**k}).model
+                                            for k in range(1, MESHES)]
+        truth = truth_of(subject.model, subject.view, touches, each, friction=friction, device=device, finer=finer)
         return ObjectView(job.name, job.object_index, job.view_index, job.split, probe,
                           subject.recorded, tuple(touches), truth,
                           tuple(press.probe for press in subject.scene.presses[1:]))
@@ -116,25 +120,47 @@ class OnSolids(abc.ABC):
         radius = float(np.sqrt(self.manner(scene).reach * a.depth))
         return radius, LOCAL * radius / RATIO**level
 
-    def touch_near(self, subject: Subject, aims: list[Aim], *, device: str) -> list[Touch]:
-        """The touches of a subject, each on a mesh of its own where the recipe has a level for it."""
-        if "contact" not in subject.job.recipe.options:
-            return self.touch(subject, aims, device=device)
-        return [one for a in aims for one in self.touch(self.near(subject, a, {}), [a], device=device)]
+    def on(self, subject: Subject, a: Aim, setting: Setting) -> Subject:
+        """The object under a setting, where it has a level as `near` for this touch; errors as there."""
+        return (subject.again(setting.tier, setting.options()) if setting.level is None
+                else self.near(subject, a, setting.options()))
 
-    def _audited(self, subject: Subject, aims: list[Aim], *, device: str) -> list[Touch]:
-        """The same; where the recipe promises an accuracy, some of the touches have the force on a mesh one level finer
-        in their audit."""
-        out, options = self.touch_near(subject, aims, device=device), subject.job.recipe.options
-        if "accuracy" not in options:
-            return out
-        rng = np.random.default_rng(subject.job.stream(Stream.AUDIT))
-        finer = {"resolution": options["resolution"] / RATIO, "contact": options.get("contact", 0) + 1}
-        for k in rng.permutation(len(out))[:max(1, round(len(out) / ONE_IN))].tolist():
-            (again,) = self.touch(self.near(subject, aims[k], finer), [aims[k]], device=device)
-            found = again.converged & np.isfinite(again.force).all(axis=1)
-            out[k] = dataclasses.replace(out[k], audit={**out[k].audit, "finer_force": np.where(
-                found[:, None], again.force, 0.0), "finer_converged": found})
+    def touched(self, subject: Subject, aims: Sequence[Aim], setting: Setting, *, device: str) -> list[Touch]:
+        """The touches of a subject under a setting, each on a mesh of its own where that has a level."""
+        return [one for some in ([aims] if setting.level is None else [[a] for a in aims]) if some
+                for one in self.touch(self.on(subject, some[0], setting), some, device=device)]
+
+    def reference(self, subject: Subject, a: Aim, ladder: Sequence[Setting], *, device: str) -> dict[str, np.ndarray]:
+        """Columns of the audit of a touch: its force extrapolated from the meshes of a ladder, its error (see
+        `vsfsim.physics.convergence.curve_limit`), and the frames with an equilibrium on all of them."""
+        made = [self.touched(subject, [a], setting, device=device)[0] for setting in ladder]
+        found = np.all([one.converged & np.isfinite(one.force).all(axis=1) for one in made], axis=0)
+        value, error = np.zeros((len(found), 3)), np.zeros(len(found))
+        if found.any():
+            edge = [self.contact_edge(subject.scene, a, setting.level or 0)[1] for setting in ladder]
+            limit = curve_limit(edge, np.stack([one.force[found] for one in made]),
+                                tolerance=tiers.TIERS[LIMIT_TIER].tolerance)
+            value[found], error[found] = limit.value, np.linalg.norm(limit.error, axis=1)
+        return {"reference_force": value, "reference_error": error, "reference_converged": found}
+
+    def _promised(self, subject: Subject, aims: list[Aim], promise: Mapping[str, Any], *, device: str) -> list[Touch]:
+        """The touches under an accuracy: each goes from setting to setting until the difference of two, times the
+        promise's factor, is no more than what was asked. Some are audited."""
+        steps, ladder = ([Setting(**row) for row in promise[key]] for key in ("steps", "ladder"))
+        out, left = self.touched(subject, aims, steps[0], device=device), list(range(len(aims)))
+        for step in steps[1:]:
+            again = self.touched(subject, [aims[k] for k in left], step, device=device)
+            off = [promise["factor"] * apart(out[k], one) for k, one in zip(left, again, strict=True)]
+            for k, one in zip(left, again, strict=True):
+                out[k] = one
+            left = [k for k, one in zip(left, off, strict=True) if one > promise["asked"]]
+        recipe, job = subject.job.recipe, subject.job
+        view, views = job.object_index * recipe.views + job.view_index, recipe.objects * recipe.views
+        audits = promise["audits"] * (view + 1) // views - promise["audits"] * view // views
+        rng = np.random.default_rng(job.stream(Stream.AUDIT))
+        for k in rng.permutation(len(out))[:audits].tolist():
+            wanted = self.reference(subject, aims[k], ladder, device=device)
+            out[k] = dataclasses.replace(out[k], audit={**out[k].audit, **wanted})
         return out
 
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[str]:

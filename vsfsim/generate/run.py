@@ -113,7 +113,7 @@ def make(plan: Plan) -> Made:
     if asked.fan.ray and isinstance(folder, Path):
         folder = folder.resolve()  # tasks have working folders of their own
     if asked.accuracy is not None:
-        tier, options = bought(loaded, folder, asked, recipe.objects)
+        tier, options = bought(loaded, folder, asked, recipe)
         recipe = make_recipe(loaded, asked.but(tier=tier), bought=options)
     jobs = jobs_of(recipe, loaded.path, folder, asked.allow)
     with DatasetWriter(folder, recipe, [job.name for job in jobs], shard=shard) as writer:

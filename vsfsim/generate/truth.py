@@ -13,6 +13,7 @@ from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.aim import cloud_normals, voxel_sample
 from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.convergence import SAFETY, curve_limit
 from vsfsim.physics.model import Model
 from vsfsim.vsf.dynamics import simulate_each
 from vsfsim.vsf.estimate.map import map_estimate
@@ -88,7 +89,7 @@ def oracle(particles: np.ndarray, rows: Sequence[sparse.csr_matrix],
 
 
 def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[ProbeShape], *,
-             friction: float, device: str) -> Truth:
+             friction: float, device: str, finer: Sequence[Model] = ()) -> Truth:
     """The truth of a solid object's view, which no method may see.
 
     The oracle VSF is fitted to all converged readings of this view, see `oracle`.
@@ -100,10 +101,16 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
         probes: the shape that made each touch.
         friction: Coulomb coefficient between probe and object [-].
         device: Warp device.
+        finer: the object on two finer meshes, for the stiffness extrapolated and its error; else that of ``model``.
     """
     mesh, (points, normals) = model.mesh, probed_points(view)
-    stiffness = probe_stiffness(model, points, normals, device=device)
-    keep = np.isfinite(stiffness)
+    found = np.stack([probe_stiffness(one, points, normals, device=device) for one in (model, *finer)])
+    keep = np.isfinite(found).all(axis=0)
+    stiffness, known = found[0, keep], dict[str, Any]()
+    if finer and keep.any():
+        limit = curve_limit([one.element_size for one in (model, *finer)], found[:, keep], tolerance=1e-6)
+        spread = SAFETY * np.ptp(found[:, keep], axis=0)  # where two meshes came out of the same size
+        stiffness, known = limit.value, {"probe_error": np.where(np.isfinite(limit.error), limit.error, spread)}
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING)
     moves = [(probe, touch.probe_pose()) for touch, probe in zip(touches, probes, strict=True)]
@@ -113,5 +120,5 @@ def truth_of(model: Model, view: View, touches: list[Touch], probes: Sequence[Pr
     return Truth(
         points=mesh.points[mesh.tets[:, :4]].mean(axis=1), young_modulus=model.young_modulus.mean(axis=1),
         region=np.asarray(model.solid.region), region_names=model.solid.region_names,
-        probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
+        probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness, **known,
         **oracle(particles, rows, [touch.normal_force()[touch.converged] for touch in touches]))

@@ -37,8 +37,8 @@ class Request:
     renderer: str = "warp"
     """Of the pictures: warp or pyrender."""
     accuracy: float | None = None
-    """Largest error of the force over its largest value in a touch [-], e.g. 5%: a pilot on the first objects chooses
-    tier and element size, and one touch in ten is audited one level finer."""
+    """Largest error of any reading of the force over it [-], e.g. 5%: every touch goes to finer elements until
+    a bound that a pilot calibrates keeps it, and some touches are audited against a reference."""
     workers: int | None = None
     """Processes; default: one a CPU core, or one for 5 GiB of a GPU, 16 at most and one a core."""
     allow: Sequence[str] = ()

@@ -1,9 +1,18 @@
-"""`vsfsim generate --accuracy 5%`: the cheapest tier and element size that keep it on the first objects of a scene."""
+"""`vsfsim generate --accuracy 5%`: a promise for every touch, by a factor that a pilot calibrates.
+
+Every touch is simulated under two settings, and its error is taken as their difference times a factor; where that is
+above what was asked, the touch goes on to the next setting. The factor is conformal (Angelopoulos et al. 2024,
+Conformal risk control, ICLR): of n touches of different objects, whose errors are known from a reference, each has a
+least factor with which, and with any larger one, it ends under a setting that keeps what was asked. With the
+ceil(0.95 (n + 1))-th smallest of these, 95 % of further touches are kept on average over pilots.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +21,18 @@ from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.disk import Store
-from vsfsim.data.manifest import MANIFEST, PART_MANIFEST
-from vsfsim.generate.effector import effector_of
-from vsfsim.generate.trade import front
-from vsfsim.generate.trade.front import Point
-from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, REFINED, Setting
-from vsfsim.generate.trade.touches import DatasetTouches, limits
+from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, apart, error_against
+from vsfsim.data.recipe import Recipe
+from vsfsim.generate.trade.touches import DatasetTouches
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
-MARGIN = 0.7
-"""Share of what is asked that the worst touch of the pilot may be off by, see `Point.off`: other touches are worse than
-these few [-]."""
-MARKED = 0.25
-"""Share of the frames in contact that may be marked, where another setting does with less [-]."""
-TOUCHES, OBJECTS = 3, 2
-"""Of the pilot: touches of each of the first objects."""
-_COARSE, _MIDDLE, _FINE, _FINEST = ((power, LIMIT_TIER, level) for power, level in REFINED)
-SIZES = ((1, "linear", None), (1, "fem-coarse", None), (0, "linear", None), (0, "fem-coarse", None),
-         _COARSE, _MIDDLE,(-1, "linear", None), (-1, "fem-coarse", None), _FINE, _FINEST)
-"""Elements of the candidates, cheap ones first, as the scene's own times `RATIO` to such a power; tier; level of the
-elements where a touch meets the object. The order is that of no clock, so that every machine chooses the same."""
+PILOT = 19
+"""Touches of the pilot, each of an object of its own; with fewer no factor is large enough."""
+SEED = 1_000_003
+"""Added to the seed of a dataset for the objects and touches of its pilot, which are others."""
+AUDITS = 29, 100
+"""Audited touches, one in ten and at least and at most so many: 29 that are all kept show 90 %, see `least_share`."""
 
 
 def check_accuracy(accuracy: float, tier: str | None) -> None:
@@ -47,70 +47,80 @@ def check_accuracy(accuracy: float, tier: str | None) -> None:
                           "chooses the tier itself. Leave one of them out.")
 
 
-def bought(loaded: SceneFile, folder: Path | str, request: Request, objects: int) -> tuple[str, dict[str, Any]]:
+def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Recipe) -> tuple[str, dict[str, Any]]:
     """The tier and the options of the recipe that keep the accuracy of a request: those of the dataset that was begun
-    in ``folder``, else those that a pilot finds: the first candidate whose worst touch keeps `MARGIN` of the accuracy,
-    and of which at most `MARKED` frames are marked if there is one.
+    in ``folder``, else those that a pilot finds; ``recipe`` is the dataset's without them.
 
     Raises:
-        SceneError: no setting keeps it, with the figure; or the scene's touches cannot be made again.
+        SceneError: no factor keeps it, with the figure; or the scene's touches cannot be made again.
     """
-    accuracy, there = request.accuracy, _begun(folder)
-    assert accuracy is not None
-    if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == accuracy:
-        return there["tier"], {name: there["options"][name] for name in ("accuracy", "resolution", "contact")
-                               if name in there["options"]}
-    said, asked = request.note or (lambda sentence: None), f"{loaded.path}: --accuracy is {100 * accuracy:g} %, but"
-    said(f"--accuracy {100 * accuracy:g} %: a pilot chooses tier and element size")
-    subject = DatasetTouches(loaded, touches=TOUCHES, objects=min(OBJECTS, objects), seed=request.seed,
-                             device=request.device)
-    ladder = subject.ground.ladder()
-    bounds, shares = zip(*(limits([subject.near(k, setting) for setting in ladder])
-                           for k in range(subject.count)), strict=True)
-    known = sum(own["force"].known for own in bounds)
-    if not known:
-        raise SceneError(f"{asked} of no touch of the pilot is the limit known: "
-                         f"{bounds[0]['force'].why}. Give a finer resolution in [object].")
-    best: Point | None = None
-    chosen: tuple[Setting, Point] | None = None
-    for setting in candidates(loaded, subject.ground.resolution):
-        p = front.point(setting, subject.run(setting), bounds, shares, shows=True)
-        best = p if best is None or math.isnan(best.off) or p.off < best.off else best
-        if p.off <= MARGIN * accuracy and (chosen is None or p.marked <= MARKED):
-            chosen = setting, p
-            if p.marked <= MARKED:
-                break
-    if chosen is None:
-        assert best is not None
-        raise SceneError(f"{asked} {too_much(best)}, or give a finer resolution in [object].")
-    setting, p = chosen
-    said(f"chosen: {p.key}, {p.frame:.2g} s a frame; error {100 * p.error:.2g} % on the worst of "
-         f"{known} touches, limit known to {100 * p.bar:.2g} %, {100 * p.marked:.0f} % of the "
-         "frames in contact marked")
-    promise = {"asked": accuracy, "expected": float(f"{p.error:.3g}"),
-               "limit": float(f"{p.bar:.3g}"), "touches": known}
-    return setting.tier, {"accuracy": promise, **setting.options()}
+    asked, there = request.accuracy, _begun(folder)
+    assert asked is not None
+    if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == asked:
+        return there["tier"], {"accuracy": there["options"]["accuracy"]}
+    said, began = request.note or (lambda sentence: None), time.process_time()
+    pilot = DatasetTouches(loaded, touches=1, objects=PILOT, seed=request.seed + SEED, device=request.device,
+                           candidates=1)
+    steps, ladder = pilot.ground.steps(), pilot.ground.ladder()
+    tried, began = list[tuple[list[float], list[float]]](), time.process_time()
+    for k, (subject, a) in enumerate(pilot.drawn):
+        made = [pilot.effector.touched(subject, [a], step, device=request.device)[0] for step in steps]
+        force, error, found = pilot.effector.reference(subject, a, ladder, device=request.device).values()
+        tried.append(([apart(*pair) for pair in itertools.pairwise(made)],
+                      [error_against(one.force, one.converged, force, found, error) or 0.0 for one in made[1:]]))
+        if k == 0:
+            said(f"--accuracy {100 * asked:g} %: a pilot of {PILOT} touches of different objects, about "
+                 f"{PILOT * (time.process_time() - began):.0f} s of processor time")
+        if request.progress is not None:
+            request.progress(k + 1, PILOT, "touches of the pilot")
+    factor = quantile([least_factor(*touch, asked) for touch in tried])
+    last = [errors[-1] for _, errors in tried]
+    if math.isinf(factor):
+        off = sum(error > asked for error in last)
+        raise SceneError(f"{loaded.path}: --accuracy is {100 * asked:g} %, but in the pilot {off} of {PILOT} touches "
+                         f"are off by more under the finest setting, {steps[-1].key}, the worst by "
+                         f"{_percent(max(last))}, the error of its reference included. Ask for "
+                         f"{_percent(quantile(last))} or more, or give a finer resolution in [object].")
+    ends = [ended(differences, factor, asked) for differences, _ in tried]
+    total = recipe.objects * recipe.views * recipe.touches
+    audits = min(total, max(AUDITS[0], min(AUDITS[1], total // 10)))
+    said(f"the error of a touch is taken as {factor:.2g} times the difference of two settings: "
+         + ", ".join(f"{ends.count(k)} of {PILOT} end under {steps[k + 1].key}" for k in sorted(set(ends)))
+         + f"; {audits} of {total} touches are audited, each for about "
+         f"{(time.process_time() - began) / PILOT:.2g} s of processor time at most")
+    promise = {"asked": asked, "factor": factor, "touches": PILOT, "audits": audits,
+               "expected": max(errors[k] for k, (_, errors) in zip(ends, tried, strict=True)),
+               **{name: [s.table() for s in some] for name, some in (("steps", steps), ("ladder", ladder))}}
+    return pilot.ground.tier, {"accuracy": promise}
 
 
-def too_much(best: Point) -> str:
-    """Why an accuracy is not to be had, and what can be done."""
-    if math.isnan(best.off):
-        return (f"the most exact setting of the pilot, {best.key}, has no equilibrium at full "
-                "depth in a touch. Press less deep")
-    return (f"the most exact setting of the pilot, {best.key}, is off by {100 * best.off:.2g} % on its worst touch, "
-            f"the error of its limit included. Ask for {100 * best.off / MARGIN:.2g} % or more")
+def least_factor(differences: Sequence[float], errors: Sequence[float], asked: float) -> float:
+    """Least factor [-] with which, and with any larger one, a touch ends under a setting that keeps what was ``asked``
+    [-]; infinite if the last one does not.
+
+    Args:
+        differences: from each setting to the next [-].
+        errors: of all settings but the first [-].
+    """
+    if errors[-1] > asked:
+        return math.inf
+    above = [asked / max(d, 1e-12) for d, error in zip(differences[:-1], errors[:-1], strict=True) if error > asked]
+    return max(1.0, *above) * (1.0 + 1e-9) if above else 1.0
 
 
-def candidates(loaded: SceneFile, resolution: float) -> list[Setting]:
-    """Settings that show what the scene needs, cheap ones first."""
-    scene, out = loaded.sample(0), []
-    for power, name, level in SIZES:
-        try:
-            effector_of(scene).check(scene, name)
-        except VsfsimError:
-            continue
-        out.append(Setting(name, resolution * RATIO**power, level=level))
-    return out
+def ended(differences: Sequence[float], factor: float, asked: float) -> int:
+    """The first difference of settings that keeps what was asked by the factor, or the last."""
+    return next((k for k, d in enumerate(differences) if factor * d <= asked), len(differences) - 1)
+
+
+def quantile(values: Sequence[float]) -> float:
+    """What one more of the same kind is under with a probability of `ENOUGH`; infinite if there are too few."""
+    rank = math.ceil(ENOUGH * (len(values) + 1) - 1e-9)
+    return sorted(values)[rank - 1] if rank <= len(values) else math.inf
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if math.isfinite(share) else "all, for a frame has no equilibrium"
 
 
 def _begun(folder: Path | str) -> Mapping[str, Any] | None:

@@ -57,13 +57,13 @@ class Tradeoff:
 
     def sentences(self) -> list[str]:
         """One a goal."""
-        return [front.sentence(goal, self.points) for goal in front.GOALS]
+        return [front.sentence(goal, self.points, len(self.refused)) for goal in front.GOALS]
 
     def text(self) -> str:
         """For the terminal."""
         return "\n".join([f"{self.scene}: {self.what}", *self.limit, "", front.text(self.points),
-                          "* on the front   ~ error below that of the limit, not ranked   x tier "
-                          "does not show the scene's needs", "", *self.sentences(),
+                          "* on the front   = the scene's own setting   x tier does not show the scene's needs", "",
+                          *self.sentences(),
                           *(f"note: {key}: {why}" for key, why in self.refused.items())])
 
     def table(self) -> dict[str, Any]:
@@ -126,10 +126,12 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                                  "touches": touches, "objects": objects, "device": device,
                                  "version": vsfsim.__version__, "commit": commit()})
     subject = DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device)
-    sweep = [s for s in subject.ground.sweep() if not tiers_only or s.tier in tiers_only]
+    ground = subject.ground
+    everything = ground.sweep()
+    sweep = [s for s in everything if not tiers_only or s.tier in tiers_only]
     if not sweep:
         raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be "
-                          f"touched here; there are {', '.join(subject.ground.pressable)}.")
+                          f"touched here; there are {', '.join(ground.pressable)}.")
     total, bounds, shares = subject.count + len(sweep), [], []
     for k in range(subject.count):
         row = lines.made(f"limit of touch {k}", lambda k=k: {  # type: ignore[misc]
@@ -143,14 +145,15 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         raise VsfsimError(f"{loaded.path}: the limit of no touch is known: {'; '.join(said)}. Give "
                           "more --touches, or a finer resolution in [object], from which the "
                           "meshes of the limit start.")
-    points, refused = [], {}
+    points, refused = [], {s.key: f"left out by --tier {' '.join(tiers_only)}" for s in everything if s not in sweep}
     for number, setting in enumerate(sweep):
         row = lines.made(setting.key, lambda s=setting: _made(subject, s))  # type: ignore[misc]
         if "refused" in row:
             refused[setting.key] = row["refused"]
         else:
             points.append(front.point(setting, Run.read(row["run"]), bounds, shares,
-                                      shows=_shows(loaded, setting.tier)))
+                                      shows=_shows(loaded, setting.tier), once=1.0 / objects / ground.readings,
+                                      own=setting == ground.own))
         progress(subject.count + number + 1, total, setting.key)
     if not points:
         raise VsfsimError(f"{loaded.path}: no setting of the sweep can be made. "
@@ -197,17 +200,12 @@ def draw(points: Sequence[Point], title: str) -> Any:
     for tier in dict.fromkeys(p.tier for p in shown):
         own, colour = [p for p in shown if p.tier == tier], COLOURS[tier]
         axes.plot(*at([p for p in own if _SIZE.fullmatch(p.key)]), color=colour, linewidth=1.2)
-        axes.scatter(*at(own), s=28, facecolor=[colour if p.ranked else "white" for p in own],
-                     edgecolor=colour, zorder=3, label=tier)
+        axes.errorbar(*at(own), yerr=[100.0 * p.bar for p in own], fmt="o", markersize=5, color=colour, elinewidth=0.6,
+                      label=tier)
     axes.scatter(*at([p for p in shown if p.front]), s=110, facecolor="none", edgecolor="black",
                  zorder=4, label="on the front")
-    bar = 100.0 * max((p.bar for p in shown), default=0.0)
-    if bar > 0.0:
-        axes.axhline(bar, color="0.5", linestyle="--", linewidth=1.0)
-        axes.annotate("error of the limit; open marks are not ranked", (0.01, bar), (0, 3), ("axes fraction", "data"),
-                      "offset points", ha="left", va="bottom", fontsize=8, color="0.4")
     axes.set(xscale="log", yscale="log", xlabel="CPU time of a touch [s]",
-             ylabel="error of the force [%], worst touch", title=title)
+             ylabel="largest error of a reading of the force [%]", title=title)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

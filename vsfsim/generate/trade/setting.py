@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,9 @@ further level smaller by `RATIO`, see `vsfsim.generate.on_solids` [-]."""
 REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
 """Settings with small elements where each touch meets the object: those elsewhere as the scene's own times `RATIO` to
 such a power, and the level there."""
+STEPS = ((1, None), (0, None), (0, 0), (-1, 1))
+"""Settings that a touch of a promise goes through until it is exact enough: elements as the scene's own times `RATIO`
+to such a power, and the level where it meets the object."""
 LIMIT_TIER = "fem"
 """Of the meshes from which the limit of a touch is extrapolated; its law is that of every finer tier."""
 MESHES = 3
@@ -52,21 +56,27 @@ class Setting:
             words.append(f"{self.nodes} nodes")
         return ", ".join(words)
 
+    def table(self) -> dict[str, Any]:
+        """For JSON; what is None is left out."""
+        return {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
+
     def options(self) -> dict[str, Any]:
         """What a recipe says of it besides the tier, see `vsfsim.generate.job.Job.scene`."""
-        values = {"resolution": self.resolution, "tolerance": self.tolerance, "frames": self.frames,
-                  "nodes": self.nodes, "contact": self.level}
-        return {name: value for name, value in values.items() if value is not None}
+        return {{"level": "contact"}.get(name, name): value for name, value in self.table().items() if name != "tier"}
 
 
 @dataclass(frozen=True)
 class Ground:
     """What a scene says of itself, where the sweep begins."""
 
+    own: Setting
+    """Its own tier and elements."""
     tier: str
     """Its tier, at least ``fem-coarse``."""
     resolution: float
-    """Edge of its elements [m]."""
+    """Edge of its elements at that [m]."""
+    readings: int
+    """Of an object: frames of all its touches."""
     frames: int
     """Readings on the way in."""
     nodes: int | None
@@ -74,11 +84,20 @@ class Ground:
     pressable: tuple[str, ...]
     """Tiers that its effector can touch."""
 
+    def steps(self) -> list[Setting]:
+        """See `STEPS`; a bubble's meshes grow with the object's."""
+        return [Setting(self.tier if level is None else LIMIT_TIER, self.resolution * RATIO**power, level=level,
+                        nodes=self._nodes(power)) for power, level in STEPS]
+
+    def _nodes(self, power: int) -> int | None:
+        """Nodes of a bubble whose edges are its own times `RATIO` to such a power."""
+        return None if self.nodes is None else round(self.nodes * RATIO ** (-2 * power))
+
     def ladder(self) -> list[Setting]:
         """The meshes of the limit, coarsest first, all finer than the scene's own where they are touched; a bubble's
         grow with the object's."""
-        return [Setting(LIMIT_TIER, self.resolution / RATIO**k, level=k + 1, nodes=self.nodes
-                        and round(self.nodes * RATIO ** (2 * k))) for k in range(MESHES)]
+        return [Setting(LIMIT_TIER, self.resolution / RATIO**k, level=k + 1, nodes=self._nodes(-k))
+                for k in range(MESHES)]
 
     def sweep(self) -> list[Setting]:
         """Each tier by element size, small elements at the contact; then the tolerance, the frames and a bubble's

@@ -25,6 +25,8 @@ from vsfsim.generate.trade.setting import LIMIT_TIER, Ground, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit, curve_limit
+from vsfsim.physics.linear.rest_factor import forget_all
+from vsfsim.physics.mesh.scan import forget_fillings
 from vsfsim.physics.runtime import compile_kernels
 
 CANDIDATES = 3
@@ -69,9 +71,9 @@ class Run:
     curves: tuple[Curve, ...]
     """One a touch."""
     once: float
-    """CPU time of what is made once an object: meshes and factors [s]."""
+    """CPU time of what is made once an object: mesh, factor and the truth's stiffness [s]."""
     cpu: float
-    """CPU time of all touches, without that [s]."""
+    """CPU time of all touches, without that, but with meshes that are made for one touch [s]."""
     frames: int
     """Frames that were solved, the way back too."""
     edge: tuple[float, ...] = ()
@@ -99,25 +101,28 @@ class DatasetTouches:
         objects: how many.
         seed: as of `vsfsim generate`.
         device: Warp device.
+        candidates: touches that are drawn for each that is taken.
 
     Raises:
         SceneError: the scene cannot be touched so.
     """
 
     def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0,
-                 device: str = "cpu"):
-        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=CANDIDATES * touches)
-        scene = loaded.sample(0)
+                 device: str = "cpu", candidates: int = CANDIDATES):
+        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=candidates * touches)
+        whole, scene = make_recipe(loaded), loaded.sample(0)
         effector = effector_of(scene)
         if not isinstance(effector, OnSolids):
             raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched "
                              "again on another mesh. Speed against accuracy is measured for a "
                              "[probe] and a [sensor] on a solid object.")
         manner, start = effector.manner(scene), max(recipe.tier, "fem-coarse", key=list(tiers.TIERS).index)
-        self.ground = Ground(start, tiers.element_size(scene.required_object, start, scene.probe),
-                             scene.required_touches.frames[1], manner.nodes,
+        size = {tier: tiers.element_size(scene.required_object, tier, scene.probe) for tier in (recipe.tier, start)}
+        frames = scene.required_touches.frames
+        self.ground = Ground(Setting(recipe.tier, size[recipe.tier]), start, size[start],
+                             whole.views * whole.touches * sum(frames), frames[1], manner.nodes,
                              tuple(name for name in manner.tiers if name != "fem-fine"))
-        self._effector, self._device, self._warm = effector, device, set[str]()
+        self.effector, self._device, self._warm = effector, device, set[str]()
         compile_kernels(kernels_of(scene), device)
         self._drawn: list[tuple[Subject, list[Aim]]] = []
         for job in jobs_of(recipe, loaded.path, "."):
@@ -125,9 +130,10 @@ class DatasetTouches:
             drawn = effector.aim(subject, device=device)
             taken = spread([a.depth for a in drawn], np.stack([a.target for a in drawn]), touches)
             self._drawn.append((subject, [drawn[k] for k in taken]))
-        self._flat = [(subject, a) for subject, own in self._drawn for a in own]
-        self.count = len(self._flat)
-        depths = sorted({f"{1e3 * a.depth:.1f}" for _, a in self._flat}, key=float)
+        self.drawn = [(subject, a) for subject, own in self._drawn for a in own]
+        """Of each touch, its object and how it was aimed."""
+        self.count = len(self.drawn)
+        depths = sorted({f"{1e3 * a.depth:.1f}" for _, a in self.drawn}, key=float)
         self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} object{'s' * (objects > 1)}, "
                      f"{' to '.join(dict.fromkeys((depths[0], depths[-1])))} mm deep")
         """The touches in words."""
@@ -148,21 +154,30 @@ class DatasetTouches:
 
     def near(self, number: int, setting: Setting) -> Run:
         """Touch ``number`` alone, on a mesh of its own that is finer where it is touched."""
-        subject, a = self._flat[number]
-        return self._run(subject, [a], setting, alone=True)
+        subject, a = self.drawn[number]
+        return self._run(subject, [a], setting)
 
-    def _run(self, subject: Subject, aims: list[Aim], setting: Setting, alone: bool = False) -> Run:
-        effector, began = self._effector, time.process_time()
-        own = (effector.near(subject, aims[0], setting.options()) if alone
-               else subject.again(setting.tier, setting.options()))
-        built = time.process_time()
-        touches = (effector.touch if alone else effector.touch_near)(own, aims, device=self._device)
-        cpu = time.process_time() - built
-        soft = probe_stiffness(own.model, np.stack([a.target for a in aims]), np.stack([a.normal for a in aims]))
-        curves = tuple(map(of_touch, touches, aims, soft[:, None]))
-        edge = (own.model.element_size if setting.level is None
-                else effector.contact_edge(subject.scene, a, setting.level)[1] for a in aims)
-        return Run(curves, built - began, cpu, sum(len(t.time) for t in touches), tuple(edge))
+    def _run(self, subject: Subject, aims: list[Aim], setting: Setting) -> Run:
+        """The touches as those of a new object: no factor and no filling that was kept for another setting serves."""
+        effector, once, cpu, touches, soft, edge = self.effector, 0.0, 0.0, list[Touch](), list[float](), list[float]()
+        forget_all()
+        forget_fillings()
+        for some in [aims] if setting.level is None else [[a] for a in aims]:
+            began = time.process_time()
+            own = effector.on(subject, some[0], setting)
+            own.model.preconditioner.ready()
+            built = time.process_time()
+            touches += effector.touch(own, some, device=self._device)
+            done = time.process_time()
+            soft += probe_stiffness(own.model, *(np.stack([getattr(a, key) for a in some])
+                                                 for key in ("target", "normal"))).tolist()
+            edge += [own.model.element_size if setting.level is None
+                     else effector.contact_edge(subject.scene, a, setting.level)[1] for a in some]
+            # a mesh for one touch is its own; one for all touches is made once for the object, as the truth's stiffness
+            cpu += done - built + (built - began) * (setting.level is not None)
+            once += time.process_time() - done + (built - began) * (setting.level is None)
+        curves = tuple(of_touch(t, a, np.array([s])) for t, a, s in zip(touches, aims, soft, strict=True))
+        return Run(curves, once, cpu, sum(len(t.time) for t in touches), tuple(edge))
 
 
 def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:

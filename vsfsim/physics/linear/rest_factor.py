@@ -73,6 +73,10 @@ class RestFactor:
         """The order of elimination of this body's mesh."""
         return Order(self._blocks, self._points)
 
+    def ready(self) -> None:
+        """Factorise now, not at the first use."""
+        self._solver  # noqa: B018  made here
+
     @property
     def real(self) -> type:
         """Precision of the factor: single where that serves this body."""
@@ -114,7 +118,7 @@ class RestFactor:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
         if now:
-            _factors[key]._solver  # noqa: B018  made here
+            _factors[key].ready()
         return _factors[key]
 
     def _trusts(self, solve: Callable[[np.ndarray], np.ndarray]) -> bool:

@@ -88,6 +88,10 @@ def _filled(shape: MeshFile, resolution: float, content: bytes) -> Solid:
                  nearest=functools.partial(nearest_on, surface.vertices - shift, surface.faces))
 
 
+forget_fillings = _filled.cache_clear
+"""Fill a scan anew in this process."""
+
+
 def fill(surface: Surface, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
     """Vertices (n, 3) [m] and tetrahedra (m, 4) inside a surface, with the base centre at the origin, by how much they
     are shifted against the surface (3,) [m], and notes.
