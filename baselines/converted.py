@@ -94,9 +94,10 @@ def enlarged(probe: ProbeShape, by: float) -> ProbeShape:
     if half_width(probe) == 0.0:
         raise MethodError(f"a probe of the kind {type(probe).__name__.lower()} has one size, so that made_for cannot "
                           f"change its lengths; give made_for a length of 0.")
-    sizes = {field.name: getattr(probe, field.name) for field in fields(probe)}
-    return replace(probe, **{name: tuple(by * x for x in size) if isinstance(size, tuple) else by * size
-                             for name, size in sizes.items()})
+    sizes = {field.name: getattr(probe, field.name) for field in fields(probe)}  # each a length, or lengths
+    longer: dict[str, Any] = {name: tuple(by * x for x in size) if isinstance(size, tuple) else by * size
+                              for name, size in sizes.items()}
+    return type(probe)(**longer)
 
 
 def converted(method: type[T]) -> type[T]:
@@ -107,7 +108,7 @@ def converted(method: type[T]) -> type[T]:
             setattr(method, name, _outermost(vars(method)[name], made))
     own: Callable[..., None] = method.__init__
     if "__init__" in vars(method) or any(name in vars(method) for name in ("meta_fit", "adapt")):
-        method.__init__ = _with_made_for(own)  # type: ignore[misc]
+        method.__init__ = _with_made_for(own)  # type: ignore[method-assign]
     return method
 
 
