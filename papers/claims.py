@@ -10,12 +10,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
-from papers.decide import EQUAL_WITHIN, FAILS, HOLDS, LEVEL, UNTOLD, Answers, Difference, Question, Values, answers
+import numpy as np
+
+from papers.decide import EQUAL_WITHIN, FAILS, HOLDS, LEVEL, UNTOLD, Answers, Question, answers
 from papers.figures import figure, said
-from papers.results import Found, stored
+from papers.results import MADE, Found, stored
 from papers.study import Asked, Study, load_study, studies
+from vsfsim.bench.board.compare import Paired, Runs, paired
 from vsfsim.bench.leaderboard import Board, interval_text
 from vsfsim.bench.metrics import METRICS
 from vsfsim.core.text_table import text_table
@@ -36,11 +40,13 @@ class Verdict:
     task: str
     """Name of the task that asks it here."""
     ours: str
-    """Both sides with their standard errors over objects, or why there is none."""
-    difference: Difference | None
+    """Both sides with their standard errors over objects and runs, or why there is none."""
+    difference: Paired | None
     """Better minus worse over objects; None where a result is missing."""
-    command: str
-    """Which made the results, with their files, or would make the missing ones."""
+    rows: Mapping[str, str]
+    """The rows that it stands on, or those that are missing: the command that makes each, by its file."""
+    alone: bool = False
+    """A side has one training, so that the error says nothing of others."""
     answers: Answers = NOT_ASKED
     """Among all claims (`all_verdicts`)."""
 
@@ -73,39 +79,40 @@ def all_verdicts(asked: Sequence[Study] | None = None, *, boards: dict[str, Boar
 
 
 def _verdict(study: Study, asked: Asked, found: Mapping[str, Found]) -> Verdict:
-    sides, command = (asked.better, asked.worse), f"vsfsim papers study {study.name}"
-    if any(name not in found for name, _ in sides):
-        return Verdict(asked, study.task, "no result", None, command)
-    command += f" ({', '.join(dict.fromkeys(found[name].path.name for name, _ in sides))})"
+    sides, known = (asked.better, asked.worse), {variant.name: variant for variant in study.variants}
+    missing = [known[name] for name, _ in sides if name not in found]
+    here = {name for name, one in found.items() if MADE in one.path.parents}
+    rows = {str((MADE if one.name in here else Path("leaderboard")) / study.place(one)): study.command(one)
+            for one in missing or [known[name] for name, _ in sides]}
+    if missing:
+        return Verdict(asked, study.task, "no result", None, rows)
     values = [values_of(found[name], asked.metric, shot) for name, shot in sides]
-    if not all(one.objects for one in values):
-        return Verdict(asked, study.task, f"no {asked.metric} at these shots", None, command)
-    ours = " and ".join(interval_text(one.objects) for one in values)
-    return Verdict(asked, study.task, ours, Difference.of(*values), command)
+    if not all(values):
+        return Verdict(asked, study.task, f"no {asked.metric} at these shots", None, rows)
+    alone = any("seed" in found[name].result.parameters and len(next(iter(of.values()))) == 1
+                for (name, _), of in zip(sides, values, strict=True))
+    return Verdict(asked, study.task, " and ".join(map(interval_text, values)), paired(*values), rows, alone)
 
 
-def values_of(found: Found, metric: str, shot: str) -> Values:
-    """One side of a claim; an angle becomes 1 within `ANGLE` and 0 beyond.
+def values_of(found: Found, metric: str, shot: str) -> Runs:
+    """One side of a claim; an angle becomes 1 within `ANGLE` and 0 beyond, of the mean over runs.
 
     Args:
         found: result of a variant. metric: of the claim. shot: label.
     """
-    objects, result = found.values(metric, shot), found.result
-    if metric == "rotation_error":
-        return Values({name: float(value <= ANGLE) for name, value in objects.items()})
-    score = result.scores.get(metric, {}).get(shot)
-    trainings = len(set(map(found.protocol.training_of, result.seeds))) if "seed" in result.parameters else 0
-    return Values(objects, score.std if score is not None else 0.0, len(result.seeds), trainings)
+    values = found.values(metric, shot)
+    return {name: np.array([[of.mean() <= ANGLE]], float) for name, of in values.items()} if (
+        metric == "rotation_error") else values
 
 
-HEAD = ("#", "direction", "size", "claim", "paper", "here, ± standard error over objects",
+HEAD = ("#", "direction", "size", "claim", "paper", "here, ± standard error over objects and runs",
         "difference ± 95 % (objects)", "improvement here and there")
 """Of the table of all claims."""
 
-RULE = (f"Direction: t test of the difference over objects, or for equality of its size against {EQUAL_WITHIN:.0%} of "
-        f"the second side. Size: whether the improvement is at least half of the paper's. All together are wrong with "
-        f"a probability of {LEVEL:.0%} at most (Holm). An angle counts as the share of objects within {ANGLE:g} "
-        f"degrees. Values are errors over that of predicting zero, if the paper's are errors.")
+RULE = (f"Direction: t test of the difference over objects, trainings and draws, or for equality of its size against "
+        f"{EQUAL_WITHIN:.0%} of the second side. Size: whether the improvement is at least half of the paper's. All "
+        f"together are wrong with a probability of {LEVEL:.0%} at most (Holm). An angle counts as the share of objects "
+        f"within {ANGLE:g} degrees. Values are errors over that of predicting zero, if the paper's are errors.")
 
 
 def cells(number: int, v: Verdict) -> list[str]:
@@ -114,31 +121,26 @@ def cells(number: int, v: Verdict) -> list[str]:
     in the paper. Both are "" where a result is missing, the second where there are no figures."""
     d, asked, difference, improvement = v.difference, v.question, "", ""
     if d is not None and d.objects:
-        difference = (f"{d.mean:+.3f} ± {d.half_width():.3f} "
-                      f"({d.objects}{', one training' if d.trainings == 1 else ''})")
+        difference = f"{d.mean:+.3f} ± {d.half_width:.3f} ({d.objects}{', one training' if v.alone else ''})"
     if d is not None and asked.has_size and d.level:
-        gain, half = (d.mean if asked.higher else -d.mean) / abs(d.level), d.half_width() / abs(d.level)
+        gain, half = (d.mean if asked.higher else -d.mean) / abs(d.level), d.half_width / abs(d.level)
         improvement = f"{gain:.0%} ({gain - half:.0%} to {gain + half:.0%}) and {asked.share:.0%}"
     return [str(number), v.answers.direction, v.answers.size or "-", f"{v.claim.text} ({v.claim.source})",
             said(v.claim.figures, v.claim.words), v.ours, difference, improvement]
 
 
 def text(verdicts: Sequence[Verdict]) -> str:
-    """The verdicts for a terminal, numbered, with the commands behind them."""
+    """The verdicts for a terminal, numbered, with the rows behind them and the command that makes each."""
     rows = [cells(k, v) for k, v in enumerate(verdicts, start=1)]
     lines = [text_table(list(HEAD), rows), "", counts(verdicts), RULE]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
-    for words, there in (("Made by:", True), ("Missing; these commands make them:", False)):
-        by_command = _numbers({k: v.command for k, v in enumerate(verdicts, start=1)
-                               if (v.difference is not None) == there})
-        if by_command:
-            lines += ["", words, *(f"  {command}  # claims {numbers}" for command, numbers in by_command.items())]
+    for words, there in (("Rows behind the answers, and what makes them:", True), ("Rows that are missing:", False)):
+        asked = [(k, v) for k, v in enumerate(verdicts, start=1) if (v.difference is not None) == there]
+        numbers = {row: ", ".join(str(k) for k, v in asked if row in v.rows.items())
+                   for _, v in asked for row in v.rows.items()}
+        lines += ["", words] * bool(numbers)
+        lines += [f"  {file}: {command}  # claims {claims}" for (file, command), claims in numbers.items()]
     return "\n".join(lines)
-
-
-def _numbers(named: Mapping[int, str]) -> dict[str, str]:
-    """The numbers of claims by what they share, in words."""
-    return {name: ", ".join(str(k) for k, one in named.items() if one == name) for name in named.values()}
 
 
 def counts(verdicts: Sequence[Verdict]) -> str:

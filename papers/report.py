@@ -10,7 +10,7 @@ import numpy as np
 
 from papers.results import Found, on_other_data
 from papers.study import Study
-from vsfsim.bench.board.compare import ByObject, Paired, interval, paired
+from vsfsim.bench.board.compare import Paired, Runs, interval, paired
 from vsfsim.bench.leaderboard import interval_text, unit_of
 from vsfsim.core.text_table import text_table
 
@@ -28,18 +28,19 @@ def table(study: Study, found: Mapping[str, Found]) -> dict[str, Any]:
     rows = []
     for variant in study.variants:
         one, (values, apart) = found.get(variant.name), _measured(study, found, variant.name)
-        means = {shot: (*interval(of), len(of)) for shot, of in values.items()}
+        means = {shot: interval(of) for shot, of in values.items()}
         rows.append({"variant": variant.name, "method": variant.method, "preset": variant.preset,
                      "parameters": dict(variant.set), "paper": dict(variant.paper),
-                     "values": {shot: {"mean": mean, "error": error if error == error else None, "objects": objects}
-                                for shot, (mean, error, objects) in means.items()},
-                     "difference": {shot: asdict(d) for shot, d in apart.items()},
+                     "values": {shot: {"mean": of.mean, "error": of.error if of.error == of.error else None,
+                                       "objects": of.objects} for shot, of in means.items()},
+                     "difference": {shot: {key: v for key, v in asdict(d).items() if np.isfinite(v)}
+                                    for shot, d in apart.items()},
                      "file": str(one.path) if one is not None else None})
     return {"study": study.name, "title": study.title, "source": study.source, "metric": study.metric,
             "task": study.task, "baseline": study.baseline, "paper_unit": study.unit, "variants": rows}
 
 
-def _measured(study: Study, found: Mapping[str, Found], name: str) -> tuple[dict[str, ByObject], dict[str, Paired]]:
+def _measured(study: Study, found: Mapping[str, Found], name: str) -> tuple[dict[str, Runs], dict[str, Paired]]:
     """By shot, the values of a variant by object and, where two or more are in common, its difference from the
     baseline."""
     one, base = found.get(name), found.get(study.baseline)

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from papers.study import Study, Variant, load_study
 from vsfsim.bench import leaderboard
-from vsfsim.bench.board.compare import ByObject, by_object
+from vsfsim.bench.board.compare import Runs, by_run
 from vsfsim.bench.board.rows import listed, row_sha256
 from vsfsim.bench.commands.catalogue import on_device
 from vsfsim.bench.commands.release import dataset_of
 from vsfsim.bench.evaluate import make
+from vsfsim.bench.identity import changed
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Protocol, load_task, open_dataset
 from vsfsim.bench.trials.jobs import Evaluation
@@ -36,16 +37,16 @@ class Found:
     protocol: Protocol
     """Of its task, with the study's shots and runs."""
 
-    def values(self, metric: str, shot: str) -> ByObject:
-        """A metric of each object, mean over runs; {} where the result does not hold it."""
-        return by_object(self.result, metric, shot)
+    def values(self, metric: str, shot: str) -> Runs:
+        """A metric of each object in each run; {} where the result does not hold it."""
+        return by_run(self.result, metric, shot, self.protocol.draws or len(self.result.seeds))
 
 
 def stored(study: Study, boards: dict[str, leaderboard.Board] | None = None, made: bool = True) -> dict[str, Found]:
     """The variants that have a result, made here or shipped, by name.
 
-    A ranked row of the task's leaderboard serves where a variant is one. A result of another version of the task, or of
-    other settings, does not count, and one that ships counts if it is on the repository's list.
+    A ranked row of the task's leaderboard serves where a variant is one. A result counts if it is of the present task,
+    settings, method and scorer (`vsfsim.bench.identity.changed`), and, of those that ship, on the repository's list.
 
     Args:
         study: the study. boards: by name of the task, those that are read already; others are added. made: results made
@@ -61,11 +62,11 @@ def stored(study: Study, boards: dict[str, leaderboard.Board] | None = None, mad
             known = [(row.path, row.result) for row in board_of(task.name, boards, made).rows if row.rank is not None
                      and (row.result.method, row.result.preset) == (variant.method, variant.preset)]
         else:
-            files = [of / "studies" / task.name / f"{study.stem(variant)}.json" for of in (
-                *[MADE] * made, folder("leaderboard"))]
+            files = [of / study.place(variant) for of in (*[MADE] * made, folder("leaderboard"))]
             known = [(path, result) for path, result in ((path, Result.load(path)) for path in files if path.is_file())
                      if (result.task_sha256, result.shots) == (task.sha256, task.protocol.labels)
                      and (MADE in path.parents or row_sha256(result) in listed())]
+        known = [(path, r) for path, r in known if not changed(r.method, r.parameters, r.contents)]
         if known:
             path, result = known[0]
             out[variant.name] = Found(variant, result, path, task.protocol)
@@ -99,10 +100,8 @@ def evaluation(study: Study, variant: Variant, device: str = "") -> Evaluation:
     row = study.is_row(variant)
     task = load_task(study.task) if row else study.task_of(variant)  # a row without the study's shots and runs
     choice = on_device(study.choice(variant, task), device, task.observation.name)
-    path = MADE / task.name / f"{choice.stem}.json" if row else (
-        MADE / "studies" / task.name / f"{study.stem(variant)}.json")
-    return Evaluation(choice.method, task, open_dataset(task), path, choice.parameters, preset=choice.preset,
-                      training=study.training(variant))
+    return Evaluation(choice.method, task, open_dataset(task), MADE / study.place(variant), choice.parameters,
+                      preset=choice.preset, training=study.training(variant))
 
 
 def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[int, int, str], None] = lambda *_: None,
@@ -147,6 +146,13 @@ def on_other_data(found: Mapping[str, Found]) -> list[str]:
             if found[name].result.dataset_sha256 != found[same[0]].result.dataset_sha256]
 
 
+def missing(name: str) -> list[str]:
+    """The variants of a study that have no result that ships and counts (`stored`)."""
+    study = load_study(name)
+    found = stored(study, made=False)
+    return [variant.name for variant in study.variants if variant.name not in found]
+
+
 def release(names: Sequence[str], out: Path, workers: int, progress: Callable[[int, int, str], None]
             ) -> Iterator[tuple[str, str]]:
     """Make what some studies lack, datasets too, and ship it.
@@ -157,9 +163,11 @@ def release(names: Sequence[str], out: Path, workers: int, progress: Callable[[i
     Yields:
         As `make_missing`.
     """
-    studies = [load_study(name) for name in names]
-    for task in (study.task_of(variant) for study in studies for variant in study.variants):
-        dataset_of(task, workers)
+    studies, boards = [load_study(name) for name in names if missing(name)], dict[str, leaderboard.Board]()
+    for study in studies:
+        found = stored(study, boards)
+        for variant in (one for one in study.variants if one.name not in found):
+            dataset_of(study.task_of(variant), workers)
     yield from make_missing(studies, workers, progress)
     leaderboard.ship({one.path.relative_to(MADE): (one.result, f"vsfsim papers study {study.name}", 0.0)
                       for study in studies for one in stored(study).values()

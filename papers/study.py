@@ -166,6 +166,16 @@ class Study:
                  *(f"{p.data}{p.objects}" for p in variant.extra), hashlib.sha256(repr(told).encode()).hexdigest()[:8]]
         return re.sub(r"[^A-Za-z0-9.+-]+", "_", "-".join(str(word) for word in words if word != ""))
 
+    def place(self, variant: Variant) -> Path:
+        """Of the result file of a variant, in the folder of results or of rows that ship."""
+        return Path(self.task, f"{variant.method}.{variant.preset}.json") if self.is_row(variant) else (
+            Path("studies", self.task_of(variant).name, f"{self.stem(variant)}.json"))
+
+    def command(self, variant: Variant) -> str:
+        """Which makes that file in results/."""
+        return f"vsfsim evaluate --method {variant.method} --preset {variant.preset} --task {self.task}" if (
+            self.is_row(variant)) else f"vsfsim papers study {self.name}"
+
     def training(self, variant: Variant) -> Training:
         """What a variant learns from.
 

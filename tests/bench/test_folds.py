@@ -1,13 +1,11 @@
 """Cross-validation over objects, from the folds to the board."""
 
 import dataclasses
-import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from vsfsim.bench.board.compare import by_object, interval, joined_ranks, paired
+from vsfsim.bench.board.compare import by_object, by_run, curve, interval
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.predictions import questions
@@ -84,36 +82,19 @@ def test_zero_has_the_ratio_one_and_others_that_of_their_objects(results):
     values = by_object(results["Constant"], "rmse_ratio", "5")
     assert len(values) == OBJECTS and list(values.values()) == pytest.approx([1.0] * OBJECTS, rel=1e-7)
     mean = results["FoldMean"].scores["rmse_ratio"]["5"].mean
-    assert mean == pytest.approx(interval(by_object(results["FoldMean"], "rmse_ratio", "5"))[0], rel=1e-12)
+    found = by_run(results["FoldMean"], "rmse_ratio", "5", 2)
+    assert {of.shape for of in found.values()} == {(2, 2)} and mean == pytest.approx(interval(found).mean, rel=1e-12)
+    for run, value in enumerate(results["FoldMean"].scores["rmse_ratio"]["5"].per_seed):
+        assert value == pytest.approx(np.mean([of.flat[run] for of in found.values()]), rel=1e-12)
 
 
-def test_ranks_are_joined_by_paired_differences():
-    rng = np.random.default_rng(0)
-    level = {f"o{k}": float(v) for k, v in enumerate(rng.uniform(0.3, 1.5, 20))}  # objects differ by far more
-    shift = {name: value + 0.05 + 0.01 * rng.standard_normal() for name, value in level.items()}
-    noisy = {name: value + 0.05 + 0.5 * rng.standard_normal() for name, value in level.items()}
-    assert paired(shift, level).told_apart and not paired(noisy, level).told_apart
-    assert paired(shift, level).mean == pytest.approx(0.05, abs=0.01)
-    assert joined_ranks([level, shift]) == [1, 2] and joined_ranks([level, noisy]) == [1, 1]
-    assert joined_ranks([level, level, shift]) == [1, 1, 3]
-    two = {k: level[k] for k in ("o0", "o1")}
-    assert not paired({k: v + 1.0 for k, v in two.items()}, two).told_apart, "two objects tell nothing"
-    assert paired({k: shift[k] for k in ("o0", "o1", "o2")}, {k: level[k] for k in ("o0", "o1", "o2")}).told_apart
-
-
-def test_a_standard_error_over_objects_has_n_minus_one_and_a_value_is_of_its_shot_alone():
-    """Of 1, 2, 6: mean 3, sum of squares about it 14, standard error sqrt(14 / 2 / 3)."""
-    values = {"a": 1.0, "b": 2.0, "c": 6.0}
-    assert interval(values) == pytest.approx((3.0, math.sqrt(14.0 / 6.0)))
-    found = paired({name: v + 1.0 for name, v in values.items()}, dict.fromkeys(values, 1.0))
-    assert (found.mean, found.error, found.objects) == (pytest.approx(3.0), pytest.approx(math.sqrt(14.0 / 6.0)), 3)
-    assert math.isnan(paired({"a": 1.0}, {"a": 0.0}).error)
-    # a mean over the runs of one shot; other shots, and runs without an answer, do not enter the scores that rank
-    columns = {"object": ["a-v0", "a-v0", "a-v1", "a-v0", "b-v0"], "shot": ["5", "5", "5", "all", "5"],
-               "mask_f1": [0.2, None, 0.4, 0.9, None]}
-    result = SimpleNamespace(values={}, answers={"mask": columns})
-    assert by_object(result, "mask_f1", "5") == {"a": pytest.approx(0.3)}
-    assert by_object(result, "mask_f1", "all") == {"a": 0.9} and by_object(result, "mask_f1", "0") == {}
+def test_the_area_of_a_result_is_that_of_its_shots(folded, results):
+    """Shots 0, 5 and all, which is 8 of 12: half of the first step to 0, half of the second to all."""
+    found = curve(results["FoldMean"], folded)
+    at = np.log2([1.0, 6.0, 1.0 + max(folded.dataset.touches - folded.protocol.query, 5)])
+    for name, area in found["area"].items():
+        shots = [found[label][name] for label in ("0", "5", "all")]
+        assert area == pytest.approx(np.trapezoid(shots, at, axis=0) / at[-1], rel=1e-12) and area.shape == (2, 2)
 
 
 def test_more_draws_than_the_task_has_are_refused(folded, dataset):

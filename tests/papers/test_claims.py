@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from papers import claims
+from papers import claims, results
 from papers.claims import all_verdicts, text, values_of
-from papers.decide import FAILS, HOLDS, UNTOLD, Difference, Question, Values, answers, holm
+from papers.decide import FAILS, HOLDS, UNTOLD, Question, answers
 from papers.figures import TABLES, TEXTS, said
 from papers.results import Found
 from papers.study import Asked, Study, Variant, load_study, studies
+from vsfsim.bench.board.compare import paired
+from vsfsim.bench.commands.catalogue import preset
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 
@@ -36,7 +37,8 @@ def row(method, values, metric="rmse_ratio"):
 def verdict(monkeypatch):
     def verdict(better, worse, figures=(), **given):
         asked = Asked("a claim", ("a", "0"), ("b", "0"), given.pop("metric", "rmse_ratio"), "a paper", figures, **given)
-        study = Study(title="toy", source="", task=TASK, baseline="a", name="toy", claims=(asked,))
+        study = Study(title="toy", source="", task=TASK, baseline="a", name="toy", claims=(asked,),
+                      variants=(Variant("a", "a"), Variant("b", "b")))
         monkeypatch.setattr(claims, "stored", lambda *_: {one.variant.name: one for one in (better, worse) if one})
         (found,) = all_verdicts([study])
         return found
@@ -58,7 +60,8 @@ def test_a_claim_is_decided_object_by_object(verdict):
     assert verdict.direction(row("a", LEVEL[:2]), row("b", [v + 1.0 for v in LEVEL[:2]])) == UNTOLD, "two objects"
     # an angle is a share of objects
     assert verdict.direction(row("a", []), row("b", []), metric="rotation_error") == UNTOLD
-    assert values_of(row("a", [14.0, 170.0], "rotation_error"), "rotation_error", "0").objects == {"o0": 1.0, "o1": 0.0}
+    angles = values_of(row("a", [14.0, 170.0], "rotation_error"), "rotation_error", "0")
+    assert {name: of.tolist() for name, of in angles.items()} == {"o0": [[1.0]], "o1": [[0.0]]}
 
 
 def test_more_data_prove_equality_or_refute_it(verdict):
@@ -80,41 +83,69 @@ def test_the_size_is_held_against_half_of_the_papers(verdict):
     assert verdict(row("a", LESS), row("b", LEVEL)).answers.size == "", "no figures"
 
 
-def test_the_error_is_a_t_interval_with_the_trainings_in_it():
-    values = {f"o{k}": v for k, v in enumerate(LEVEL)}
-    less = {name: v - 0.1 - 0.01 * k for k, (name, v) in enumerate(values.items())}
-    alone = Difference.of(Values(less), Values(values))
-    found = stats.ttest_rel(list(less.values()), list(values.values()))
-    assert alone.probability(alone.mean, 0.0) == pytest.approx(found.pvalue) and alone.freedom == pytest.approx(4.0)
-    low, high = found.confidence_interval()
-    assert (alone.mean - alone.half_width(), alone.mean + alone.half_width()) == pytest.approx((low, high))
-    trained = Difference.of(Values(less, spread=0.2, runs=3, trainings=3), Values(values))
-    assert trained.error == pytest.approx(np.hypot(alone.error, 0.2 / 3**0.5)) and 2.0 < trained.freedom < 2.1
-    drawn = Values(less, spread=np.std(np.repeat([0.1, 0.3, 0.5], 4), ddof=1), runs=12, trainings=3)
-    assert drawn.variance() == pytest.approx(0.2**2 / 3), "four equal draws of each training"
+def test_trainings_are_a_part_of_the_error(verdict):
+    """The same means over objects, by trainings that agree and by trainings that do not."""
+    def trained(spread):
+        one = row("a", [[v + s * spread for s in (-1.0, 0.0, 1.0) for _ in range(4)] for v in LESS])
+        return dataclasses.replace(one, result=dataclasses.replace(one.result, seeds=tuple(range(12))))
+
+    assert verdict.direction(trained(0.001), row("b", LEVEL)) == HOLDS
+    assert verdict.direction(trained(0.2), row("b", LEVEL)) == UNTOLD
+    alone = row("a", LESS)
+    alone = dataclasses.replace(alone, result=dataclasses.replace(alone.result, parameters={"seed": 0}))
+    assert "one training" in text([verdict(alone, row("b", LEVEL))])
+    assert "one training" not in text([verdict(row("a", LESS), row("b", LEVEL))])
 
 
 def test_all_claims_are_one_family():
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06]) and holm([]) == []
-    values = {f"o{k}": v for k, v in enumerate(LEVEL)}
-    hardly = Difference.of(Values({n: v - 0.1 - 0.05 * k for k, (n, v) in enumerate(values.items())}), Values(values))
-    asked = Question(hardly, False, False, None)
-    nothing = Question(Difference.of(Values(values), Values({n: v + 0.3 * (-1) ** k for k, (n, v) in enumerate(
-        values.items())})), False, False, None)
-    assert answers([asked])[0].direction == HOLDS
-    assert answers([asked] + 50 * [nothing])[0].direction == UNTOLD
+    def asked(one, other):
+        sides = ({f"o{k}": np.full((1, 1), v) for k, v in enumerate(of)} for of in (one, other))
+        return Question(paired(*sides), False, False, None)
+
+    hardly = asked([v - 0.1 - 0.05 * k for k, v in enumerate(LEVEL)], LEVEL)
+    nothing = asked(LEVEL, MIXED)
+    assert answers([hardly])[0].direction == HOLDS
+    assert answers([hardly] + 50 * [nothing])[0].direction == UNTOLD
     missing = Question(None, False, False, None)
-    assert answers([asked] + 50 * [missing])[0].direction == HOLDS, "what was not tested costs nothing"
+    assert answers([hardly] + 50 * [missing])[0].direction == HOLDS, "what was not tested costs nothing"
 
 
-def test_a_missing_result_is_named_with_its_command(verdict):
+def test_a_missing_row_is_named_with_its_command(verdict):
     found = verdict(row("a", LEVEL), None)
     assert found.answers.direction == UNTOLD and found.difference is None
-    assert found.command == "vsfsim papers study toy"
+    assert found.rows == {
+        f"leaderboard/{TASK}/b.tuned.json": f"vsfsim evaluate --method b --preset tuned --task {TASK}"}
     assert "Of 1 claims 0 hold, 0 do not hold, and 1 cannot be told." in text([found])
-    assert f"  {found.command}  # claims 1" in text([found])
+    assert f"Rows that are missing:\n  leaderboard/{TASK}/b.tuned.json: vsfsim evaluate" in text([found])
     both = verdict(row("a", [v - 0.1 for v in LEVEL]), row("b", LEVEL))
-    assert both.answers.direction == HOLDS and "(a.json, b.json)" in both.command
+    assert both.answers.direction == HOLDS and list(both.rows) == [f"leaderboard/{TASK}/{k}.tuned.json" for k in "ab"]
+
+
+def test_the_command_of_a_row_makes_that_row():
+    """The method, the preset, the task and the file of each row that the claims name, by what the command line does
+    with its words; a study makes the files that are not those of a board."""
+    known = {str(study.place(v)): (study, v) for study in map(load_study, studies()) for v in study.variants}
+    behind = [(Path(file), command) for v in all_verdicts() for file, command in v.rows.items()]
+    assert behind
+    for file, command in dict(behind).items():
+        study, variant = known[str(Path(*file.parts[1:]))]
+        words = command.split()
+        if words[1] == "papers":
+            assert words[2:] == ["study", study.name] and file.parts[1] == "studies"
+            continue
+        given = dict(zip(words[2::2], words[3::2], strict=True))
+        task = load_task(given["--task"])
+        made = preset(given["--method"], given["--preset"], task.observation.name, task.metric.answer.value)
+        assert file == Path("leaderboard", task.name, f"{made.stem}.json") and made == study.choice(variant, task)
+
+
+def test_only_current_rows_count(monkeypatch):
+    """A row of another version of its method or of the scorer is as good as none."""
+    def there(stale):
+        monkeypatch.setattr(results, "changed", lambda name, *_: ["the harness"] * (name == stale))
+        return {one.variant.method for one in results.stored(load_study("sbml-shoes"), made=False).values()}
+
+    assert there("nothing") - there("gaussian") == {"gaussian"}
 
 
 def test_every_figure_is_a_cell_of_the_table():

@@ -62,7 +62,7 @@ def test_claims_are_decided_by_the_variants(study, more, answer, monkeypatch):
                                                                          enumerate(LEVEL)]}
     monkeypatch.setattr(claims, "stored", lambda *_: found(study, **values))
     (verdict,) = claims.all_verdicts([study])
-    assert verdict.answers.direction == answer and "vsfsim papers study toy" in verdict.command
+    assert verdict.answers.direction == answer and "vsfsim papers study toy" in str(verdict.rows)
 
 
 def test_the_same_evaluation_has_one_file_in_all_studies(study):

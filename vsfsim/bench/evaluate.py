@@ -27,7 +27,7 @@ from typing import Any
 from vsfsim.bench.commands.catalogue import Choice
 from vsfsim.bench.commands.catalogue import preset as chosen
 from vsfsim.bench.commands.ceiling import evaluate_ceiling
-from vsfsim.bench.identity import SCORER, contents_of
+from vsfsim.bench.identity import SCORER, changed
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import UNKNOWN
 from vsfsim.bench.method import check_name
@@ -168,10 +168,8 @@ def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: in
     asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items() if key != "device")
     if not (same and asked and len(result.seeds) == runs):
         return None
-    here = contents_of(choice.method, result.parameters, opened=result.contents)
     # what the scorer makes of the same answers is computed again by the board
-    return result if all(result.contents.get(key) == here.get(key) for key in {*here, *result.contents} - {SCORER}
-                         ) else None
+    return result if set(changed(choice.method, result.parameters, result.contents)) <= {SCORER} else None
 
 
 @contextlib.contextmanager

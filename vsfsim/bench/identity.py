@@ -61,6 +61,18 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
     return out | {text: file_sha256(path) for text, path in named.items()}
 
 
+def changed(name: str, parameters: Mapping[str, Any], contents: Mapping[str, str]) -> list[str]:
+    """What decided some answers and is another here, by name; all of a method that is not here.
+
+    Args:
+        name, parameters: as of `contents_of`. contents: as it was when the answers were given.
+    """
+    if ":" not in name and name not in methods() | ceilings():
+        return [METHOD]
+    here = contents_of(name, parameters, opened=contents)
+    return [key for key in {**here, **contents} if here.get(key) != contents.get(key)]
+
+
 def method_sha256(name: str, folder: str | Path = "") -> str:
     """sha256 of a method's source with the parts of vsfsim that its answers pass through; operands as of
     `contents_of`."""

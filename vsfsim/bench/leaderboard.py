@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +14,7 @@ from typing import Any
 
 from vsfsim.bench.admission.admit import admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
-from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
+from vsfsim.bench.board.compare import AREA, LEVEL, Runs, curve, interval, means, ranks, shares, wins
 from vsfsim.bench.board.rows import (
     CEILING,
     CLAIMED,
@@ -56,8 +58,10 @@ class Row:
     """Its file."""
     other_bits: bool
     """Its dataset is the board's, made on a machine that rounds otherwise."""
-    objects: Mapping[str, ByObject] = dataclasses.field(default_factory=dict)
-    """Of a task with cross-validation, the value of its metric of each object, by shot."""
+    values: Mapping[str, Runs] = dataclasses.field(default_factory=dict)
+    """The task's metric of each object in each run, by shot, and the area under it (`compare.curve`)."""
+    wins: float = math.nan
+    """Share of the objects on which it errs less than another ranked row, mean over these (`compare.wins`)."""
     origin: str = "shipped"
     """"shipped", "made here", or "shipped, made again here"."""
     evidence: str = "open"
@@ -110,7 +114,7 @@ def collect(task: Task, paths: Iterable[Path] = (), *, shipped: bool = True) -> 
     for path, result in told.items():
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
-    record, entries, shot = shipped_record(task), listed(), task.ranking_shot
+    record, entries = shipped_record(task), listed()
     reference = record.dataset_sha256 if record is not None else task.dataset.sha256 or _most(
         [r for path, r in told.items() if path.parent == own], task) or _most(told.values(), task)
     good: list[Row] = []
@@ -124,20 +128,21 @@ def collect(task: Task, paths: Iterable[Path] = (), *, shipped: bool = True) -> 
             odd = [row for row in odd if row.mark != EARLIER or not is_same(result, row.result)]
         same = next((k for k, before in enumerate(rows) if is_same(result, before.result)), None)
         if same is None:
-            objects = {label: by_object(result, task.primary, label) for label in result.shots
-                       } if task.protocol.folds and found.mark in ("", CEILING, EARLIER) else {}
-            row = Row(None, found.mark, result, found.scores, path, found.other_bits and not found.mark, objects,
-                      "made here" if here else "shipped", found.entry.evidence if found.entry else "open")
+            values = curve(result, task) if found.mark in ("", CEILING, EARLIER) else {}
+            row = Row(None, found.mark, result, found.scores, path, found.other_bits and not found.mark, values,
+                      origin="made here" if here else "shipped",
+                      evidence=found.entry.evidence if found.entry else "open")
             if found.entry is None and not found.mark and any(one.origin != "made here" and contradicts(
-                    result, one.result, task, (objects.get(shot, {}), one.objects.get(shot, {}))) for one in good):
+                    result, one.result, values[AREA], one.values[AREA]) for one in good):
                 row, rows = dataclasses.replace(row, mark=CLAIMED, other_bits=False), odd
             rows.append(row)
         elif here and rows[same].origin == "shipped":
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
-    good.sort(key=lambda row: (sign * row.scores[task.primary][shot].mean, row.result.method))
-    ranks = joined_ranks([row.objects[shot] for row in good]) if task.protocol.folds else range(1, len(good) + 1)
-    ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
+    good.sort(key=lambda row: (sign * interval(row.values[AREA]).mean, row.result.method))
+    areas = [row.values[AREA] for row in good]
+    ranked = [dataclasses.replace(row, rank=rank, wins=share) for row, rank, share in zip(
+        good, ranks(areas), wins(areas, sign), strict=True)]
     return Board(task, reference, record, (*ranked, *odd))
 
 
@@ -198,16 +203,17 @@ def table(board: Board) -> dict[str, Any]:
     """The board for JSON."""
     task = board.task
     ceiling = possible(board)
-    rows = [{"rank": row.rank, "share_of_possible": {shot: share_of_possible(row, ceiling, shot) for shot in ceiling},
+    rows = [{"rank": row.rank, "share_of_possible": share_of_possible(row, ceiling),
+             "wins": row.wins if row.rank else None, "median": _median(row),
              "method": row.result.method, "parameters": dict(row.result.parameters),
              "origin": row.origin, "evidence": row.evidence, "file": str(row.path),
-             "not_ranked_because": row.mark, "objects": {shot: dict(values) for shot, values in row.objects.items()},
+             "not_ranked_because": row.mark, "objects": {shot: means(of) for shot, of in row.values.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
              "timing": dict(row.result.timing), "sandbox": row.result.isolation,
              "made_by": dict(row.result.made_by)} for row in board.rows]
     return {"task": task.name, "metric": task.primary, "unit": unit_of(task.primary, task.observation.unit),
-            "ranking_shot": task.ranking_shot, "higher_is_better": task.metric.higher_is_better,
+            "shares": shares(task), "higher_is_better": task.metric.higher_is_better,
             "dataset_sha256": board.dataset_sha256, "rows": rows}
 
 
@@ -257,35 +263,38 @@ def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str],
     task = board.task
     labels = task.protocol.labels
     ceiling = possible(board)
-    head = ["#", "method", *(f"{label}-shot" for label in labels), *(["gap closed"] if ceiling else []), "rank corr.",
-            "evidence"]
+    head = ["#", "method", AREA, *(f"{label}-shot" for label in labels), "median", "wins",
+            *(["gap closed"] if ceiling is not None else []), "rank corr.", "evidence"]
     rows, names = [], labels_of(board.rows)
     for row, label in zip(board.rows, names):
-        by_shot = row.scores.get(task.primary, {})
         stiffness = row.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
-        share = share_of_possible(row, ceiling, task.ranking_shot)
-        values = [interval_text(row.objects[shot]) if row.objects and task.protocol.folds else
-                  score_text(by_shot.get(shot)) for shot in labels]
-        rows.append([str(row.rank or "-"), shown(label) + row.signs, *values,
-                     *(["" if share is None else f"{share:.2f}"] if ceiling else []),
+        share, median = share_of_possible(row, ceiling), _median(row)
+        rows.append([str(row.rank or "-"), shown(label) + row.signs,
+                     *(interval_text(row.values.get(shot, {})) for shot in (AREA, *labels)),
+                     "" if median is None else f"{median:.3f}", f"{row.wins:.0%}" if row.wins == row.wins else "",
+                     *(["" if share is None else f"{share:.2f}"] if ceiling is not None else []),
                      score_text(stiffness), row.evidence])
     return head, rows
 
 
-def possible(board: Board) -> dict[str, float]:
-    """By shot, the mean ratio of the lowest ceiling that ran at the data's own tier, or of recordings their
-    repeatability; {} where the board has none, or does not rank by the error over that of predicting zero."""
+def _median(row: Row) -> float | None:
+    """Of the areas of the objects."""
+    found = means(row.values.get(AREA, {}))
+    return statistics.median(found.values()) if found else None
+
+
+def possible(board: Board) -> float | None:
+    """The mean area of the lowest ceiling that ran at the data's own tier, or of recordings their repeatability; None
+    where the board has none, or does not rank by the error over that of predicting zero."""
     if board.record is not None and board.record.repeat and board.task.primary == "rmse_ratio":
-        return dict.fromkeys(board.task.protocol.labels, board.record.repeat)
-    found = [row.scores["rmse_ratio"] for row in board.rows if row.mark == CEILING
-             and board.task.primary == "rmse_ratio" and not row.result.parameters.get("tier")]
-    return {shot: min(one[shot].mean for one in found if shot in one) for shot in found[0]} if found else {}
+        return board.record.repeat
+    return min((interval(row.values[AREA]).mean for row in board.rows if row.mark == CEILING
+                and board.task.primary == "rmse_ratio" and not row.result.parameters.get("tier")), default=None)
 
 
-def share_of_possible(row: Row, ceiling: Mapping[str, float], shot: str) -> float | None:
-    """(1 - e) / (1 - ceiling) of a row's mean ratio e at a shot [-]: 0 predicts zero, 1 is the true object."""
-    score = row.scores.get("rmse_ratio", {}).get(shot)
-    return None if score is None or shot not in ceiling else (1.0 - score.mean) / (1.0 - ceiling[shot])
+def share_of_possible(row: Row, ceiling: float | None) -> float | None:
+    """(1 - e) / (1 - ceiling) of a row's mean area e [-]: 0 predicts zero, 1 is the true object."""
+    return (1.0 - interval(row.values[AREA]).mean) / (1.0 - ceiling) if row.values and ceiling is not None else None
 
 
 def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
@@ -294,7 +303,8 @@ def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     odd = dict.fromkeys(f"{shown(row.result.method)}: {shown(row.mark)}" for row in board.rows
                         if row.mark not in ("", EARLIER))
     return filled("notes.txt", board=board, task=board.task, odd=odd, possible=possible(board), earlier=EARLIER,
-                  absent=absent(board.task.name, there), apart=f"{TOLD_APART:g}",
+                  absent=absent(board.task.name, there), apart=f"{1.0 - LEVEL:.0%}",
+                  shares=" + ".join(f"{share:.2f} of {label}-shot" for label, share in shares(board.task).items()),
                   correlated=any("stiffness_spearman" in row.scores for row in board.rows)).splitlines()
 
 
@@ -303,7 +313,7 @@ def score_text(score: Score | None) -> str:
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
 
 
-def interval_text(values: ByObject) -> str:
-    """A mean over objects with its standard error."""
-    mean, error = interval(values)
-    return f"{mean:.3f} ± {error:.3f}" if error == error else f"{mean:.3f}"
+def interval_text(values: Runs) -> str:
+    """A mean over objects with its standard error over objects and runs; "" of none."""
+    of = interval(values)
+    return "" if not of.objects else f"{of.mean:.3f} ± {of.error:.3f}" if of.error == of.error else f"{of.mean:.3f}"

@@ -96,9 +96,9 @@ class Result:
     study: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """What the method learned from where that is not what the task says (`vsfsim.bench.trials.training.Training`),
     else {}. A result with it is a study's and is never ranked."""
-    values: Mapping[str, Mapping[str, Mapping[str, float]]] = dataclasses.field(default_factory=dict)
-    """Of a row that ships (`vsfsim.bench.board.rows`), in place of `queries` and `answers`: the value of each
-    object, mean over runs, by metric, shot and object. Else {}."""
+    values: Mapping[str, Mapping[str, Mapping[str, Any]]] = dataclasses.field(default_factory=dict)
+    """Of a row that ships (`vsfsim.bench.board.rows`), in place of `queries` and `answers`: the value of each object in
+    each run, or their mean alone, by metric, shot and object. Else {}."""
 
     def summary(self) -> dict[str, Any]:
         """For JSON: everything but the raw numbers of every query."""

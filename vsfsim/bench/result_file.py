@@ -80,7 +80,7 @@ Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 53)]
 Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 Size = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
 Columns = dict[str, list[str | float | int | None]]
-Values = dict[str, dict[str, dict[str, Number]]]
+Values = dict[str, dict[str, dict[str, Number | list[Number | None]]]]
 """Of `vsfsim.bench.result.Result.values`."""
 _COLUMNS: dict[str, Any] = {
     **dict.fromkeys(("object", "shot"), list[str]), **dict.fromkeys(("sse", "ss", "truth", "mean"), list[Size]),

@@ -286,7 +286,7 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
     with Progress("audit") as progress:
         found = module.audit(wanted, results or ([own] if own.is_dir() else []), dataset=dataset, fresh=fresh or (),
                              progress=progress)
-    report(module.text(found, f"{wanted.primary} at {wanted.ranking_shot}-shot"), asdict(found), json)
+    report(module.text(found, f"{wanted.primary}, area under the curve"), asdict(found), json)
 
 
 @command(lab)
@@ -294,23 +294,22 @@ def release(only: KnownTask = None, dry: Annotated[bool, typer.Option("--dry-run
             json: JsonFile = None) -> None:
     """Make every row, audit and study that ships, and the list of what made each.
 
-    For developers, in a checkout: rows go to leaderboard/, results stay in results/. What is there already is kept, and
-    the same command goes on after an interruption.
+    For developers, in a checkout: rows go to leaderboard/, results stay in results/. What is there and current is kept,
+    and the same command goes on after an interruption, also on another machine.
 
     Args:
         only: Name of a task; default: all of leaderboard/release.toml.
-        dry: Print what would be made, with its CPU minutes.
+        dry: Print what is there and what is missing, with CPU minutes.
         workers: Trainings and trials at the same time.
     """
     from vsfsim.bench.commands import release as module
-    from vsfsim.bench.commands.audit import audit as run_audit
     from vsfsim.core import shelf
 
     shelf.checkout()
-    from papers.results import release as studies
+    from papers import results
 
     with Progress("release") as progress:
-        text, found = module.planned(only) if dry else module.release(only, workers, progress, studies, run_audit)
+        text, found = module.planned(only, results) if dry else module.release(only, workers, progress, results)
     report(text, found, json)
 
 

@@ -66,8 +66,8 @@ def admit(result: Result, task: Task, record: Record | None, reference: str,
         except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
             return Admission("its rows cannot be scored", {}, True)
         reason = (_other_task(result, task) or _wrong_rows(result, task, record)
-                  or ("" if task.ranking_shot in scores.get(task.primary, {}) else
-                      f"no {task.primary} at {task.ranking_shot}-shot")
+                  or "; ".join(f"no {task.primary} at {label}-shot" for label in task.protocol.labels
+                               if label not in scores.get(task.primary, {}))
                   or (_other_data(result, record) if other else ""))
     entry = None if made_here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
     if packed:

@@ -1,8 +1,8 @@
 """The rows of a leaderboard: how they ship, what they rest on, whose they are, and whether two are one.
 
 A row ships as `leaderboard/TASK/METHOD.json`, a result file without the rows of single touches: what a result says of
-itself, its scores, and the value of every metric of each object in single precision. Who wants the rows of single
-touches or the maps of stiffness evaluates the method again. Rows of studies are in `leaderboard/studies/TASK/`.
+itself, its scores, and the value of every metric of each object in each run, in single precision. Who wants the rows of
+single touches or the maps of stiffness evaluates the method again. Rows of studies are in `leaderboard/studies/TASK/`.
 
 What a row rests on is a fact of the repository: `leaderboard/evidence.json` lists the sha256s of its rows with what
 made them. What a result says of itself is never read. A row that ships and is not on the list is an earlier one, of a
@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from vsfsim.bench.board.compare import ByObject, by_object, paired
+from vsfsim.bench.board.compare import Runs, by_run, paired
 from vsfsim.bench.commands.catalogue import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
 from vsfsim.bench.metrics import METRICS, Answer, Score
@@ -39,16 +39,15 @@ from vsfsim.data.disk import write_atomic
 
 
 def as_shipped(result: Result) -> Result:
-    """What ships of a result: the value of every metric of each object, in single precision, in place of the rows of
-    single touches, and scores of nine digits."""
-    found = result.values or {metric: {shot: by_object(result, metric, shot) for shot in result.shots}
-                              for metric in METRICS}
-    known = {metric: {shot: {name: float(np.float32(value)) for name, value in of.items() if math.isfinite(value)}
-                      for shot, of in by_shot.items() if of} for metric, by_shot in found.items()}
+    """What ships of a result: the value of every metric of each object in each run, in single precision, in place of
+    the rows of single touches, and scores of nine digits."""
+    known = result.values or {metric: {shot: {
+        name: [float(np.float32(value)) if math.isfinite(value) else None for value in of.flat]
+        for name, of in by_run(result, metric, shot).items()} for shot in result.shots} for metric in METRICS}
     scores = {metric: {shot: Score(float(f"{score.mean:.9g}"), float(f"{score.std:.9g}"), ())
                        for shot, score in by_shot.items()} for metric, by_shot in result.scores.items()}
     return dataclasses.replace(result, queries={}, answers={}, maps={}, data={}, scores=scores, values={
-        metric: by_shot for metric, by_shot in known.items() if by_shot})
+        metric: there for metric, by_shot in known.items() if (there := {k: of for k, of in by_shot.items() if of})})
 
 
 def row_sha256(result: Result) -> str:
@@ -178,6 +177,8 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """By METHOD.PRESET, or the name of a ceiling."""
     audit: float = 0.0
     """0 for none."""
+    fresh: dict[str, float] = {}
+    """Of one dataset of another seed, ``dataset``, and of rows on it: whether the audit finds the rows over-fit."""
     studies: dict[str, float] = {}
     """By name: of their rows that are no rows of a board."""
 
@@ -235,12 +236,11 @@ def _of_one_method(one: Result, other: Result) -> bool:
     return all(getattr(one, key) == getattr(other, key) for key in ("method", "preset", "task_sha256", "parameters"))
 
 
-def contradicts(one: Result, other: Result, task: Task, objects: tuple[ByObject, ByObject]) -> bool:
+def contradicts(one: Result, other: Result, mine: Runs, theirs: Runs) -> bool:
     """Whether two results of one method with the same settings on one task have scores that it cannot give both.
 
     Args:
-        one, other: the results. task: of both. objects: the values of both by object, {} where the task has none.
+        one, other: the results. mine, theirs: their areas by object.
     """
-    mine, theirs = (r.scores[task.primary][task.ranking_shot].mean for r in (one, other))
-    return _of_one_method(one, other) and not math.isclose(mine, theirs, rel_tol=_OTHER_SCORE) and (
-        not task.protocol.folds or paired(*objects).told_apart)
+    found = paired(mine, theirs)
+    return _of_one_method(one, other) and found.told_apart and abs(found.mean) > _OTHER_SCORE * abs(found.level)

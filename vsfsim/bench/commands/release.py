@@ -1,26 +1,34 @@
 """`vsfsim lab release`: makes every row, audit and study of the tasks in `leaderboard/release.toml`, and ships them
 with the list of what made each row (`leaderboard/evidence.json`).
 
-What is there already, of the present task, dataset, method and settings, is kept: the same command goes on.
+What ships already, and is of the present task, dataset, method, settings and scorer, is kept, and so is what lies in
+`results`: the same command goes on after an interruption, and on another machine that is given `leaderboard` and
+`tasks/records`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import msgspec
 
 from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.board.rows import Part, plan
+from vsfsim.bench.admission.admit import differences
+from vsfsim.bench.board.rows import Part, listed, plan, row_sha256, write_list
+from vsfsim.bench.commands import audit
 from vsfsim.bench.commands.catalogue import Choice, preset
 from vsfsim.bench.evaluate import evaluate_all
-from vsfsim.bench.leaderboard import collect, ship
+from vsfsim.bench.identity import changed, method_sha256
+from vsfsim.bench.leaderboard import LIST, collect, ship
+from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, one_of, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
@@ -29,34 +37,149 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import VARIABLE, commit
 
 MADE = Path("results")
+SEEDS = (101, 102, 103)
+"""Of the fresh datasets of an audit."""
 Progress = Callable[[int, int, str], None]
-Studies = Callable[[Sequence[str], Path, int, Progress], Iterator[tuple[str, str]]]
 
 
-def planned(only: str | None) -> tuple[str, list[list[str]]]:
-    """What a release makes of a task, or of all, as a table with its CPU minutes, and for JSON.
+class Studies(Protocol):
+    """`papers.results`, which this layer does not import."""
+
+    def missing(self, name: str) -> list[str]:
+        """The variants of a study that have no current result that ships."""
+
+    def release(self, names: Sequence[str], out: Path, workers: int, progress: Progress) -> Iterator[tuple[str, str]]:
+        """Make and ship them; yields what and "" or why not."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What a release makes of one task, and what of it is there."""
+
+    name: str
+    """Of the task."""
+    part: Part
+    """Of the plan."""
+    studies: Studies
+    """Makes the studies."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return load_task(self.name)
+
+    def choice(self, key: str) -> Choice:
+        """The method and settings of a row."""
+        method, _, settings = key.partition(".")
+        task = self.task
+        return preset(method, settings, task.observation.name, task.metric.answer.value) if settings else (
+            Choice(method, "", {}))
+
+    def current(self, key: str) -> str:
+        """The sha256 of a row that ships, is listed, and is what would be made here; else ""."""
+        path, record = shelf.folder("leaderboard") / self.name / f"{key}.json", fingerprint.shipped_record(self.task)
+        if not path.is_file() or record is None:
+            return ""
+        row = Result.load(path)
+        entry, asked = listed().get(sha256 := row_sha256(row)), self.choice(key).parameters
+        same = entry is not None and row.task_sha256 == self.task.sha256 and (
+            entry.other_bits or row.dataset_sha256 == record.dataset_sha256) and all(
+            row.parameters.get(name) == value for name, value in asked.items() if name != "device")
+        return sha256 if same and not changed(row.method, row.parameters, row.contents) else ""
+
+    def audited(self) -> str:
+        """Digest of what an audit is made of: the dataset, the shortcuts and the rows, of the fresh seeds by name."""
+        record = fingerprint.shipped_record(self.task)
+        of = [self.task.sha256, record.dataset_sha256 if record is not None else "", method_sha256(audit.METHOD),
+              *map(self.current, self.part.rows), *self.part.fresh, *map(str, SEEDS)]
+        return hashlib.sha256(" ".join(of).encode()).hexdigest()
+
+    def items(self) -> dict[str, tuple[float, bool]]:
+        """CPU minutes of everything, and whether it is there."""
+        there = {key: (minutes, bool(self.current(key))) for key, minutes in self.part.rows.items()}
+        if self.part.audit:
+            done = audit.shipped(self.task).of == self.audited() and all(done for _, done in there.values())
+            there["audit"] = (self.part.audit + len(SEEDS) * sum(self.part.fresh.values()), done)
+        there |= {f"study {name}": (minutes, not self.studies.missing(name))
+                  for name, minutes in self.part.studies.items()}
+        made = (self.task.dataset.path() / "dataset.json").is_file()
+        return {"dataset": (self.part.dataset, made or all(done for _, done in there.values()))} | there
+
+    def make(self, workers: int, progress: Progress) -> Iterator[tuple[str, str]]:
+        """Make and ship what is missing; yields what is there now, and "" or why it could not be made."""
+        left = [key for key, (_, done) in self.items().items() if not done]
+        task, out = self.task, shelf.checkout() / "leaderboard"
+        if not left:
+            return
+        try:
+            data = dataset_of(task, workers)
+        except TaskError as error:  # recordings that nobody may ship are not everywhere
+            yield "dataset", str(error)
+            return
+        _keep_record(task, data, out)
+        for key in self.part.rows:
+            if not self.current(key):
+                path, began = MADE / self.name / f"{key}.json", sum(os.times()[:4])
+                (made,) = evaluate_all(task, {path: self.choice(key)}, dataset=data, workers=workers, progress=progress)
+                if made.failure is None:
+                    (row,) = collect(task, [path], shipped=False).rows
+                    ship({Path(self.name, path.name): (row.admitted(), "", sum(os.times()[:4]) - began)}, out)
+                yield key, str(made.failure or "")
+        if "audit" in left and all(map(self.current, self.part.rows)):
+            folders = [self._on(seed, workers, progress) for seed in SEEDS] if self.part.fresh else []
+            found = audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
+            found.ship(out / "audits" / f"{self.name}.json", task.sha256, self.audited())
+            yield "audit", ""
+        yield from self.studies.release(list(self.part.studies), out, workers, progress)
+
+    def _on(self, seed: int, workers: int, progress: Progress) -> Path:
+        """Rows on objects of another seed, for the audit: their folder."""
+        task = self.task.on(f"seed-{seed}")
+        rows = {MADE / task.name / f"{key}.json": self.choice(key) for key in self.part.fresh if key != "dataset"}
+        for made in evaluate_all(task, rows, dataset=dataset_of(task, workers), workers=workers, progress=progress):
+            if made.failure is not None:
+                raise made.failure
+        return MADE / task.name
+
+
+def _keep_record(task: Task, data: Dataset, out: Path) -> None:
+    """Write the record of a task's data if there is none of it, and remove the rows of other data."""
+    record = fingerprint.shipped_record(task)
+    if record is not None and record.dataset_sha256 == data.sha256:
+        return
+    new = fingerprint.make_record(task, data)
+    if record is not None and not differences(new, record):  # the same data, made on a machine that rounds otherwise
+        return
+    fingerprint.save_record(msgspec.structs.replace(new, again=record.again if record is not None else 0.0),
+                            fingerprint.record_path(task))
+    for path in [*(out / task.name).glob("*.json"), *(out / "studies" / task.name).glob("*.json")]:
+        path.unlink()
+    write_list([entry for entry in listed().values() if entry.task != task.name], out / LIST)
+
+
+def planned(only: str | None, studies: Studies) -> tuple[str, list[list[str]]]:
+    """What a release makes of a task, or of all, as a table with its CPU minutes and whether it is there, and for JSON.
 
     Raises:
         TaskError: there is no such task in the table, or it is damaged.
     """
-    rows = [[task, what, f"{minutes:g}"] for task, part in _asked(only).items() for what, minutes in {
-        "dataset": part.dataset, **part.rows, "audit": part.audit,
-        **{f"study {name}": minutes for name, minutes in part.studies.items()}}.items()]
-    hours = sum(float(row[2]) for row in rows) / 60.0
-    return f"{text_table(['task', 'what', 'CPU min'], rows)}\n{hours:.1f} CPU hours", rows
+    found = [(one.name, what, minutes, done) for one in _asked(only, studies)
+             for what, (minutes, done) in one.items().items()]
+    rows = [[task, what, f"{minutes:g}", "there" if done else "missing"] for task, what, minutes, done in found]
+    hours = [sum(minutes for *_, minutes, done in found if not (done and left)) / 60.0 for left in (False, True)]
+    table = text_table(["task", "what", "CPU min", "state"], rows)
+    return f"{table}\n{hours[0]:.1f} CPU hours, of which {hours[1]:.1f} are missing", rows
 
 
-def release(only: str | None, workers: int, progress: Progress, studies: Studies, audit: Callable[..., Any]
-            ) -> tuple[str, list[str]]:
-    """Make and ship what a release makes of a task, or of all.
+def release(only: str | None, workers: int, progress: Progress, studies: Studies) -> tuple[str, list[str]]:
+    """Make and ship what a release makes of a task, or of all, and is not there.
 
     Args:
         only: name of the task, None for all. workers: trainings and trials at a time. progress: as of
-        `vsfsim.bench.evaluate.evaluate`. studies: makes and ships those of some names. audit:
-        `vsfsim.bench.commands.audit.audit`.
+        `vsfsim.bench.evaluate.evaluate`. studies: makes and ships those of some names.
 
     Returns:
-        The next step, to be printed, and what is there now.
+        The next step, to be printed, and what was made.
 
     Raises:
         TaskError: something could not be made, and the rest is there; or the code here names no commit.
@@ -64,46 +187,16 @@ def release(only: str | None, workers: int, progress: Progress, studies: Studies
     if commit() is None:
         raise TaskError(f"The code here names no commit, which every row that ships has. Set {VARIABLE} to what "
                         f"`python -m vsfsim.data.provenance` prints in the checkout that it was copied from.")
-    out = shelf.checkout() / "leaderboard"
-    found = {f"{name}, {what}": message for name, part in _asked(only).items()
-             for what, message in _make(name, part, out, workers, progress, studies, audit)}
+    found = {f"{one.name}, {what}": message for one in _asked(only, studies)
+             for what, message in one.make(workers, progress)}
     if any(found.values()):
         raise TaskError("\n\n".join(f"{what}: {message}" for what, message in found.items() if message))
     return "python docs/make_measured.py results   # writes the pages' tables", list(found)
 
 
-def _asked(only: str | None) -> dict[str, Part]:
-    return plan() if only is None else {one_of(only, plan(), "--only"): plan()[only]}
-
-
-def _make(name: str, part: Part, out: Path, workers: int, progress: Progress, studies: Studies,
-          audit: Callable[..., Any]) -> Iterator[tuple[str, str]]:
-    """What is there now of a task, and "" or why it could not be made."""
-    task, known, seconds = load_task(name), list[Path](), dict[str, float]()
-    try:
-        data = dataset_of(task, workers)
-    except TaskError as error:  # recordings that nobody may ship are not everywhere
-        yield "dataset", str(error)
-        return
-    record = fingerprint.shipped_record(task)
-    if record is None or record.dataset_sha256 != data.sha256:  # the rows stand on the data of this machine
-        new, again = fingerprint.make_record(task, data), record.again if record is not None else 0.0
-        fingerprint.save_record(msgspec.structs.replace(new, again=again), fingerprint.record_path(task))
-    for key in part.rows:
-        method, _, settings = key.partition(".")
-        row = preset(method, settings, task.observation.name, task.metric.answer.value) if settings else (
-            Choice(method, "", {}))
-        path, began = MADE / name / f"{key}.json", sum(os.times()[:4])
-        (made,) = evaluate_all(task, {path: row}, dataset=data, workers=workers, progress=progress)
-        known += [path] * (made.failure is None)
-        seconds[path.name] = sum(os.times()[:4]) - began
-        yield key, str(made.failure or "")
-    ship({Path(name, row.path.name): (row.admitted(), "", seconds[row.path.name])
-          for row in collect(task, known, shipped=False).rows}, out)
-    if part.audit:
-        audit(task, known, progress=progress).ship(out / "audits" / f"{name}.json", task.sha256)
-        yield "audit", ""
-    yield from studies(list(part.studies), out, workers, progress)
+def _asked(only: str | None, studies: Studies) -> list[Whole]:
+    known = plan()
+    return [Whole(name, known[name], studies) for name in (known if only is None else [one_of(only, known, "--only")])]
 
 
 def dataset_of(task: Task, workers: int) -> Dataset:

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
 from vsfsim.bench.board.templates import filled
-from vsfsim.bench.identity import contents_of
+from vsfsim.bench.identity import SCORER, changed
 from vsfsim.bench.leaderboard import Row, collect, score_table
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import OTHERS, Task, load_task, retired
@@ -101,6 +101,5 @@ def _other_source(result: Result) -> str:
         return "the result does not say of which source it is; evaluate again"
     if result.method not in methods():
         return f"'{result.method}' is not installed here, so that its source cannot be compared; submit where it is"
-    here = contents_of(result.method, result.parameters, opened=result.contents)
-    odd = [key for key, value in result.contents.items() if key != "the harness" and here.get(key) != value]
+    odd = [key for key in changed(result.method, result.parameters, result.contents) if key != SCORER]
     return f"{' and '.join(odd)} changed since; evaluate again" if odd else ""
