@@ -41,7 +41,7 @@ def leaderboard(task: str) -> str:
     board = BOARDS[task] = BOARDS.get(task) or collect(load_task(task))
     title = next(line for line in markdown(board).splitlines() if "mean ± st" in line)
     said = [line for line in footnotes(board, escaped)
-            if line.startswith(("gap closed: ", "rank corr.: ", "no row of "))]
+            if line.startswith(("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
     title += "." * bool(said) + "".join(f" {line[0].upper()}{line[1:]}." for line in said)
     ceilings = dict.fromkeys(row.result.method for row in board.rows if row.mark == CEILING)
     title += f" \\* Not ranked ({', '.join(ceilings)}): {CEILING}." if ceilings else ""
@@ -102,12 +102,10 @@ def audits() -> str:
         cells = [f"{value:.2f} ({name.rpartition('-v1-')[2]}, {rows} rows)" for name, rows, value in found]
         return ", ".join(cells) or NOT
 
-    head = ["task", "rows", "best row", "neighbours told apart", "least difference told",
+    head = ["task", "rows", "best row", "neighbours that differ", "least difference told",
             *(f"sees only: {kind}" if kind != "constant" else "sees nothing" for kind in KINDS), "over-fit"]
     table = []
     for task in map(load_task, tasks()):
-        if not task.protocol.folds or task.metric.higher_is_better:
-            continue
         found = audit(task, [], measure=False)
         shortcut = {s.sees: f"{s.mean:.3f} ± {s.error:.3f}" for s in found.shortcuts}
         pairs = found.rows - 1

@@ -30,7 +30,10 @@ ALL = "all"
 DEVELOPMENT = "development"
 """The name of a task on its development objects ends in it."""
 
-OTHERS = re.compile(r"(.+)-(development|seed-\d+)")
+SEALED = "sealed"
+"""The same of a task on objects of a seed that only their keeper knows (`vsfsim.bench.predictions.seal`)."""
+
+OTHERS = re.compile(r"(.+)-(development|seed-\d+|sealed)")
 """Name of a task on other objects than its own (`Task.on`)."""
 
 _NOT_COUNTED = re.compile(r'(?m)^unresolved *= *"scored".*\n')
@@ -174,11 +177,16 @@ class Task:
         """The same questions on other objects, as a task of its own: its results are no rows of this one.
 
         Args:
-            objects: "development"; or "seed-N", as many objects of the recipe's seed N.
+            objects: "development"; "seed-N", as many objects of the recipe's seed N; or "sealed", any number of objects
+            of any seed, which its text does not tell.
 
         Raises:
-            TaskError: it is neither; the seed is one of the task's own, or the task names no development objects.
+            TaskError: it is none of these; the seed is one of the task's own, or the task names no development objects.
         """
+        text = {"name": f"{self.name}-{objects}", "sha256": text_sha256(f"{self.sha256}-{objects}")}
+        if objects == SEALED:
+            return replace(self, dataset=replace(self.dataset, folder=f"{self.dataset.folder}-{SEALED}", sha256=""),
+                           description=f"{self.description} On sealed objects.", development=None, **text)
         seed = re.fullmatch(r"seed-(\d{1,18})", objects)
         if objects != DEVELOPMENT and seed is None:
             raise TaskError(f"on is '{objects}'. {did_you_mean(objects, (DEVELOPMENT,))} Or give seed-N, for "
@@ -193,9 +201,8 @@ class Task:
         if wanted is None:
             raise TaskError(f"task {self.name} names no development objects ([dataset] development in its file). Give "
                             f"seed-N, for other objects of seed N.")
-        return replace(self, name=f"{self.name}-{objects}", dataset=wanted, development=None,
-                       description=f"{self.description} On {objects} objects; never ranked.",
-                       sha256=text_sha256(f"{self.sha256}-{objects}"))
+        return replace(self, dataset=wanted, development=None,
+                       description=f"{self.description} On {objects} objects; never ranked.", **text)
 
 
 def retired() -> dict[str, Any]:
@@ -206,8 +213,8 @@ def retired() -> dict[str, Any]:
 
 
 def load_task(given: str | Path) -> Task:
-    """The task of this name, or in this TOML file. TASK-development and TASK-seed-N are TASK on other objects
-    (`Task.on`).
+    """The task of this name, or in this TOML file. TASK-development, TASK-seed-N and TASK-sealed are TASK on other
+    objects (`Task.on`).
 
     Raises:
         TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range; of a
@@ -277,8 +284,8 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         if (place / "dataset.json").exists():
             raise
         raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(place)}\n") from error
-    asked = {key: value for key, value in asdict(task.dataset).items()
-             if key not in ("folder", "recorded") and value not in ("", "auto")}
+    free = ("folder", "recorded", *(("seed", "objects") if task.name.endswith(f"-{SEALED}") else ()))
+    asked = {key: value for key, value in asdict(task.dataset).items() if key not in free and value not in ("", "auto")}
     # a recipe names the tier that was chosen, never "auto"
     there = {key: dataset.sha256 if key == "sha256" else getattr(dataset.recipe, key) for key in asked}
     wrong = [f"{_SAID.get(key, key)} is {there[key]!r}, not {value!r}" for key, value in asked.items()
