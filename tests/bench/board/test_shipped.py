@@ -5,16 +5,21 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
 from vsfsim.bench import leaderboard
+from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.rows import row_sha256
+from vsfsim.bench.commands import release
+from vsfsim.bench.commands.release import SEEDS
+from vsfsim.bench.evaluate import Made, evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
 from vsfsim.bench.result import Result
@@ -77,6 +82,96 @@ def test_every_living_board_has_ceilings_and_simple_rows_or_says_why_not(board):
         assert wanted <= planned | set(said), task.name
     assert "no row of fem-map, fem-map-seen: 0.7 and 1.7 CPU hours" in leaderboard.text(board)
     assert "lab release --only bag-punyo-v1" in leaderboard.text(leaderboard.collect(load_task("bag-punyo-v1")))
+
+
+def test_a_release_costs_at_most_a_day_and_audits_every_task():
+    """By its table; audits on three fresh seeds are of rows of the board."""
+    parts = rows.plan()
+    minutes = [part.dataset + part.audit + sum(part.rows.values()) + sum(part.studies.values())
+               + len(SEEDS) * sum(part.fresh.values()) for part in parts.values()]
+    assert sum(minutes) <= 24 * 60 and all(part.audit > 0.0 for part in parts.values())
+    assert any(len(part.fresh.keys() - {"dataset"}) >= 6 for part in parts.values())
+    assert all(part.fresh.keys() - {"dataset"} <= part.rows.keys() for part in parts.values())
+
+
+def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset, tmp_path, monkeypatch):
+    """What ships is kept where no result lies: a row by the digests of its task, data, method and scorer, an audit by
+    those of its rows. The second machine makes the row that is missing, and after a change all."""
+    part = rows.Part(1.0, {"contact-points.tuned": 2.0, "resim": 3.0}, audit=4.0, studies={"toy": 5.0})
+    lacking, made = ["half"], []
+    papers = SimpleNamespace(missing=lambda name: lacking, release=lambda names, *_: made.append(names) or iter(()))
+    elsewhere(monkeypatch, tmp_path)
+    monkeypatch.setattr(release, "plan", lambda: {"toy-v1": part})
+    monkeypatch.setattr(release, "load_task", lambda _: task)
+    monkeypatch.setattr(release, "dataset_of", lambda *_: toy_dataset)
+    monkeypatch.setattr(release.audit, "_shortcuts", lambda *_: {"view": {"mock-0001": 0.5}})
+    monkeypatch.setattr(release, "commit", lambda: "a" * 40)
+    asked = []
+
+    def evaluate_all(one, choices, **_):
+        ((path, choice),) = choices.items()
+        asked.append(path.stem)
+        result = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+        if choice.method == "resim":
+            result = dataclasses.replace(result, method="resim", entry=ceilings()["resim"].value, preset="",
+                                         parameters={}, contents=contents_of("resim", {}))
+        result.save(path)
+        yield Made(path, result)
+
+    monkeypatch.setattr(release, "evaluate_all", evaluate_all)
+
+    def state():
+        return {what: how for _, what, _, how in release.planned(None, papers)[1]}
+
+    assert set(state().values()) == {"missing"}
+    monkeypatch.chdir(make_folder(tmp_path / "one"))
+    release.release("toy-v1", 1, lambda *_: None, papers)
+    assert asked == ["contact-points.tuned", "resim"] and made == [["toy"]]
+    assert {what for what, how in state().items() if how == "missing"} == {"dataset", "study toy"}
+    lacking.clear()
+    assert release.planned(None, papers)[0].endswith("0.2 CPU hours, of which 0.0 are missing")
+    (tmp_path / "leaderboard" / "toy-v1" / "resim.json").unlink()
+    monkeypatch.chdir(make_folder(tmp_path / "two"))
+    assert {what for what, how in state().items() if how == "missing"} == {"dataset", "resim", "audit"}
+    release.release("toy-v1", 1, lambda *_: None, papers)
+    assert asked[2:] == ["resim"] and set(state().values()) == {"there"}
+    release.release("toy-v1", 1, lambda *_: None, papers)
+    assert len(asked) == 3, "nothing is made twice"
+    monkeypatch.setattr(release, "changed", lambda name, *_: ["the method"] * (name == "contact-points"))
+    assert [what for what, how in state().items() if how == "missing"] == ["dataset", "contact-points.tuned", "audit"]
+
+
+def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_path, monkeypatch, write_dataset,
+                                                      toy_views):
+    """Those of a machine that rounds otherwise do not: the record stays."""
+    elsewhere(monkeypatch, tmp_path)
+    out = tmp_path / "leaderboard"
+    result = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
+    release._keep_record(task, toy_dataset, out)
+    leaderboard.ship({Path("toy-v1", "contact-points.tuned.json"): (result, "", 1.0)}, out)
+    rounded = [dataclasses.replace(view, touches=tuple(dataclasses.replace(t, force=t.force * (1.0 + 1e-7))
+                                                       for t in view.touches)) for view in toy_views]
+    release._keep_record(task, write_dataset(rounded), out)
+    assert len(rows.listed()) == 1 and shipped_record(task).dataset_sha256 == toy_dataset.sha256
+    others = [dataclasses.replace(view, touches=tuple(dataclasses.replace(t, force=t.force * 1.5)
+                                                      for t in view.touches)) for view in toy_views]
+    other = write_dataset(others)
+    release._keep_record(task, other, out)
+    assert not rows.listed() and not list(out.glob("toy-v1/*")) and shipped_record(task).dataset_sha256 == other.sha256
+
+
+def elsewhere(monkeypatch, root):
+    """Rows and records that ship are in a folder of the test's own."""
+    known = shelf.folder
+    for module in (release.shelf, leaderboard, rows, fingerprint):
+        monkeypatch.setattr(module, "folder", lambda what: root / what if what in ("leaderboard", "tasks") else known(
+            what))
+    monkeypatch.setattr(release.shelf, "checkout", lambda: root)
+
+
+def make_folder(path):
+    path.mkdir()
+    return path
 
 
 def test_a_release_says_what_it_makes(vsfsim, tmp_path):
