@@ -51,7 +51,7 @@ HEAVY = {
     "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
                    "newton", "embreex", "open3d", "OpenGL", "pyrender"},
     "references": {"numpy", "scipy", "torch", "timm", "skfem"},
-    "bench": {"numpy", "h5py", "msgspec", "jinja2", "markupsafe"},
+    "bench": {"numpy", "scipy", "h5py", "msgspec", "jinja2", "markupsafe"},
     "active": {"numpy", "gymnasium"},
     "papers": {"numpy", "scipy", "typer"},
     "baselines": {"numpy", "scipy", "torch"},

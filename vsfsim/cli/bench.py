@@ -302,6 +302,7 @@ def release(only: KnownTask = None, dry: Annotated[bool, typer.Option("--dry-run
         dry: Print what is there and what is missing, with CPU minutes.
         workers: Trainings and trials at the same time.
     """
+    from vsfsim.bench.commands import audit as audits
     from vsfsim.bench.commands import release as module
     from vsfsim.core import shelf
 
@@ -309,7 +310,8 @@ def release(only: KnownTask = None, dry: Annotated[bool, typer.Option("--dry-run
     from papers import results
 
     with Progress("release") as progress:
-        text, found = module.planned(only, results) if dry else module.release(only, workers, progress, results)
+        text, found = module.planned(only, results, audits) if dry else module.release(
+            only, workers, progress, results, audits)
     report(text, found, json)
 
 

@@ -17,7 +17,7 @@ from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.rows import row_sha256
-from vsfsim.bench.commands import release
+from vsfsim.bench.commands import audit, release
 from vsfsim.bench.commands.release import SEEDS
 from vsfsim.bench.evaluate import Made, evaluate
 from vsfsim.bench.identity import contents_of
@@ -104,7 +104,7 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "plan", lambda: {"toy-v1": part})
     monkeypatch.setattr(release, "load_task", lambda _: task)
     monkeypatch.setattr(release, "dataset_of", lambda *_: toy_dataset)
-    monkeypatch.setattr(release.audit, "_shortcuts", lambda *_: {"view": {"mock-0001": 0.5}})
+    monkeypatch.setattr(audit, "_shortcuts", lambda *_: {"view": {"mock-0001": 0.5}})
     monkeypatch.setattr(release, "commit", lambda: "a" * 40)
     asked = []
 
@@ -121,21 +121,21 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "evaluate_all", evaluate_all)
 
     def state():
-        return {what: how for _, what, _, how in release.planned(None, papers)[1]}
+        return {what: how for _, what, _, how in release.planned(None, papers, audit)[1]}
 
     assert set(state().values()) == {"missing"}
     monkeypatch.chdir(make_folder(tmp_path / "one"))
-    release.release("toy-v1", 1, lambda *_: None, papers)
+    release.release("toy-v1", 1, lambda *_: None, papers, audit)
     assert asked == ["contact-points.tuned", "resim"] and made == [["toy"]]
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "study toy"}
     lacking.clear()
-    assert release.planned(None, papers)[0].endswith("0.2 CPU hours, of which 0.0 are missing")
+    assert release.planned(None, papers, audit)[0].endswith("0.2 CPU hours, of which 0.0 are missing")
     (tmp_path / "leaderboard" / "toy-v1" / "resim.json").unlink()
     monkeypatch.chdir(make_folder(tmp_path / "two"))
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "resim", "audit"}
-    release.release("toy-v1", 1, lambda *_: None, papers)
+    release.release("toy-v1", 1, lambda *_: None, papers, audit)
     assert asked[2:] == ["resim"] and set(state().values()) == {"there"}
-    release.release("toy-v1", 1, lambda *_: None, papers)
+    release.release("toy-v1", 1, lambda *_: None, papers, audit)
     assert len(asked) == 3, "nothing is made twice"
     monkeypatch.setattr(release, "changed", lambda name, *_: ["the method"] * (name == "contact-points"))
     assert [what for what, how in state().items() if how == "missing"] == ["dataset", "contact-points.tuned", "audit"]

@@ -3,6 +3,9 @@
 import dataclasses
 import hashlib
 import json
+import os
+import re
+import shlex
 from pathlib import Path
 
 import msgspec
@@ -12,6 +15,8 @@ import pytest
 from vsfsim.bench import leaderboard, predictions
 from vsfsim.bench.board import rows
 from vsfsim.bench.predictions import score_predictions
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import load_task
 from vsfsim.core.errors import TaskError
 
 
@@ -107,3 +112,44 @@ def test_what_was_changed_is_refused(parts, task, toy_dataset, tmp_path):
         predictions.seal(task, toy_dataset, public, tmp_path / "new.json")
     with pytest.raises(TaskError, match="would lie in the public folder"):
         predictions.seal(task, toy_dataset, tmp_path / "new", tmp_path / "new" / "private.json")
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "methods.md").read_text().split("## A sealed round")[1].split("\n## ")[0]
+
+
+def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("round").mkdir()
+    Path("toy-v1.toml").write_text(task_text)
+    Path("data").mkdir()
+    for place in (Path("data/toy"), Path("round/data")):
+        place.symlink_to(toy_dataset.path)
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
+    blocks = re.findall(r"```(bash|python)\n(.*?)```", PAGE.replace("fewshot-shoes-v3-v1", "toy-v1.toml"), re.DOTALL)
+    assert [kind for kind, _ in blocks] == ["bash", "python", "bash"]
+    said = []
+    for kind, block in blocks:
+        if kind == "python":
+            exec(compile(block, "docs/methods.md", "exec"), {})
+            continue
+        for line in block.splitlines():
+            words = shlex.split(line)
+            if words[1] != "generate":  # the data are there, and not of a secret seed
+                found = vsfsim(*words[1:], cwd=tmp_path)
+                assert found.returncode == 0, found.stderr
+                said.append(found.stdout)
+    commitment = re.search(r"commitment to publish: (\w{64})", said[0])[1]
+    assert "a seed with 12 digits or more" in said[0] and f"commitment: {commitment}" in said[1]
+    assert re.search(r"receipt: \w{64}", said[1])
+    row = Result.load(next(Path("results").rglob("mine.json")))
+    assert row.task == "toy-v1-sealed" and 0.0 < row.scores["rmse_ratio"]["5"].mean < 1.0
+    public = b"".join(path.read_bytes() for path in Path("round/public").iterdir())
+    assert row.dataset_sha256.encode() not in public and os.environ["VSFSIM_DATASETS"].encode() not in public
+
+
+def test_a_sealed_task_tells_no_seed():
+    """Neither its digest nor its data depend on it."""
+    task = load_task("fewshot-shoes-v3-mini-v1")
+    sealed = task.on("sealed")
+    assert sealed.name == "fewshot-shoes-v3-mini-v1-sealed" == load_task(sealed.name).name
+    assert load_task(sealed.name).sha256 == sealed.sha256 != task.sha256 and sealed.protocol == task.protocol

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from vsfsim.bench.metrics import METRICS, object_of, object_ratios
 from vsfsim.bench.task import ALL, Task
@@ -54,12 +54,12 @@ class Paired:
             return 1.0
         if self.error == 0.0:
             return float(self.mean == against)
-        return float(2.0 * stats.t.sf(abs(self.mean - against) / self.error, self.freedom))
+        return float(2.0 * special.stdtr(self.freedom, -abs(self.mean - against) / self.error))
 
     @property
     def half_width(self) -> float:
         """Of the interval that has the mean with 95 %."""
-        return float(stats.t.ppf(1.0 - 0.5 * LEVEL, self.freedom)) * self.error
+        return float(special.stdtrit(self.freedom, 1.0 - 0.5 * LEVEL)) * self.error
 
     @property
     def told_apart(self) -> bool:

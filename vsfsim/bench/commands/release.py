@@ -16,14 +16,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.admission.admit import differences
 from vsfsim.bench.board.rows import Part, listed, plan, row_sha256, write_list
-from vsfsim.bench.commands import audit
 from vsfsim.bench.commands.catalogue import Choice, preset
 from vsfsim.bench.evaluate import evaluate_all
 from vsfsim.bench.identity import changed, method_sha256
@@ -62,6 +61,8 @@ class Whole:
     """Of the plan."""
     studies: Studies
     """Makes the studies."""
+    audit: Any
+    """The module `vsfsim.bench.commands.audit`, which stands above this one."""
 
     @property
     def task(self) -> Task:
@@ -90,7 +91,7 @@ class Whole:
     def audited(self) -> str:
         """Digest of what an audit is made of: the dataset, the shortcuts and the rows, of the fresh seeds by name."""
         record = fingerprint.shipped_record(self.task)
-        of = [self.task.sha256, record.dataset_sha256 if record is not None else "", method_sha256(audit.METHOD),
+        of = [self.task.sha256, record.dataset_sha256 if record is not None else "", method_sha256(self.audit.METHOD),
               *map(self.current, self.part.rows), *self.part.fresh, *map(str, SEEDS)]
         return hashlib.sha256(" ".join(of).encode()).hexdigest()
 
@@ -98,7 +99,7 @@ class Whole:
         """CPU minutes of everything, and whether it is there."""
         there = {key: (minutes, bool(self.current(key))) for key, minutes in self.part.rows.items()}
         if self.part.audit:
-            done = audit.shipped(self.task).of == self.audited() and all(done for _, done in there.values())
+            done = self.audit.shipped(self.task).of == self.audited() and all(done for _, done in there.values())
             there["audit"] = (self.part.audit + len(SEEDS) * sum(self.part.fresh.values()), done)
         there |= {f"study {name}": (minutes, not self.studies.missing(name))
                   for name, minutes in self.part.studies.items()}
@@ -127,7 +128,7 @@ class Whole:
                 yield key, str(made.failure or "")
         if "audit" in left and all(map(self.current, self.part.rows)):
             folders = [self._on(seed, workers, progress) for seed in SEEDS] if self.part.fresh else []
-            found = audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
+            found = self.audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
             found.ship(out / "audits" / f"{self.name}.json", task.sha256, self.audited())
             yield "audit", ""
         yield from self.studies.release(list(self.part.studies), out, workers, progress)
@@ -157,13 +158,13 @@ def _keep_record(task: Task, data: Dataset, out: Path) -> None:
     write_list([entry for entry in listed().values() if entry.task != task.name], out / LIST)
 
 
-def planned(only: str | None, studies: Studies) -> tuple[str, list[list[str]]]:
+def planned(only: str | None, studies: Studies, audit: Any) -> tuple[str, list[list[str]]]:
     """What a release makes of a task, or of all, as a table with its CPU minutes and whether it is there, and for JSON.
 
     Raises:
         TaskError: there is no such task in the table, or it is damaged.
     """
-    found = [(one.name, what, minutes, done) for one in _asked(only, studies)
+    found = [(one.name, what, minutes, done) for one in _asked(only, studies, audit)
              for what, (minutes, done) in one.items().items()]
     rows = [[task, what, f"{minutes:g}", "there" if done else "missing"] for task, what, minutes, done in found]
     hours = [sum(minutes for *_, minutes, done in found if not (done and left)) / 60.0 for left in (False, True)]
@@ -171,12 +172,13 @@ def planned(only: str | None, studies: Studies) -> tuple[str, list[list[str]]]:
     return f"{table}\n{hours[0]:.1f} CPU hours, of which {hours[1]:.1f} are missing", rows
 
 
-def release(only: str | None, workers: int, progress: Progress, studies: Studies) -> tuple[str, list[str]]:
+def release(only: str | None, workers: int, progress: Progress, studies: Studies, audit: Any
+            ) -> tuple[str, list[str]]:
     """Make and ship what a release makes of a task, or of all, and is not there.
 
     Args:
         only: name of the task, None for all. workers: trainings and trials at a time. progress: as of
-        `vsfsim.bench.evaluate.evaluate`. studies: makes and ships those of some names.
+        `vsfsim.bench.evaluate.evaluate`. studies, audit: as of `Whole`.
 
     Returns:
         The next step, to be printed, and what was made.
@@ -187,16 +189,17 @@ def release(only: str | None, workers: int, progress: Progress, studies: Studies
     if commit() is None:
         raise TaskError(f"The code here names no commit, which every row that ships has. Set {VARIABLE} to what "
                         f"`python -m vsfsim.data.provenance` prints in the checkout that it was copied from.")
-    found = {f"{one.name}, {what}": message for one in _asked(only, studies)
+    found = {f"{one.name}, {what}": message for one in _asked(only, studies, audit)
              for what, message in one.make(workers, progress)}
     if any(found.values()):
         raise TaskError("\n\n".join(f"{what}: {message}" for what, message in found.items() if message))
     return "python docs/make_measured.py results   # writes the pages' tables", list(found)
 
 
-def _asked(only: str | None, studies: Studies) -> list[Whole]:
+def _asked(only: str | None, studies: Studies, audit: Any) -> list[Whole]:
     known = plan()
-    return [Whole(name, known[name], studies) for name in (known if only is None else [one_of(only, known, "--only")])]
+    return [Whole(name, known[name], studies, audit)
+            for name in (known if only is None else [one_of(only, known, "--only")])]
 
 
 def dataset_of(task: Task, workers: int) -> Dataset:
