@@ -19,7 +19,9 @@ PICTURES = {
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
     "hidden": [["generate", str(FOLDER / "hidden.toml"), "--out", "DATASET"],
-               ["show", "DATASET", "--method", "fem-map-seen", "--set", "reach=0.02", "--out", "GIF"]],
+               ["show", "DATASET", "--method", "fem-map-seen", "--out", "GIF", *(
+                   word for one in ("reach=0.02", "floor=0.02", "share=0.05", "objects=3", "presses=6")
+                   for word in ("--set", one))]],
     "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
     "accuracy": [["lab", "tradeoff", "foam-block", "--touches", "2", "--picture", "OUT"]],  # of tradeoff/foam-block
     "contact-sheet": [["generate", "shoes-v3-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",

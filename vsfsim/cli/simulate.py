@@ -23,6 +23,7 @@ from vsfsim.cli.options import (
     Picture,
     SceneName,
     Seed,
+    Shown,
     command,
 )
 from vsfsim.core.errors import Interrupted, Terminated, one_of
@@ -32,7 +33,7 @@ app = typer.Typer()
 
 
 @command(app, asks=("tier", "device", "seed", "limit"))
-def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Picture = None, picture: Picture = None,
+def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Picture = None, picture: Shown = None,
           gif: GifFile = None, save: ArchiveFile = None,
           refine: Annotated[int | None, typer.Option(min=3, max=6)] = None) -> None:
     """Press a probe into an object: force against depth, and whether it can be trusted.
@@ -42,7 +43,7 @@ def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Pictu
 
     Args:
         plot: Write a plot of force against depth.
-        picture: Write a picture of the deformed body at full depth.
+        picture: Write a picture of the deformed body at full depth (.png), or a page of all frames (.html).
         gif: Write the deformed body frame by frame (.gif).
         save: Write mesh, displacements and contact forces of every frame (.npz).
         refine (MESHES): Press 3 to 6 finer and finer meshes: observed order of convergence, extrapolated force and its
@@ -59,7 +60,11 @@ def press(scene: SceneName, request: Request, json: JsonFile = None, plot: Pictu
         words = [made.text()]
         for what, path, write in (("plot", plot, made.plot), ("picture", picture, made.picture),
                                   ("animation", gif, partial(made.gif, progress=progress)), ("saved", save, made.save)):
-            if path is not None:
+            if path is not None and path.suffix == ".html":
+                from vsfsim.view.command import of_one
+
+                of_one(path, made.scene, made.result)
+            elif path is not None:
                 write(path)
                 words.append(f"{what}: {path}")
     report("\n".join(words), made.table(), json)

@@ -21,6 +21,7 @@ from vsfsim.data.schema import FIELDS
 from vsfsim.generate.record import BALANCE
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.sensing.colours import Colours
+from vsfsim.sensing.cut import Elements
 from vsfsim.sensing.surface import Surface
 
 PICTURE = (640, 512)  # width and height of a view [px]
@@ -140,6 +141,8 @@ class PressResult:
     """The first columns of the printed table; empty for those of depth and force."""
     linear: bool = False
     """Whether the tier assumes small strain."""
+    body: tuple[Elements, np.ndarray, ProbeShape] | None = None
+    """The elements, their nodes' displacements (T, n, 3) [m], and what pressed them; None without elements."""
 
     force = property(lambda self: self.touch.force)
     """Contact force on the effector, in the world (T, 3) [N]."""

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 
@@ -15,7 +15,10 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.inspect import draw_scene, is_dataset
 from vsfsim.view.scored import of_result
-from vsfsim.view.subject import of_drawing, of_view
+from vsfsim.view.subject import of_drawing, of_press, of_view
+
+if TYPE_CHECKING:
+    from vsfsim.generate.press_result import PressResult
 
 
 def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
@@ -43,7 +46,11 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
     elif is_dataset(what):
         data = Dataset.open(what, progress=progress)
         title = f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}"
-        shown = [of_view(one) for one in data[:objects]]
+        shown = []
+        for one in data[:objects]:
+            if progress is not None:
+                progress(len(shown), min(len(data), objects), "object views")
+            shown.append(of_view(data, one))
         more = f" (of {len(data)}; --objects shows more)" if len(shown) < len(data) else ""
         words = f"{len(shown)} object views{more}"
     else:
@@ -54,6 +61,11 @@ def view(what: str, out: Path, *, objects: int = 12, seed: int = 0,
     write_atomic(out, content)
     return ([f"{title}: {words}", f"page: {out}, {len(content) / 1e6:.1f} MB; open it in a browser"],
             {"page": str(out), "title": title, "objects": [one["name"] for one in shown], "bytes": len(content)})
+
+
+def of_one(out: Path, scene: str, result: PressResult) -> None:
+    """Write the page of a press."""
+    write_atomic(out, page(f"{scene}: {result.model}", [of_press(scene, result)]))
 
 
 def page(title: str, objects: Sequence[dict[str, Any]], **about: Any) -> bytes:

@@ -4,7 +4,7 @@ const $ = id => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
 const STEPS = 65535, BARE = [150, 150, 155];             // colour of a body whose modulus is not known
 const state = {object: 0, touch: 0, frame: 0, axis: 1, cut: 1, yaw: 1, pitch: 0.5, zoom: 1, shift: [0, 0]};
-let balls, shown, playing = null;
+let painter, shown, playing = null;
 
 // ---- numbers out of the page -------------------------------------------------------------------------------------
 
@@ -26,7 +26,7 @@ const colour = name => getComputedStyle(document.documentElement).getPropertyVal
 
 // ---- choices -----------------------------------------------------------------------------------------------------
 
-function tints(column, count) {                          // colours of the balls, or grey
+function tints(column, count) {                          // colours of the cells, or grey
   const log = column && values(column), tint = new Float32Array(3 * count);
   for (let i = 0; i < count; i++) {
     const c = log ? mix(VIRIDIS, (log[i] - lowest) / Math.max(highest - lowest, 1e-6)) : BARE;
@@ -37,14 +37,16 @@ function tints(column, count) {                          // colours of the balls
 
 function chooseObject(k) {
   state.object = (k + data.objects.length) % data.objects.length;
-  const o = data.objects[state.object], place = values(o.points), radius = values(o.radius);
-  const tint = tints(o.log_modulus, radius.length), estimate = o.estimate && tints(o.estimate, radius.length);
-  const low = o.points.low, high = low.map((v, n) => v + o.points.span[n]), thick = Math.max(...radius);
-  shown = {o, low, high, thick, middle: low.map((v, n) => 0.5 * (v + high[n])),
-           reach: 0.5 * Math.hypot(...o.points.span) + thick, tint, estimate};
-  balls.load(place, radius, tint);
+  const o = data.objects[state.object], rest = values(o.points), cells = new Uint32Array(bytes(o.cells).buffer);
+  const count = cells.length / o.corners, low = o.points.low, high = low.map((v, n) => v + o.points.span[n]);
+  const body = {cells, corners: o.corners, surface: boundary(cells, o.corners, rest.length / 3)};
+  shown = {o, body, rest, low, high, middle: low.map((v, n) => 0.5 * (v + high[n])),
+           reach: 0.5 * Math.hypot(...o.points.span), tint: tints(o.log_modulus, count),
+           estimate: o.estimate && tints(o.estimate, count), frames: o.frames && o.frames.map(values)};
+  Object.assign(state, {axis: o.open.axis, cut: o.open.at === null ? 1
+    : (o.open.at - low[o.open.axis]) / o.points.span[o.open.axis]});  // opens cut through what is hidden
   $("object").value = state.object;
-  $("about").textContent = `${o.about}${o.regions.length ? `; parts: ${o.regions.join(", ")}` : ""}`;
+  $("about").textContent = o.about;
   $("touching").hidden = !o.touches.length;
   $("touch").replaceChildren(...o.touches.map((t, n) => new Option(`${t.number ?? n}${t.touched ? "" : ", no contact"}`, n)));
   $("pictures").hidden = !o.picture;
@@ -121,15 +123,18 @@ const along = (p, direction, length) => p.map((v, n) => v + length * direction[n
 
 function draw() {
   fitted($("body"));
-  const {low, high, thick, reach, o} = shown, view = camera(), pen = fitted($("marks")), a = state.axis;
-  const place = low[a] - thick + state.cut * (high[a] - low[a] + 2 * thick);
-  const cutting = state.cut < 1 ? {axis: a, place} : null, {width, height} = $("body");
+  const {low, high, reach, o} = shown, view = camera(), pen = fitted($("marks")), a = state.axis;
+  const place = low[a] + state.cut * (high[a] - low[a]), {width, height} = $("body");
+  const cutting = state.cut < 1 ? {axis: a, place} : null, at = shown.frames ? shown.frames[state.frame] : shown.rest;
+  const now = `${a} ${state.cut} ${state.frame}`;
+  if (shown.now !== now) {                                // turning needs no new triangles
+    shown.now = now;
+    shown.parts = [shown.tint, shown.estimate].map(tint => tint && drawn(shown.body, shown.rest, at, tint, cutting));
+  }
   if (shown.estimate) {                                  // the truth left, the estimate right, turned together
     const half = Math.floor(width / 2), d = devicePixelRatio, [right, up] = view.shift;
-    balls.tint(shown.estimate);
-    balls.draw({...view, shift: [right + width / 2, up]}, reach, cutting, {left: half, width: width - half});
-    balls.tint(shown.tint);
-    balls.draw(view, reach, cutting, {left: 0, width: half});
+    painter.draw(shown.parts[1], {...view, shift: [right + width / 2, up]}, reach, {left: half, width: width - half});
+    painter.draw(shown.parts[0], view, reach, {left: 0, width: half});
     line(pen, [[half, 0], [half, height]], colour("line"), 1);
     pen.fillStyle = colour("front");
     pen.font = `${13 * d}px system-ui`;
@@ -137,7 +142,7 @@ function draw() {
     pen.fillText("true", half - 12 * d, 20 * d);
     pen.textAlign = "left";
     pen.fillText("estimated", half + 12 * d, 20 * d);
-  } else balls.draw(view, reach, cutting, {left: 0, width});
+  } else painter.draw(shown.parts[0], view, reach, {left: 0, width});
   $("cut-at").textContent = state.cut < 1 ? `${"xyz"[a]} ≤ ${(1e3 * place).toFixed(1)} mm` : "whole";
   $("cut").value = 1000 * state.cut;
   $("axis").selectedIndex = a;
@@ -216,7 +221,7 @@ function axes(pen, view) {
 
 // ---- mouse, fingers and keys -------------------------------------------------------------------------------------
 
-const RESET = {yaw: state.yaw, pitch: state.pitch, zoom: 1, shift: [0, 0], cut: 1};
+const RESET = {yaw: state.yaw, pitch: state.pitch, zoom: 1, shift: [0, 0]};
 const fingers = new Map();
 let moved = 0;
 
@@ -270,7 +275,7 @@ function listen() {
       n: () => chooseObject(state.object + 1), p: () => chooseObject(state.object - 1),
       "[": () => cut(-0.02), "]": () => cut(0.02), a: () => turn(-0.1, 0), d: () => turn(0.1, 0),
       w: () => turn(0, 0.1), s: () => turn(0, -0.1), "+": () => zoom(1.1), "-": () => zoom(1 / 1.1),
-      r: () => { Object.assign(state, structuredClone(RESET)); draw(); },
+      r: () => { Object.assign(state, structuredClone(RESET)); chooseObject(state.object); },
       " ": () => e.target.tagName === "BUTTON" || play(),
     };
     for (const n of [0, 1, 2]) does["xyz"[n]] = () => { state.axis = n; draw(); };
@@ -306,7 +311,7 @@ function fromAddress() {
 $("title").textContent = data.title;
 $("object").replaceChildren(...data.objects.map((o, k) => new Option(o.name, k)));
 try {
-  balls = new Balls($("body"));
+  painter = new Painter($("body"));
   legend();
   chooseObject(0);
   fromAddress();

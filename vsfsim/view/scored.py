@@ -13,7 +13,7 @@ from vsfsim.bench.result_file import MAP_ORIGIN, MAP_STEP
 from vsfsim.bench.task import load_task
 from vsfsim.core.errors import DatasetError, TaskError
 from vsfsim.data.dataset import Dataset
-from vsfsim.view.subject import of_body, of_view, quantised
+from vsfsim.view.subject import of_view, of_visible, picture_table, touch_table
 
 _FLOOR = 1e-2  # an estimate is shown down to this share of the smallest true stiffness of its object
 
@@ -30,21 +30,19 @@ def of_result(path: Path, objects: int, progress: Callable[[int, int, str], None
     """
     result = Result.load(path)
     dataset, maps = _dataset(result), _maps(result)
-    names = sorted({*(result.queries.get("object", ()) if dataset else ()), *maps})
-    if not names:
-        raise TaskError(f"{path}: there is nothing to show. It holds no estimate of the stiffness, "
-                        f"and the dataset of {result.task} is not on this machine. Set "
+    if dataset is None:
+        raise TaskError(f"{path}: the dataset of {result.task}, whose objects are shown, is not on this machine. Set "
                         "$VSFSIM_DATASETS to the folder that has it.")
+    names = sorted({*result.queries.get("object", ()), *maps})
     shown = []
     for number, name in enumerate(names[:objects]):
         shown.append(_object(name, dataset, maps.get(name)))
         if progress is not None:
             progress(number + 1, min(len(names), objects), "object views")
-    parts = ["true and estimated stiffness" if maps else "no estimate of the stiffness",
-             *([] if dataset else ["no touches, because the dataset is not on this machine"])]
+    told = "true and estimated stiffness" if maps else "no estimate of the stiffness"
     about: dict[str, Any] = {"map": ["stiffness under a small cone", "N/m"]} if maps else {}
     return (f"{result.method} on {result.task}",
-            f"{len(shown)} of {len(names)} object views: {', '.join(parts)}", shown, about)
+            f"{len(shown)} of {len(names)} object views: {told}", shown, about)
 
 
 def _dataset(result: Result) -> Dataset | None:
@@ -74,10 +72,11 @@ def _maps(result: Result) -> dict[str, np.ndarray]:
     return out
 
 
-def _object(name: str, dataset: Dataset | None, found: np.ndarray | None) -> dict[str, Any]:
-    one = of_view(dataset.load(name)) if dataset is not None else {"name": name, "touches": [], "picture": None}
-    if found is not None:
-        one |= of_body(found[:, :3], found[:, 3], np.zeros(len(found), int))
-        one |= {"estimate": quantised(np.log10(found[:, 4:])),
-                "about": f"{len(found)} probed places; the estimate is scaled by one factor"}
-    return one
+def _object(name: str, dataset: Dataset, found: np.ndarray | None) -> dict[str, Any]:
+    shown = dataset.load(name)
+    if found is None:
+        return of_view(dataset, shown)
+    truth, estimate = (of_visible(shown.view, found[:, k], found[:, :3]) for k in (3, 4))
+    return {"name": name, "touches": [touch_table(touch, shown.probe_of(touch)) for touch in shown.touches],
+            "picture": picture_table(shown.view), **truth, "estimate": estimate["log_modulus"],
+            "about": f"the visible surface by the nearest of {len(found)} probed places; estimate scaled by one factor"}

@@ -10,88 +10,113 @@ import base64
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import cKDTree
 
 from vsfsim.bench.board.templates import png_uri
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import ProbeShape, Sphere
-from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.records import ObjectView, Touch, View
+from vsfsim.generate.inspect import draw_view
+from vsfsim.sensing.cut import Elements, facing
 
 if TYPE_CHECKING:
     from vsfsim.generate.effector import Drawing
+    from vsfsim.generate.press_result import PressResult
 
-FILLS = 0.9
-"""Radius of an element's ball over the mean distance of its four nearest neighbours: balls of tetrahedra then overlap,
-and no gap shows in a cut."""
-BEAD = 0.5
-"""Distance of the balls along a plant's segment over their radius."""
-MOST_BEADS = 40
-"""Balls of one segment."""
-CLOUD = 20000
-"""Points of the visible cloud, which stands for an object whose truth is withheld."""
+_SAME = 1e-6  # between a dataset's elements and those that are built again [m]
+_JUMP = 0.02  # in depth between neighbouring pixels that lie on two surfaces [m]
+
 STEPS = 65535
 """The largest number of 16 bits: a length is kept to the span of its column over this."""
 
 
-def of_view(shown: ObjectView) -> dict[str, Any]:
-    """An object of a dataset: its truth as balls (or the visible cloud where it is withheld), touches and picture."""
-    truth, cloud = shown.truth, shown.view.points()
-    if truth is not None and len(truth.points):
-        body = of_truth(truth)
-    else:
-        some = cloud[::max(1, -(-len(cloud) // CLOUD))]
-        body = of_body(some, None, np.zeros(len(some), int))
-    return {"name": shown.name, "about": f"{shown.split}, {len(shown.touches)} touches", **body,
-            "touches": [_touch(touch, shown.probe_of(touch)) for touch in shown.touches],
-            "picture": _picture(shown.view)}
+def of_view(data: Dataset, shown: ObjectView) -> dict[str, Any]:
+    """An object of a dataset: its elements, built again from the recipe (the visible surface where its truth is
+    withheld or it cannot be built), touches and picture."""
+    told, drawing = f"{shown.split}, {len(shown.touches)} touches", None
+    try:
+        drawing = draw_view(data, shown) if shown.truth is not None else None
+    except VsfsimError:
+        pass
+    if drawing is not None and drawing.body is not None and shown.truth is not None and not (
+            len(drawing.body.tets) == len(shown.truth.points) and np.allclose(
+                drawing.body.points[drawing.body.tets].mean(axis=1), shown.truth.points, rtol=0, atol=_SAME)):
+        drawing = None
+    if drawing is None:
+        told += "; the visible surface, because its inside is not known here"
+    body = of_visible(shown.view) if drawing is None else of_body(drawing)
+    return {"name": shown.name, "about": told, **body,
+            "touches": [touch_table(touch, shown.probe_of(touch)) for touch in shown.touches],
+            "picture": picture_table(shown.view)}
 
 
 def of_drawing(name: str, drawing: Drawing) -> dict[str, Any]:
-    """The object of a scene, without touches; where only a surface is drawn, the corners of its triangles in grey."""
-    corners = drawing.surface.vertices
-    body = of_body(corners, None, np.zeros(len(corners), int)) if drawing.truth is None else of_truth(drawing.truth)
-    return {"name": name, "about": drawing.lines[0], **body, "touches": [], "picture": None}
+    """The object of a scene, without touches."""
+    return {"name": name, "about": drawing.lines[0], **of_body(drawing), "touches": [], "picture": None}
 
 
-def of_truth(truth: Truth) -> dict[str, Any]:
-    """The elements of a truth as balls; segments of a plant are rows of balls."""
-    if truth.segment_ends is None or truth.radius is None or truth.half_width is None:
-        return of_body(truth.points, truth.young_modulus, truth.region, names=truth.region_names)
-    thick = np.maximum(truth.radius, truth.half_width)  # of a blade, as thick as it is wide
-    return of_body(*beads(truth.segment_ends, truth.young_modulus, truth.region, thick), names=truth.region_names)
+def of_press(name: str, result: PressResult) -> dict[str, Any]:
+    """What was pressed, frame by frame, and the touch.
+
+    Raises:
+        VsfsimError: the result has no elements.
+    """
+    if result.body is None:
+        raise VsfsimError("--picture NAME.html draws the elements of a solid, and this press has none; give NAME.png.")
+    body, moved, probe = result.body
+    return {"name": name, "about": result.headline, **of_elements(body, result.touch.target),
+            "frames": [quantised(body.points + u) for u in moved], "touches": [touch_table(result.touch, probe)],
+            "picture": None}
 
 
-def of_body(points: np.ndarray, young_modulus: np.ndarray | None, region: np.ndarray,
-            radius: np.ndarray | None = None, *, names: tuple[str, ...] = ()) -> dict[str, Any]:
-    """A body as balls.
+def of_body(drawing: Drawing) -> dict[str, Any]:
+    """The elements of a drawing, or its surface where it has none."""
+    if drawing.body is not None:
+        return of_elements(drawing.body)
+    return of_cells(drawing.surface.vertices, drawing.surface.triangles, drawing.young_modulus)
+
+
+def of_elements(body: Elements, place: np.ndarray | None = None) -> dict[str, Any]:
+    """Tetrahedra, opened through a ``place`` (3,) [m], or through what is hidden in them."""
+    at = body.hidden() if place is None else place
+    axis = 1 if facing(body, at)[1] else 0
+    return {**of_cells(body.points, body.tets, body.young_modulus), "open": {"axis": axis, "at": float(at[axis])}}
+
+
+def of_visible(view: View, values: np.ndarray | None = None, places: np.ndarray | None = None) -> dict[str, Any]:
+    """The visible surface: neighbouring pixels joined by triangles, but not across a jump in depth.
 
     Args:
-        points: their centres (n, 3) [m].
-        young_modulus: at each (n,) [Pa], or None to draw it grey.
-        region: of each, an index into ``names`` (n,).
-        radius: of each (n,) [m]; None for balls that fill the body.
-        names: of the regions.
+        view: the picture.
+        values: at some places (k,) [Pa], of which a triangle has that of the nearest; None for grey.
+        places: (k, 3) [m].
     """
-    if radius is None:
-        near = cKDTree(points).query(points, k=min(5, len(points)))[0].reshape(len(points), -1)[:, 1:]
-        radius = FILLS * near.mean(axis=1) if near.shape[1] else np.full(len(points), 0.005)
-    modulus = None if young_modulus is None else quantised(np.log10(young_modulus)[:, None])
-    return {"points": quantised(points), "radius": quantised(radius[:, None]), "log_modulus": modulus,
-            "region": base64_of(np.asarray(region).astype(np.uint8)), "regions": list(names)}
+    number = np.cumsum(view.mask).reshape(view.mask.shape) - 1
+    seen, deep, four = (sliding_window_view(a, (2, 2)).reshape(-1, 4) for a in (view.mask, view.depth, number))
+    four = four[seen.all(axis=1) & (np.ptp(deep, axis=1) < _JUMP)]
+    triangles = np.concatenate([four[:, [0, 2, 1]], four[:, [1, 2, 3]]])
+    points = view.points()
+    if values is None or places is None:
+        return of_cells(points, triangles, None)
+    return of_cells(points, triangles, values[cKDTree(places).query(points[triangles].mean(axis=1))[1]])
 
 
-def beads(ends: np.ndarray, young_modulus: np.ndarray, region: np.ndarray,
-          radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Segments (n, 2, 3) [m] with one modulus, region and radius each, as rows of balls: centres, moduli, regions,
-    radii."""
-    along = ends[:, 1] - ends[:, 0]
-    count = np.clip(np.ceil(np.linalg.norm(along, axis=1) / (BEAD * radius)), 1, MOST_BEADS).astype(int)
-    of = np.repeat(np.arange(len(ends)), count)
-    step = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
-    centre = ends[of, 0] + ((step + 0.5) / count[of])[:, None] * along[of]
-    return centre, young_modulus[of], region[of], radius[of]
+def of_cells(points: np.ndarray, cells: np.ndarray, young_modulus: np.ndarray | None) -> dict[str, Any]:
+    """Tetrahedra or triangles that are not cut open.
+
+    Args:
+        points: nodes (n, 3) [m].
+        cells: their indices (m, 4) or (m, 3).
+        young_modulus: of each cell (m,) [Pa], or None to draw it grey.
+    """
+    return {"points": quantised(points), "cells": base64_of(cells.astype(np.uint32)), "corners": cells.shape[1],
+            "log_modulus": None if young_modulus is None else quantised(np.log10(young_modulus)[:, None]),
+            "open": {"axis": 1, "at": None}}
 
 
-def _touch(touch: Touch, probe: ProbeShape) -> dict[str, Any]:
+def touch_table(touch: Touch, probe: ProbeShape) -> dict[str, Any]:
     """One touch, frame by frame. Of a bubble also the nodes of its skin and the force on each."""
     table = {"probe_radius": probe.radius if isinstance(probe, Sphere) else None,
              "target": rounded(touch.target, 5), "axis": rounded(touch.axis, 4),
@@ -107,7 +132,7 @@ def _touch(touch: Touch, probe: ProbeShape) -> dict[str, Any]:
     return table
 
 
-def _picture(view: View) -> dict[str, Any]:
+def picture_table(view: View) -> dict[str, Any]:
     """Colour and depth as PNG. Depth is darker the further away, and clear where there is no object."""
     seen = view.depth[view.mask]
     near, far = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 1.0)
