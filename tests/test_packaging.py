@@ -22,7 +22,7 @@ from packaging.requirements import Requirement
 from vsfsim.core.extras import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = {"scenes": ("*.toml", "*.py", "tables/*.toml"),
+FOLDERS = {"scenes": ("*.toml", "*.py", "tables/*.toml", "scans/*.obj"),
            "tasks": ("*.toml", "*.py", "records/*.json", "studies/*.toml"),
            "baselines": ("*.toml", "**/*.py"),
            "leaderboard": ("*.toml", "**/*.json", "**/*.md", "*.py")}
