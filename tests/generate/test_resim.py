@@ -8,6 +8,7 @@ import pytest
 from texts import changed, text
 
 from vsfsim.bench import leaderboard
+from vsfsim.bench.board.compare import interval
 from vsfsim.bench.board.rows import CLAIMED, is_ceiling
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import record
@@ -54,22 +55,20 @@ def test_the_ceiling_errs_by_nothing_and_is_not_ranked(board):
     springs, ceiling = found.rows
     assert springs.rank == 1 and ceiling.rank is None and ceiling.mark == leaderboard.CEILING
     assert all(score.mean < 1e-4 for score in ceiling.scores["rmse_ratio"].values())
-    assert set(ceiling.objects["1"]) == set(springs.objects["1"])
+    assert set(ceiling.values["1"]) == set(springs.values["1"])
 
 
 def test_scores_are_a_share_of_the_possible(board):
     found, _ = board
-    springs = found.rows[0].scores["rmse_ratio"]["1"].mean
+    springs = interval(found.rows[0].values["area"]).mean
     rows = leaderboard.table(found)["rows"]
-    assert [row["share_of_possible"]["1"] for row in rows] == pytest.approx([1.0 - springs, 1.0], abs=1e-4)
+    assert [row["share_of_possible"] for row in rows] == pytest.approx([1.0 - springs, 1.0], abs=1e-4)
     head, first, second = (leaderboard.text(found).splitlines()[k] for k in (2, 4, 5))
     assert "gap closed" in head and f"{1.0 - springs:.2f}" in first and "1.00" in second and "resim *" in second
     # a ceiling that errs itself: (1 - e) / (1 - c)
-    half = dataclasses.replace(found.rows[1].scores["rmse_ratio"]["1"], mean=0.5)
-    ceiling = dataclasses.replace(found.rows[1], scores={"rmse_ratio": {"1": half}})
-    assert leaderboard.share_of_possible(found.rows[0], leaderboard.possible(dataclasses.replace(
-        found, rows=(found.rows[0], ceiling))), "1") == pytest.approx((1.0 - springs) / 0.5)
-    assert leaderboard.possible(dataclasses.replace(found, rows=found.rows[:1])) == {}
+    assert leaderboard.share_of_possible(found.rows[0], 0.5) == pytest.approx((1.0 - springs) / 0.5)
+    assert leaderboard.possible(found) == pytest.approx(0.0, abs=1e-4)
+    assert leaderboard.possible(dataclasses.replace(found, rows=found.rows[:1])) is None
     assert all(f">{cell}</" in leaderboard.page([found]) for cell in ("gap closed", f"{1.0 - springs:.2f}", "1.00"))
 
 
@@ -89,7 +88,7 @@ def test_another_tier_and_a_name_alone_are_no_ceiling_of_the_data(board, made, t
     evaluate("resim", task, made, parameters={"tier": "fem-coarse"}, out=tmp_path / "finer.json")
     (row,) = leaderboard.collect(task, [tmp_path / "finer.json"]).rows
     assert row.mark == leaderboard.CEILING and 1e-4 < row.scores["rmse_ratio"]["1"].mean < 0.5
-    assert leaderboard.possible(leaderboard.collect(task, [tmp_path / "finer.json"])) == {}
+    assert leaderboard.possible(leaderboard.collect(task, [tmp_path / "finer.json"])) is None
     table = json.loads((folder / "resim.json").read_text())
     (tmp_path / "claimed.json").write_text(json.dumps({**table, "entry": "predictions file"}))
     (row,) = leaderboard.collect(task, [tmp_path / "claimed.json"]).rows
@@ -129,5 +128,5 @@ def test_a_stopped_ceiling_goes_on_where_it_was(made, task, tmp_path):
         save(path, (0, [0.0 * reading for reading in load(path, tuple[int, list[np.ndarray]])[1]]))
     evaluate("resim", task, made, out=out)
     (row,) = leaderboard.collect(task, [out]).rows
-    error = sorted(np.mean(one) for one in row.objects["1"].values())
+    error = sorted(np.mean(one) for one in row.values["1"].values())
     assert error[0] < 1e-3 and error[1:] == pytest.approx([1.0, 1.0]) and not (tmp_path / "resim.part").exists()
