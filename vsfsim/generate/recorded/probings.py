@@ -210,10 +210,10 @@ def _mat(path: Path) -> tuple[list[Press], float]:
     require("recorded", "matio")
     from matio import load_from_mat
 
-    presses, radii = [], []
+    presses, radii, none = [], [], np.zeros(0)
     for found in np.ravel(load_from_mat(path)["RESULTS"]):
         if not hasattr(found, "properties"):  # a place that was planned and never pressed
-            presses.append(Press(*np.zeros((4, 0)), failed=True))
+            presses.append(Press(none, none, none, none, failed=True))
             continue
         of = found.properties
         contact, centre = (np.ravel(of[name]) / 1e3 for name in ("ContactPoint", "ContactBallCenter"))
