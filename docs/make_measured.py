@@ -1,9 +1,9 @@
-"""Writes the tables of figures that the pages include: `python docs/make_measured.py [results | NAME[=FILE,...] ...]`.
+"""The tables of figures that the pages include; `docs/make.py` writes them.
 
 Every table comes from the output of a command, which stands above it in the file. `measured/NAME.md` is included by a
 page; the README's table stands between two marks, since GitHub includes nothing. The leaderboards take seconds and a
 test compares them with what ships; the others measure, for minutes, on the machine that they name. What another machine
-measured is in the FILEs that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
+measured is in files that `vsfsim lab tradeoff`, or `vsfsim measure`, wrote there with --json.
 """
 
 import dataclasses
@@ -241,7 +241,7 @@ MEASURED: dict[str, partial[str]] = {
     "peers": partial(measurement, "peers", 1, tier="fem-coarse", folder=ROOT / "peers",
                      here=importlib.util.find_spec("skfem") is not None)}
 """Table by name of its file."""
-SHOWN = ("#", "method", "0-shot", "1-shot", "5-shot", "gap closed")
+SHOWN = ("#", "method", "area", "0-shot", "5-shot", "gap closed")
 """Columns of the README's table."""
 MODULES = {"peers": "indent"}
 """Of measurements/, where its name is not that of the table."""
@@ -255,17 +255,19 @@ def readme(text: str) -> str:
         columns = [k for k, name in enumerate(head.split(" | ")) if name.strip("| ") in SHOWN]
         cut = [f"| {' | '.join(row.strip('|').split(' | ')[k].strip() for k in columns)} |"
                for row in (head, *rows) if "(paper)" not in row]
-        said = [s for s in re.split(r"(?<=\.) (?=[A-Z\\])", title) if not s.startswith(("No row of", "Rank corr."))]
+        first, *said = re.split(r"(?<=\.) (?=[A-Z\\])", title)
+        said = [first, *(one for one in said if one.startswith("\\* Not"))]
         return mark[1] + "\n".join([" ".join(said), empty, *cut]) + "\n" + mark[3]
 
     return re.sub(r"(<!-- measured: ([\w.-]+) -->\n).*?(<!-- end -->)", table, text, flags=re.DOTALL)
 
 
-if __name__ == "__main__":
-    FOLDER.mkdir(exist_ok=True)
-    words = included() if sys.argv[1:] == ["results"] else sys.argv[1:] or MEASURED
-    for name, _, files in (word.partition("=") for word in words):
-        text = recorded(name, [Path(file) for file in files.split(",")]) if files else MEASURED[name]()
-        (FOLDER / f"{name}.md").write_text(text)
+def write(name: str, files: list[Path]) -> None:
+    """Write the table NAME, of ``files`` if there are any."""
+    (FOLDER / f"{name}.md").write_text(recorded(name, files) if files else MEASURED[name]())
+
+
+def write_readme() -> None:
+    """Put the table into the README."""
     page = ROOT / "README.md"
     page.write_text(readme(page.read_text()))

@@ -1,5 +1,6 @@
 """The written pages, and the blocks of code in them."""
 
+import importlib.util
 import re
 from pathlib import Path
 
@@ -19,3 +20,11 @@ def named(text, name, language):
     """The block whose first line is a comment with this file name."""
     (block,) = [b for b in blocks(text, language) if b.startswith(f"# {name}:")]
     return block
+
+
+def loaded(name):
+    """A module of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

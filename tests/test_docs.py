@@ -1,12 +1,11 @@
 """Every page: its Python runs, its scenes parse, its commands and links exist, its tables are those of the commands."""
 
-import importlib.util
 import re
 import runpy
 import shlex
 
 import pytest
-from pages import PAGES, README, ROOT, blocks
+from pages import PAGES, README, ROOT, blocks, loaded
 
 MOCK = """
 from mock_dataset import written
@@ -76,7 +75,7 @@ def test_every_command_and_option_exists():
         assert {w for w in words if w.startswith("--")} <= parameters | {"--help"}, (page, given)
         for key, shelved in (("--task", tasks), ("--method", methods)):
             if key in words:
-                name = re.sub(r"-(development|seed-\d+)$", "", words[words.index(key) + 1])  # other objects of a task
+                name = re.sub(r"-(development|sealed|seed-\d+)$", "", words[words.index(key) + 1])  # other objects
                 assert name in shelved or ":" in name or name.isupper() or name == "NAME-v1", (page, given)
 
 
@@ -116,10 +115,8 @@ def test_the_tiers_and_reasons_of_the_physics_page_are_those_of_the_code():
 
 
 def test_the_leaderboards_of_the_pages_are_those_that_ship():
-    """`python docs/make_measured.py` renews them."""
-    spec = importlib.util.spec_from_file_location("make_measured", ROOT / "docs" / "make_measured.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    """`python docs/make.py results` renews them."""
+    module = loaded("make_measured")
     assert module.readme(README) == README
     for name in module.included():
         assert (module.FOLDER / f"{name}.md").read_text() == module.result(name), name

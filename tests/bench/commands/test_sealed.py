@@ -114,7 +114,7 @@ def test_what_was_changed_is_refused(parts, task, toy_dataset, tmp_path):
         predictions.seal(task, toy_dataset, tmp_path / "new", tmp_path / "new" / "private.json")
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "methods.md").read_text().split("## A sealed round")[1].split("\n## ")[0]
+PAGE = (Path(__file__).parents[3] / "docs" / "howto.md").read_text().split("## Score a sealed")[1].split("\n## ")[0]
 
 
 def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path, monkeypatch):
@@ -125,12 +125,12 @@ def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path,
     for place in (Path("data/toy"), Path("round/data")):
         place.symlink_to(toy_dataset.path)
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
-    blocks = re.findall(r"```(bash|python)\n(.*?)```", PAGE.replace("fewshot-shoes-v3-v1", "toy-v1.toml"), re.DOTALL)
-    assert [kind for kind, _ in blocks] == ["bash", "python", "bash"]
+    blocks = re.findall(r"```(bash|py)\n(.*?)```", PAGE.replace("fewshot-shoes-v3-v1", "toy-v1.toml"), re.DOTALL)
+    assert [kind for kind, _ in blocks] == ["bash", "py", "bash"]
     said = []
     for kind, block in blocks:
-        if kind == "python":
-            exec(compile(block, "docs/methods.md", "exec"), {})
+        if kind == "py":
+            exec(compile(block, "docs/howto.md", "exec"), {})
             continue
         for line in block.splitlines():
             words = shlex.split(line)

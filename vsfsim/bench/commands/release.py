@@ -193,7 +193,7 @@ def release(only: str | None, workers: int, progress: Progress, studies: Studies
              for what, message in one.make(workers, progress)}
     if any(found.values()):
         raise TaskError("\n\n".join(f"{what}: {message}" for what, message in found.items() if message))
-    return "python docs/make_measured.py results   # writes the pages' tables", list(found)
+    return "python docs/make.py results   # writes the pages' tables", list(found)
 
 
 def _asked(only: str | None, studies: Studies, audit: Any) -> list[Whole]:
