@@ -183,7 +183,7 @@ class Task:
         Raises:
             TaskError: it is none of these; the seed is one of the task's own, or the task names no development objects.
         """
-        text = {"name": f"{self.name}-{objects}", "sha256": text_sha256(f"{self.sha256}-{objects}")}
+        text: dict[str, Any] = {"name": f"{self.name}-{objects}", "sha256": text_sha256(f"{self.sha256}-{objects}")}
         if objects == SEALED:
             return replace(self, dataset=replace(self.dataset, folder=f"{self.dataset.folder}-{SEALED}", sha256=""),
                            description=f"{self.description} On sealed objects.", development=None, **text)
