@@ -105,7 +105,7 @@ def cut(body: Elements, away: np.ndarray, normal: np.ndarray) -> Cut:
         """Cells of which so many nodes are kept, these first."""
         side = away[cells] > 0.0
         some = (~side).sum(axis=1) == kept
-        order = np.argsort(side[some], axis=1, kind="stable")
+        order: np.ndarray = np.argsort(side[some], axis=1, kind="stable")
         if order.shape[1] == 3:  # a triangle keeps its sense
             order = (order[:, [0 if kept == 1 else 2]] + [[0, 1, 2] if kept == 1 else [1, 2, 0]]) % 3
         return np.take_along_axis(cells[some], order, axis=1), of[some]
