@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from papers.study import Study, Variant, load_study
+from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import Runs, by_run
 from vsfsim.bench.board.rows import listed, row_sha256
 from vsfsim.bench.commands.catalogue import on_device
-from vsfsim.bench.commands.release import dataset_of
 from vsfsim.bench.evaluate import make
 from vsfsim.bench.identity import changed
 from vsfsim.bench.result import Result
@@ -144,31 +143,3 @@ def on_other_data(found: Mapping[str, Found]) -> list[str]:
         names.setdefault(tuple(dict.fromkeys(one.result.readings.get("object", ()))), []).append(name)
     return [name for same in names.values() for name in same[1:]
             if found[name].result.dataset_sha256 != found[same[0]].result.dataset_sha256]
-
-
-def missing(name: str) -> list[str]:
-    """The variants of a study that have no result that ships and counts (`stored`)."""
-    study = load_study(name)
-    found = stored(study, made=False)
-    return [variant.name for variant in study.variants if variant.name not in found]
-
-
-def release(names: Sequence[str], out: Path, workers: int, progress: Callable[[int, int, str], None]
-            ) -> Iterator[tuple[str, str]]:
-    """Make what some studies lack, datasets too, and ship it.
-
-    Args:
-        names: of the studies. out: folder of the rows that ship. workers, progress: as of `make_missing`.
-
-    Yields:
-        As `make_missing`.
-    """
-    studies, boards = [load_study(name) for name in names if missing(name)], dict[str, leaderboard.Board]()
-    for study in studies:
-        found = stored(study, boards)
-        for variant in (one for one in study.variants if one.name not in found):
-            dataset_of(study.task_of(variant), workers)
-    yield from make_missing(studies, workers, progress)
-    leaderboard.ship({one.path.relative_to(MADE): (one.result, f"vsfsim papers study {study.name}", 0.0)
-                      for study in studies for one in stored(study).values()
-                      if MADE / "studies" in one.path.parents}, out)

@@ -28,7 +28,7 @@ MAY_IMPORT |= {"cli": {"core"}, "scenes": {"core"}, "leaderboard": set(), "refer
 `vsfsim/__main__.py`."""
 
 LAZILY = {"cli": {"core", "data", "physics", "sensing", "generate", "press", "view", "bench", "baselines", "vsf",
-                  "papers"},
+                  "papers", "measurements"},
           "tasks": {"bench"}, "top": {"data", "bench", "generate", "press", "tasks"}}
 """Layers that a layer may import inside a function, or for types alone. `vsfsim.tasks()` is a function of `bench`."""
 
@@ -48,7 +48,7 @@ HEAVY = {
     "generate": {"numpy", "scipy", "warp", "matplotlib", "msgspec"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy", "jinja2"},
-    "measurements": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
+    "measurements": {"numpy", "scipy", "msgspec", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",
                    "newton", "embreex", "open3d", "OpenGL", "pyrender"},
     "references": {"numpy", "scipy", "torch", "timm", "skfem"},
     "bench": {"numpy", "scipy", "h5py", "msgspec", "jinja2", "markupsafe"},

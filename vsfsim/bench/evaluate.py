@@ -162,14 +162,17 @@ def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: in
         result = Result.load(path)
     except TaskError:  # none, or a damaged one
         return None
-    same = (result.task_sha256, result.dataset_sha256, result.method, result.preset) == (
-        task.sha256, dataset_sha256, choice.method, choice.preset)
     runs = len(task.protocol.runs(seeded="seed" in result.parameters)) if seeds is None else seeds
-    asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items() if key != "device")
-    if not (same and asked and len(result.seeds) == runs):
+    if not is_of(result, task, choice) or (result.dataset_sha256, len(result.seeds)) != (dataset_sha256, runs):
         return None
     # what the scorer makes of the same answers is computed again by the board
     return result if set(changed(choice.method, result.parameters, result.contents)) <= {SCORER} else None
+
+
+def is_of(result: Result, task: Task, choice: Choice) -> bool:
+    """Whether a result is of this text of the task and of a method with these settings."""
+    return (result.task_sha256, result.method, result.preset) == (
+        task.sha256, choice.method, choice.preset) and result.has(choice.parameters)
 
 
 @contextlib.contextmanager

@@ -19,16 +19,10 @@ from vsfsim.bench.board.rows import (
     CEILING,
     CLAIMED,
     EARLIER,
-    LIST,
-    Entry,
     absent,
-    as_shipped,
-    command_of,
     contradicts,
     is_same,
     listed,
-    row_sha256,
-    write_list,
 )
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.metrics import METRICS, Score
@@ -170,33 +164,6 @@ def labels_of(rows: Sequence[Row]) -> list[str]:
         words = [*filter(None, ["claimed" if row.mark == CLAIMED else "", result.preset]), *differ]
         out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
     return out
-
-
-def ship(rows: Mapping[Path, tuple[Result, str, float]], out: Path) -> None:
-    """Write results as rows that ship, and what made them into the list beside them. A row that comes out again, to the
-    same numbers, becomes "verified".
-
-    Args:
-        rows: by the place below ``out``, the result, the command that made it ("" for that of `vsfsim evaluate`), and
-            its CPU seconds, which are at least those in the method's calls.
-        out: the folder of the rows that ship.
-
-    Raises:
-        TaskError: a file cannot be written.
-    """
-    entries = listed()
-    for place, (given, command, seconds) in rows.items():
-        row, target = as_shipped(given), out / place
-        before = Result.load(target) if target.is_file() else row
-        sha256, entry = row_sha256(row), entries.pop(row_sha256(before), None)
-        if entry is None or entry.sha256 != sha256:
-            spent = max(seconds, sum(row.timing.get(key, 0.0) for key in ("meta_fit_s", "adapt_s", "predict_s")))
-            entry = Entry(sha256, row.task, row.method, "verified" if entry and is_same(row, before) else "open",
-                          command or command_of(row, whole=not row.preset), row.made_by.get("commit") or "",
-                          row.machine.get("cpu") or "", round(spent, 1), bool(given.data))
-        row.save(target)
-        entries[sha256] = entry
-    write_list(entries.values(), out / LIST)
 
 
 def table(board: Board) -> dict[str, Any]:

@@ -100,6 +100,10 @@ class Result:
     """Of a row that ships (`vsfsim.bench.board.rows`), in place of `queries` and `answers`: the value of each object in
     each run, or their mean alone, by metric, shot and object. Else {}."""
 
+    def has(self, parameters: Mapping[str, Any]) -> bool:
+        """Whether the method had these parameters, on whatever device."""
+        return all(self.parameters.get(key) == value for key, value in parameters.items() if key != "device")
+
     def summary(self) -> dict[str, Any]:
         """For JSON: everything but the raw numbers of every query."""
         raw = ("queries", "readings", "answers", "data", "maps", "values", "scores")

@@ -302,16 +302,13 @@ def release(only: KnownTask = None, dry: Annotated[bool, typer.Option("--dry-run
         dry: Print what is there and what is missing, with CPU minutes.
         workers: Trainings and trials at the same time.
     """
-    from vsfsim.bench.commands import audit as audits
-    from vsfsim.bench.commands import release as module
     from vsfsim.core import shelf
 
     shelf.checkout()
-    from papers import results
+    from measurements import release as module
 
     with Progress("release") as progress:
-        text, found = module.planned(only, results, audits) if dry else module.release(
-            only, workers, progress, results, audits)
+        text, found = module.planned(only) if dry else module.release(only, workers, progress)
     report(text, found, json)
 
 

@@ -5,20 +5,20 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
+from measurements import release
+from measurements.release import SEEDS, ship, write_list
 from vsfsim.bench import leaderboard
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.rows import row_sha256
-from vsfsim.bench.commands import audit, release
-from vsfsim.bench.commands.release import SEEDS
+from vsfsim.bench.commands import audit
 from vsfsim.bench.evaluate import Made, evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of
@@ -42,7 +42,7 @@ def test_a_board_that_ships_is_the_board_of_its_results(task, results, tmp_path,
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
     monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
     board = leaderboard.collect(task, [results])
-    leaderboard.ship({Path("toy-v1", row.path.name): (row.admitted(), "", 3.0) for row in board.rows}, tmp_path)
+    ship({Path("toy-v1", row.path.name): (row.admitted(), "", 3.0) for row in board.rows}, tmp_path)
     shipped = leaderboard.collect(task)
     for row, was in zip(shipped.rows, board.rows, strict=True):
         assert row.rank == was.rank and not row.result.rows and row.path.name == was.path.name
@@ -99,12 +99,14 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     those of its rows. The second machine makes the row that is missing, and after a change all."""
     part = rows.Part(1.0, {"contact-points.tuned": 2.0, "resim": 3.0}, audit=4.0, studies={"toy": 5.0})
     lacking, made = ["half"], []
-    papers = SimpleNamespace(missing=lambda name: lacking, release=lambda names, *_: made.append(names) or iter(()))
     elsewhere(monkeypatch, tmp_path)
     monkeypatch.setattr(release, "plan", lambda: {"toy-v1": part})
     monkeypatch.setattr(release, "load_task", lambda _: task)
     monkeypatch.setattr(release, "dataset_of", lambda *_: toy_dataset)
     monkeypatch.setattr(audit, "_shortcuts", lambda *_: {"view": {"mock-0001": 0.5}})
+    monkeypatch.setattr(release, "load_study", lambda name: name)
+    monkeypatch.setattr(release, "lacking", lambda _: lacking)
+    monkeypatch.setattr(release, "make_studies", lambda studies, *_: made.append(studies) or iter(()))
     monkeypatch.setattr(release, "commit", lambda: "a" * 40)
     asked = []
 
@@ -121,21 +123,21 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "evaluate_all", evaluate_all)
 
     def state():
-        return {what: how for _, what, _, how in release.planned(None, papers, audit)[1]}
+        return {what: how for _, what, _, how in release.planned(None)[1]}
 
     assert set(state().values()) == {"missing"}
     monkeypatch.chdir(make_folder(tmp_path / "one"))
-    release.release("toy-v1", 1, lambda *_: None, papers, audit)
+    release.release("toy-v1", 1, lambda *_: None)
     assert asked == ["contact-points.tuned", "resim"] and made == [["toy"]]
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "study toy"}
     lacking.clear()
-    assert release.planned(None, papers, audit)[0].endswith("0.2 CPU hours, of which 0.0 are missing")
+    assert release.planned(None)[0].endswith("0.2 CPU hours, of which 0.0 are missing")
     (tmp_path / "leaderboard" / "toy-v1" / "resim.json").unlink()
     monkeypatch.chdir(make_folder(tmp_path / "two"))
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "resim", "audit"}
-    release.release("toy-v1", 1, lambda *_: None, papers, audit)
+    release.release("toy-v1", 1, lambda *_: None)
     assert asked[2:] == ["resim"] and set(state().values()) == {"there"}
-    release.release("toy-v1", 1, lambda *_: None, papers, audit)
+    release.release("toy-v1", 1, lambda *_: None)
     assert len(asked) == 3, "nothing is made twice"
     monkeypatch.setattr(release, "changed", lambda name, *_: ["the method"] * (name == "contact-points"))
     assert [what for what, how in state().items() if how == "missing"] == ["dataset", "contact-points.tuned", "audit"]
@@ -148,7 +150,7 @@ def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_pat
     out = tmp_path / "leaderboard"
     result = evaluate("contact-points", task, toy_dataset, preset="tuned", check=False)
     release._keep_record(task, toy_dataset, out)
-    leaderboard.ship({Path("toy-v1", "contact-points.tuned.json"): (result, "", 1.0)}, out)
+    ship({Path("toy-v1", "contact-points.tuned.json"): (result, "", 1.0)}, out)
     rounded = [dataclasses.replace(view, touches=tuple(dataclasses.replace(t, force=t.force * (1.0 + 1e-7))
                                                        for t in view.touches)) for view in toy_views]
     release._keep_record(task, write_dataset(rounded), out)
@@ -253,7 +255,7 @@ def test_what_is_written_into_the_files_that_ship_stands_only_by_the_list(board,
     assert {row.evidence for row in odd.values()} == {"open"}
     assert "†" in leaderboard.text(leaderboard.collect(board.task))
     entry = next(iter(rows.listed().values()))
-    rows.write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / rows.LIST)
+    write_list([msgspec.structs.replace(entry, evidence="verified")], tmp_path / rows.LIST)
     assert {one.evidence for one in rows.listed().values()} == {"verified"}
     (tmp_path / rows.LIST).write_text((tmp_path / rows.LIST).read_text().replace('"verified"', '"sealed"'))
     with pytest.raises(TaskError, match="needs the commitment of its set and the receipt"):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from measurements.release import ship_audit
 from vsfsim.baselines.shortcuts import KINDS, Shortcut
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.commands import audit as module
@@ -72,7 +73,7 @@ def test_what_needs_data_ships_and_is_read_without_them(folded, tmp_path, monkey
     monkeypatch.setattr(module, "_shortcuts", lambda *_: errors)
     found = dataclasses.replace(audit(folded, [tmp_path / "r"]), fresh=(("toy-v1-seed-2", 5, 0.95),))
     monkeypatch.setattr(module.shelf, "folder", lambda _: tmp_path)
-    found.ship(tmp_path / "audits" / "toy-v1.json", folded.sha256, "digest")
+    ship_audit(found, tmp_path / "audits" / "toy-v1.json", folded.sha256, "digest")
     assert module.shipped(folded).of == "digest"
     again = audit(folded, [tmp_path / "r"], measure=False)
     assert again.errors == errors and again.shortcuts == found.shortcuts and again.fresh == found.fresh

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from measurements.release import ship, write_list
 from vsfsim.bench import leaderboard, predictions
 from vsfsim.bench.board import rows
 from vsfsim.bench.predictions import score_predictions
@@ -75,17 +76,17 @@ def test_answers_are_scored_against_the_private_part(parts, task, toy_dataset, t
     # a row is sealed by an entry of the list with the receipt that the holder of the private part alone can make
     monkeypatch.setattr(leaderboard, "folder", lambda _: tmp_path)
     monkeypatch.setattr(rows, "folder", lambda _: tmp_path)
-    leaderboard.ship({Path("toy-v1", "r.json"): (result, "", 0.0)}, tmp_path)
+    ship({Path("toy-v1", "r.json"): (result, "", 0.0)}, tmp_path)
     entry = next(one for one in rows.listed().values() if one.task == "toy-v1")
     given = predictions.receipt(private, entry.sha256)
     assert given["commitment"] == commitment and given != predictions.receipt(private, "0" * 64)
-    rows.write_list([msgspec.structs.replace(entry, evidence="sealed", **given)], tmp_path / rows.LIST)
+    write_list([msgspec.structs.replace(entry, evidence="sealed", **given)], tmp_path / rows.LIST)
     board = leaderboard.collect(task)
     assert board.rows[0].evidence == "sealed" and "  sealed  " in leaderboard.text(board).splitlines()[4]
     assert ">sealed<" in leaderboard.page([board])
     # the same result changes nothing; one that comes out again, to the same numbers, is verified
     for made, evidence in ((result, "sealed"), (dataclasses.replace(result, timing={"predict_s": 7.0}), "verified")):
-        leaderboard.ship({Path("toy-v1", "r.json"): (made, "", 0.0)}, tmp_path)
+        ship({Path("toy-v1", "r.json"): (made, "", 0.0)}, tmp_path)
         assert leaderboard.collect(task).rows[0].evidence == evidence
     assert [entry.cpu_s for entry in rows.listed().values() if entry.task == "toy-v1"] == [7.0]
 

@@ -17,8 +17,7 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Collection, Iterable
-from pathlib import Path
+from collections.abc import Collection
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -35,7 +34,6 @@ from vsfsim.core.errors import MethodError, TaskError
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import ceilings, folder, methods
 from vsfsim.core.table import parse_toml, read_text
-from vsfsim.data.disk import write_atomic
 
 
 def as_shipped(result: Result) -> Result:
@@ -117,17 +115,6 @@ def listed() -> dict[str, Entry]:
         raise TaskError(f"{path} is no list of rows: {plain(error)}. Restore the file.") from error
 
 
-def write_list(entries: Iterable[Entry], path: Path) -> None:
-    """Write the list, an entry a line.
-
-    Raises:
-        TaskError: the file cannot be written.
-    """
-    order = sorted(entries, key=lambda e: (e.task, e.method, e.sha256))
-    lines = ",\n".join(msgspec.json.encode(entry).decode() for entry in order)
-    write_atomic(path, f"[\n{lines}\n]\n".encode(), error=TaskError)
-
-
 def is_ceiling(result: Result) -> bool:
     """Whether a result is of a ceiling (`vsfsim.bench.commands.ceiling`)."""
     entry = ceilings().get(result.method)
@@ -152,7 +139,7 @@ def claimed(result: Result, task: Task) -> bool:
         here = preset(result.method, result.preset, task.observation.name, task.metric.answer.value).parameters
     except MethodError:  # there is no such preset
         return True
-    return any(result.parameters.get(key) != value for key, value in here.items() if key != "device")
+    return not result.has(here)
 
 
 def command_of(result: Result, *, whole: bool = False) -> str:

@@ -33,7 +33,6 @@ from vsfsim.bench.task import Task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
-from vsfsim.data.disk import write_atomic
 
 METHOD = "vsfsim.baselines.shortcuts:Shortcut"
 KINDS = ("constant", "action", "view", "touch")
@@ -78,19 +77,6 @@ class Audit:
     """Of each folder of results on fresh objects: its name, rows in common, rank correlation."""
     errors: Mapping[str, ByObject]
     """The area of each object by shortcut; {} where the data are not here and none ship."""
-
-    def ship(self, path: Path, task_sha256: str, of: str = "") -> None:
-        """Write what needs data or further rows.
-
-        Args:
-            path: of the file. task_sha256: of the task. of: digest of what it was made of.
-
-        Raises:
-            TaskError: the file cannot be written.
-        """
-        errors = {sees: {name: float(f"{value:.7g}") for name, value in of.items()} for sees, of in self.errors.items()}
-        told = msgspec.json.encode(Shipped("vsfsim-audit-2", task_sha256, of, self.fresh, errors))
-        write_atomic(path, msgspec.json.format(told, indent=1) + b"\n", error=TaskError)
 
 
 class Shipped(msgspec.Struct):

@@ -13,42 +13,35 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import msgspec
 
+from papers.results import make_missing, stored
+from papers.study import Study, Variant, load_study
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.admission.admit import differences
-from vsfsim.bench.board.rows import Part, listed, plan, row_sha256, write_list
+from vsfsim.bench.board.rows import LIST, Entry, Part, as_shipped, command_of, is_same, listed, plan, row_sha256
+from vsfsim.bench.commands import audit
 from vsfsim.bench.commands.catalogue import Choice, preset
-from vsfsim.bench.evaluate import evaluate_all
+from vsfsim.bench.evaluate import evaluate_all, is_of
 from vsfsim.bench.identity import changed, method_sha256
-from vsfsim.bench.leaderboard import LIST, collect, ship
+from vsfsim.bench.leaderboard import Board, collect
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, one_of, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.text_table import text_table
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import VARIABLE, commit
 
 MADE = Path("results")
 SEEDS = (101, 102, 103)
 """Of the fresh datasets of an audit."""
 Progress = Callable[[int, int, str], None]
-
-
-class Studies(Protocol):
-    """`papers.results`, which this layer does not import."""
-
-    def missing(self, name: str) -> list[str]:
-        """The variants of a study that have no current result that ships."""
-
-    def release(self, names: Sequence[str], out: Path, workers: int, progress: Progress) -> Iterator[tuple[str, str]]:
-        """Make and ship them; yields what and "" or why not."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +52,6 @@ class Whole:
     """Of the task."""
     part: Part
     """Of the plan."""
-    studies: Studies
-    """Makes the studies."""
-    audit: Any
-    """The module `vsfsim.bench.commands.audit`, which stands above this one."""
 
     @property
     def task(self) -> Task:
@@ -82,16 +71,15 @@ class Whole:
         if not path.is_file() or record is None:
             return ""
         row = Result.load(path)
-        entry, asked = listed().get(sha256 := row_sha256(row)), self.choice(key).parameters
-        same = entry is not None and row.task_sha256 == self.task.sha256 and (
-            entry.other_bits or row.dataset_sha256 == record.dataset_sha256) and all(
-            row.parameters.get(name) == value for name, value in asked.items() if name != "device")
+        entry = listed().get(sha256 := row_sha256(row))
+        same = entry is not None and is_of(row, self.task, self.choice(key)) and (
+            entry.other_bits or row.dataset_sha256 == record.dataset_sha256)
         return sha256 if same and not changed(row.method, row.parameters, row.contents) else ""
 
     def audited(self) -> str:
         """Digest of what an audit is made of: the dataset, the shortcuts and the rows, of the fresh seeds by name."""
         record = fingerprint.shipped_record(self.task)
-        of = [self.task.sha256, record.dataset_sha256 if record is not None else "", method_sha256(self.audit.METHOD),
+        of = [self.task.sha256, record.dataset_sha256 if record is not None else "", method_sha256(audit.METHOD),
               *map(self.current, self.part.rows), *self.part.fresh, *map(str, SEEDS)]
         return hashlib.sha256(" ".join(of).encode()).hexdigest()
 
@@ -99,9 +87,9 @@ class Whole:
         """CPU minutes of everything, and whether it is there."""
         there = {key: (minutes, bool(self.current(key))) for key, minutes in self.part.rows.items()}
         if self.part.audit:
-            done = self.audit.shipped(self.task).of == self.audited() and all(done for _, done in there.values())
+            done = audit.shipped(self.task).of == self.audited() and all(done for _, done in there.values())
             there["audit"] = (self.part.audit + len(SEEDS) * sum(self.part.fresh.values()), done)
-        there |= {f"study {name}": (minutes, not self.studies.missing(name))
+        there |= {f"study {name}": (minutes, not lacking(load_study(name)))
                   for name, minutes in self.part.studies.items()}
         made = (self.task.dataset.path() / "dataset.json").is_file()
         return {"dataset": (self.part.dataset, made or all(done for _, done in there.values()))} | there
@@ -128,10 +116,11 @@ class Whole:
                 yield key, str(made.failure or "")
         if "audit" in left and all(map(self.current, self.part.rows)):
             folders = [self._on(seed, workers, progress) for seed in SEEDS] if self.part.fresh else []
-            found = self.audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
-            found.ship(out / "audits" / f"{self.name}.json", task.sha256, self.audited())
+            found = audit.audit(task, [], dataset=data.path, fresh=folders, progress=progress)
+            ship_audit(found, out / "audits" / f"{self.name}.json", task.sha256, self.audited())
             yield "audit", ""
-        yield from self.studies.release(list(self.part.studies), out, workers, progress)
+        yield from make_studies([one for one in map(load_study, self.part.studies) if lacking(one)], out, workers,
+                                progress)
 
     def _on(self, seed: int, workers: int, progress: Progress) -> Path:
         """Rows on objects of another seed, for the audit: their folder."""
@@ -158,13 +147,13 @@ def _keep_record(task: Task, data: Dataset, out: Path) -> None:
     write_list([entry for entry in listed().values() if entry.task != task.name], out / LIST)
 
 
-def planned(only: str | None, studies: Studies, audit: Any) -> tuple[str, list[list[str]]]:
+def planned(only: str | None) -> tuple[str, list[list[str]]]:
     """What a release makes of a task, or of all, as a table with its CPU minutes and whether it is there, and for JSON.
 
     Raises:
         TaskError: there is no such task in the table, or it is damaged.
     """
-    found = [(one.name, what, minutes, done) for one in _asked(only, studies, audit)
+    found = [(one.name, what, minutes, done) for one in _asked(only)
              for what, (minutes, done) in one.items().items()]
     rows = [[task, what, f"{minutes:g}", "there" if done else "missing"] for task, what, minutes, done in found]
     hours = [sum(minutes for *_, minutes, done in found if not (done and left)) / 60.0 for left in (False, True)]
@@ -172,13 +161,12 @@ def planned(only: str | None, studies: Studies, audit: Any) -> tuple[str, list[l
     return f"{table}\n{hours[0]:.1f} CPU hours, of which {hours[1]:.1f} are missing", rows
 
 
-def release(only: str | None, workers: int, progress: Progress, studies: Studies, audit: Any
-            ) -> tuple[str, list[str]]:
+def release(only: str | None, workers: int, progress: Progress) -> tuple[str, list[str]]:
     """Make and ship what a release makes of a task, or of all, and is not there.
 
     Args:
         only: name of the task, None for all. workers: trainings and trials at a time. progress: as of
-        `vsfsim.bench.evaluate.evaluate`. studies, audit: as of `Whole`.
+        `vsfsim.bench.evaluate.evaluate`.
 
     Returns:
         The next step, to be printed, and what was made.
@@ -189,17 +177,33 @@ def release(only: str | None, workers: int, progress: Progress, studies: Studies
     if commit() is None:
         raise TaskError(f"The code here names no commit, which every row that ships has. Set {VARIABLE} to what "
                         f"`python -m vsfsim.data.provenance` prints in the checkout that it was copied from.")
-    found = {f"{one.name}, {what}": message for one in _asked(only, studies, audit)
+    found = {f"{one.name}, {what}": message for one in _asked(only)
              for what, message in one.make(workers, progress)}
     if any(found.values()):
         raise TaskError("\n\n".join(f"{what}: {message}" for what, message in found.items() if message))
     return "python docs/make.py results   # writes the pages' tables", list(found)
 
 
-def _asked(only: str | None, studies: Studies, audit: Any) -> list[Whole]:
+def _asked(only: str | None) -> list[Whole]:
     known = plan()
-    return [Whole(name, known[name], studies, audit)
-            for name in (known if only is None else [one_of(only, known, "--only")])]
+    return [Whole(name, known[name]) for name in (known if only is None else [one_of(only, known, "--only")])]
+
+
+def lacking(study: Study, boards: dict[str, Board] | None = None, *, made: bool = False) -> list[Variant]:
+    """The variants of a study that have no result that ships and counts; operands as of `papers.results.stored`."""
+    found = stored(study, boards, made)
+    return [variant for variant in study.variants if variant.name not in found]
+
+
+def make_studies(studies: Sequence[Study], out: Path, workers: int, progress: Progress) -> Iterator[tuple[str, str]]:
+    """Make what some studies lack, datasets too, and ship it; yields as `papers.results.make_missing`."""
+    boards = dict[str, Board]()
+    for study in studies:
+        for variant in lacking(study, boards, made=True):
+            dataset_of(study.task_of(variant), workers)
+    yield from make_missing(studies, workers, progress)
+    ship({one.path.relative_to(MADE): (one.result, f"vsfsim papers study {study.name}", 0.0) for study in studies
+          for one in stored(study).values() if MADE / "studies" in one.path.parents}, out)
 
 
 def dataset_of(task: Task, workers: int) -> Dataset:
@@ -208,3 +212,55 @@ def dataset_of(task: Task, workers: int) -> Dataset:
         subprocess.run([sys.executable, "-m", *shlex.split(task.dataset.command()), "--workers", str(workers)],
                        check=True)
     return open_dataset(task)
+
+
+def ship(rows: Mapping[Path, tuple[Result, str, float]], out: Path) -> None:
+    """Write results as rows that ship, and what made them into the list beside them. A row that comes out again, to the
+    same numbers, becomes "verified".
+
+    Args:
+        rows: by the place below ``out``, the result, the command that made it ("" for that of `vsfsim evaluate`), and
+            its CPU seconds, which are at least those in the method's calls.
+        out: the folder of the rows that ship.
+
+    Raises:
+        TaskError: a file cannot be written.
+    """
+    entries = listed()
+    for place, (given, command, seconds) in rows.items():
+        row, target = as_shipped(given), out / place
+        before = Result.load(target) if target.is_file() else row
+        sha256, entry = row_sha256(row), entries.pop(row_sha256(before), None)
+        if entry is None or entry.sha256 != sha256:
+            spent = max(seconds, sum(row.timing.get(key, 0.0) for key in ("meta_fit_s", "adapt_s", "predict_s")))
+            entry = Entry(sha256, row.task, row.method, "verified" if entry and is_same(row, before) else "open",
+                          command or command_of(row, whole=not row.preset), row.made_by.get("commit") or "",
+                          row.machine.get("cpu") or "", round(spent, 1), bool(given.data))
+        row.save(target)
+        entries[sha256] = entry
+    write_list(entries.values(), out / LIST)
+
+
+def write_list(entries: Iterable[Entry], path: Path) -> None:
+    """Write the list, an entry a line.
+
+    Raises:
+        TaskError: the file cannot be written.
+    """
+    order = sorted(entries, key=lambda e: (e.task, e.method, e.sha256))
+    lines = ",\n".join(msgspec.json.encode(entry).decode() for entry in order)
+    write_atomic(path, f"[\n{lines}\n]\n".encode(), error=TaskError)
+
+
+def ship_audit(found: audit.Audit, path: Path, task_sha256: str, of: str = "") -> None:
+    """Write what of an audit needs data or further rows.
+
+    Args:
+        found: the audit. path: of the file. task_sha256: of the task. of: digest of what it was made of.
+
+    Raises:
+        TaskError: the file cannot be written.
+    """
+    errors = {sees: {name: float(f"{value:.7g}") for name, value in of.items()} for sees, of in found.errors.items()}
+    told = msgspec.json.encode(audit.Shipped("vsfsim-audit-2", task_sha256, of, found.fresh, errors))
+    write_atomic(path, msgspec.json.format(told, indent=1) + b"\n", error=TaskError)
