@@ -71,8 +71,8 @@ def draw_view(data: Dataset, shown: ObjectView) -> Drawing:
     from vsfsim.generate.resim import job_of
 
     job = job_of(data.recipe, shown.name)
-    scene = job.scene()
-    body = dataclasses.replace(scene.required_object, tier=data.recipe.tier)
+    scene, tier = job.scene(), data.recipe.tier
+    body = dataclasses.replace(scene.required_object, tier=tier)  # type: ignore[arg-type]
     drawing = effector_of(scene).draw(dataclasses.replace(scene, object=body), job.stream(Stream.BODY))
     return drawing if shown.truth is not None else dataclasses.replace(drawing, body=None, young_modulus=None)
 
