@@ -190,17 +190,6 @@ def written(found: Any, words: str, about: str, tables: list) -> str:
     return "\n".join(parts)
 
 
-def kept(name: str, module: str) -> str:
-    """The tables of `vsfsim measure NAME` from the presses in measured/NAME.jsonl, which took a large machine."""
-    found = importlib.import_module(f"measurements.{module}").stored(FOLDER / f"{name}.jsonl")
-    of = dict(found.settings)
-    found = dataclasses.replace(found, version=of.pop("version"), commit=of.pop("commit"))
-    words = "".join(f" --{key} {one if isinstance(one, str) else f'{one:g}'}" for key, value in of.items()
-                    for one in (value if isinstance(value, list) else [value]))
-    about = "; ".join(found.notes)
-    return written(found, name + words, f"{about[0].upper()}{about[1:]}.", list(found.tables))
-
-
 def tradeoff(scene: str, **options: Any) -> str:
     """The front of `vsfsim lab tradeoff SCENE` in the folder tradeoff/SCENE, and what each goal costs; what is there
     already is not measured again."""
@@ -234,7 +223,6 @@ def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, A
 
 MEASURED: dict[str, partial[str]] = {
     **{name: partial(result, name) for name in included()},
-    "plant-ceilings": partial(kept, "plant-ceilings", "plant_ceilings"),
     "solver": partial(measurement, "solver", 2),
     **{f"tradeoff-{scene}": partial(tradeoff, scene) for scene in ("foam-block", "shoes-v3-mini")},
     "tradeoff-shoes-v2-punyo-mini": partial(tradeoff, "shoes-v2-punyo-mini", touches=1),

@@ -75,31 +75,6 @@ def unused(scene: Names = None, out: JsonFile = None) -> None:
     _report(measure(scene or (), progress=step), out)
 
 
-@command(app, "plant-ceilings")
-def plant_ceilings(scene: str = "plants-v4-mini", objects: Several = None, first: Number = 0,
-                   touches: Annotated[int, typer.Option(min=26)] = 26,
-                   jitter: Annotated[list[float] | None, typer.Option(min=0.0)] = None,
-                   shots: Annotated[list[int] | None, typer.Option(min=1)] = None, seed: Number = 0,
-                   out: Path | None = None, json: JsonFile = None) -> None:
-    """The skeleton of a plant off by 0, 2, 5 mm: with its true moduli, and with a modulus a class fitted to touches.
-
-    Args:
-        scene: Scene of plants, with [arm].
-        objects: Plants; default: the scene's.
-        first: Number of the first plant.
-        touches: Touches of each plant; the last 15 are predicted.
-        jitter: RMS displacement of the skeleton [m]; may be given again. Default: 0, 0.002 and 0.005.
-        shots: Touches that the moduli are fitted to; may be given again. Default: 5 and 10.
-        seed: Of the dataset.
-        out: Keeps each row, from which a later run goes on; rows of other plants that it has are printed, too.
-    """
-    from measurements.plant_ceilings import JITTERS, SHOTS, measure
-
-    found = measure(scene=scene, objects=objects, first=first, touches=touches, shots=shots or SHOTS,
-                    jitters=jitter or JITTERS, seed=seed, file=out, progress=step)
-    _report(found, json)
-
-
 @command(app)
 def gpu(scene: str, device: Device = "cuda:0", objects: Several = None, touches: Several = None,
         workers: Several = None, cores: Annotated[int | None, typer.Option(min=0)] = None,

@@ -140,6 +140,8 @@ class Options:
     """Least length of the segments of stems and branches [m]."""
     yields: bool = False
     """Whether wires yield; they are elastic otherwise."""
+    fixed: bool = False
+    """Whether stems are clamped in the pot, as in the papers' experiments; otherwise the pot's filling gives way."""
 
 
 def name_of(options: Options, pick: int, index: int) -> str:

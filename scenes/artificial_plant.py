@@ -52,6 +52,8 @@ _DENSITY = 1000.0
 """Of all parts [kg/m^3]; it matters in scenes with gravity only."""
 _JOINT_LENGTH, _JOINT_RADIUS = 0.01, 0.01
 """Of the segment that stands for the pot's filling [m]."""
+_CLAMPED = 1e11
+"""Young's modulus of a segment that gives no way [Pa]."""
 
 
 def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
@@ -137,10 +139,11 @@ class _Tree(Growth):
         for way, place in self.stems(kind.stems, kind.spread, kind.lean, 0.001):
             root = 0
             if place is not None:  # a stiff segment in the filling leads to the foot of the stem
-                root = self._part(0, place, 0.01, JOINT, 1e11, 0)
+                root = self._part(0, place, 0.01, JOINT, _CLAMPED, 0)
             second = math.pi * _JOINT_RADIUS**4 / 4.0
+            filling = self.drawn(kind.joint) * _JOINT_LENGTH / second
             foot = self._part(root, self.nodes[root] + _JOINT_LENGTH * way, _JOINT_RADIUS, JOINT,
-                              self.drawn(kind.joint) * _JOINT_LENGTH / second, 0)
+                              _CLAMPED if self.options.fixed else filling, 0)
             bearers.append(self._stalk(foot, way, kind.stem, TRUNK, self.step_length))
         for level in kind.levels:
             bearers = [child for axis in bearers for child in self._branches(axis, level)]

@@ -173,13 +173,15 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
     """
     usable = np.array([i for i, touch in enumerate(view.touches) if counted(touch, protocol).any()],
                       dtype=int)
-    kind = np.array([view.touches[i].press or 0 for i in usable], dtype=int)
-    asked = usable[kind > 0] if protocol.transfer else usable
+    apart = protocol.transfer or protocol.stations > 1
+    asked = np.array([i for i in usable if i % protocol.stations == protocol.stations - 1
+                      and (view.touches[i].press or not protocol.transfer)], dtype=int)
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(0, view.object_index, view.view_index))
     query = np.random.default_rng(stream).permutation(asked)[:protocol.query]
-    pool = np.setdiff1d(usable, asked if protocol.transfer else query)
+    pool = np.setdiff1d(usable, asked if apart else query)
     if len(query) < protocol.query or len(pool) < max(protocol.shots):
-        kinds = f", {len(asked)} of them of other kinds than the scene's own press" if protocol.transfer else ""
+        kinds = f", {len(asked)} of them of other kinds than the scene's own press" if protocol.transfer else (
+            f", {len(asked)} of them the last of their branch" if apart else "")
         raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame{kinds}; "
                         f"{protocol.query} query touches and {max(protocol.shots)} shots need "
                         f"{protocol.query + max(protocol.shots)}. Generate more touches, or lower query or shots in a "

@@ -114,6 +114,9 @@ class Protocol:
     transfer: bool = False
     """Queries are the presses of other kinds than the scene's own (``[[touches.other]]``), and only its own are learned
     from, on training objects as well."""
+    stations: Positive = 1
+    """Of the scene (`vsfsim.core.scene_tables.dataset.TouchSpec.stations`): queries are the last touches of branches,
+    supports the others; 1: any touch may be either."""
 
     def __post_init__(self) -> None:
         if sorted(set(self.shots)) != list(self.shots):

@@ -53,7 +53,7 @@ def evaluate(task: TaskName,
 
     Args:
         method: Name of a method (`vsfsim list methods`), or module:attribute; may be given again. Ceilings: resim, the
-            true object; fem-map, its mesh.
+            true object; fem-map, its mesh; rod-map, the skeleton of a plant.
         every: All methods that ship, with all their presets; results that are there already are kept. With --set
             device=cuda:0 those use the GPU that it makes faster; with device=cuda each training of several --workers
             uses one of all GPUs.

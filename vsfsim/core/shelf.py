@@ -167,7 +167,8 @@ def ceilings() -> dict[str, importlib.metadata.EntryPoint]:
     """What knows the true object, by name: the entry points of the group ``vsfsim.ceilings``, each a function like
     `vsfsim.generate.resim.again`, and of ``vsfsim.fitted_ceilings``, each like `vsfsim.generate.fem_map.fitted`."""
     shipped = (importlib.metadata.EntryPoint("resim", "vsfsim.generate.resim:again", CEILING_GROUP),
-               importlib.metadata.EntryPoint("fem-map", "vsfsim.generate.fem_map:fitted", FITTED_GROUP))
+               importlib.metadata.EntryPoint("fem-map", "vsfsim.generate.fem_map:fitted", FITTED_GROUP),
+               importlib.metadata.EntryPoint("rod-map", "vsfsim.generate.plants.rod_map:fitted", FITTED_GROUP))
     return {ep.name: ep for group in (CEILING_GROUP, FITTED_GROUP)
             for ep in (*importlib.metadata.entry_points(group=group), *(one for one in shipped if one.group == group))}
 

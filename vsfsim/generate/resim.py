@@ -14,7 +14,6 @@ from typing import Protocol
 import numpy as np
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import ProbeShape
 from vsfsim.core.shelf import find_scene, scenes
 from vsfsim.data.recipe import Recipe
@@ -57,18 +56,27 @@ def again(recipe: Recipe, name: str, plans: Sequence[Planned], *, tier: str = ""
 
 def job_of(recipe: Recipe, name: str, tier: str = "") -> Job:
     """The view ``name`` to make again; arguments and errors as `again`."""
-    path = find_scene(recipe.scene) if recipe.scene in scenes() else Path(f"{recipe.scene}.toml")
-    check_files(recipe, path)
-    effector = effector_of(parse_scene(recipe.scene_text, path).sample(0))
+    job = named_job(recipe, name)
+    effector = effector_of(job.scene())
     if not isinstance(effector, OnSolids):
         raise SceneError(f"the touches of scene '{recipe.scene}' are not made again from their "
                          "plans: its effector takes no paths. Rigid probes and bubbles do.")
-    job = next(one for one in jobs_of(recipe, path, "") if one.name == name)
     if not tier:
         return job
     # what a tier that does not show the scene's needs errs is what is asked
     chosen = effector.check(dataclasses.replace(job.scene(), needs=()), tier)
     return dataclasses.replace(job, recipe=dataclasses.replace(recipe, tier=chosen))
+
+
+def named_job(recipe: Recipe, name: str) -> Job:
+    """The job of the object view ``name`` of a dataset.
+
+    Raises:
+        DatasetError: a file that the scene names has changed.
+    """
+    path = find_scene(recipe.scene) if recipe.scene in scenes() else Path(f"{recipe.scene}.toml")
+    check_files(recipe, path)
+    return next(one for one in jobs_of(recipe, path, "") if one.name == name)
 
 
 def retouch(subject: Subject, plans: Sequence[Planned], *, device: str) -> list[Touch]:

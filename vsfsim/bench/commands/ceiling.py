@@ -4,7 +4,8 @@ A ceiling is an entry point of the group `vsfsim.ceilings`, a function that is g
 object view and the actions of its query touches, and returns the touches. `resim` makes them again with the true mesh
 and field (`vsfsim.generate.resim`); its error is what the task's questions leave open to a perfect model. One of the
 group `vsfsim.fitted_ceilings` is given the readings of each trial as ``support``, too: `fem-map`
-(`vsfsim.generate.fem_map`) fits the true mesh's moduli to them. Other keyword parameters are set by ``--set``.
+(`vsfsim.generate.fem_map`) fits the true mesh's moduli to them, `rod-map` (`vsfsim.generate.plants.rod_map`) those of a
+plant's true skeleton. Other keyword parameters are set by ``--set``.
 """
 
 from __future__ import annotations
@@ -126,10 +127,10 @@ def _answered(folder: Path, identity: str, ceiling: EntryPoint, recipe: Recipe, 
             raise MethodError(f"the ceiling cannot answer '{action.observation}' of object view '{name}': what it "
                               f"makes again has no {row.channel.name}.")
         reading = row.reading(values, action.axis)
-        good = touch.converged & np.isfinite(reading).all(axis=1)
-        lost += int((~good).sum())
-        frames = np.arange(len(good))
-        out.append(np.stack([np.interp(frames, frames[good], column[good]) if good.any() else np.zeros(len(good))
+        good = np.flatnonzero(touch.converged & np.isfinite(reading).all(axis=1))
+        lost += len(reading) - len(good)
+        frames = np.arange(len(action.time))  # a touch that ended at a force limit holds its last reading
+        out.append(np.stack([np.interp(frames, good, column[good]) if len(good) else np.zeros(len(frames))
                              for column in reading.T], axis=1))
     save(path, (lost, out))
     return lost, out

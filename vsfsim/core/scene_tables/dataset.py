@@ -45,6 +45,9 @@ class TouchSpec:
     plan: bool = False
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
+    stations: Annotated[int, between(1, 10, whole=True)] = 1
+    """Touches of an arm that go to one stem or branch each time, one to each of so many parts of its visible length, in
+    random order; 1: every touch goes to a place of its own."""
     level: bool = False
     """Press from the side: along the level part of minus the visible normal. A target whose normal is steeper than
     `STEEPEST` is drawn again."""
@@ -112,6 +115,9 @@ class ArmSpec:
     reject_below: Annotated[float, between(0.0, 50.0, "N m")] = 0.0
     """A plant is drawn again if a push at the middle of its visible parts would give joint torques whose norm is below
     this [N m]; 0 for never."""
+    jitter: Annotated[float, between(0.0, 1e-3, "m")] = 0.0
+    """A frame is marked as not resolved from where its torques change by more than a twentieth of the touch's largest
+    if the skeleton is displaced so far (RMS, `vsfsim.generate.plants.skeleton.displaced`); 0: none is asked [m]."""
 
 
 _FRAMES = {"free": (2, 1), "in": (6, 1), "hold": (1, 0), "out": (3, 0)}

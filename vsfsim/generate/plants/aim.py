@@ -4,8 +4,9 @@ go."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from vsfsim.robot.reach import Unreachable, straight_touch
 
 # targets that are tried for one touch: an arm that reaches a sixtieth of the points misses all with probability 5e-8
 DRAWS = 1000
+ON_BRANCH = 40  # the same for each part of one branch, before another branch is drawn
+SPAN = 0.06  # least visible length of a branch that is touched at several places [m]
 TURN = 0.6  # largest angle about +z between the tool's axis and the line from shoulder to target [rad]
 LIFT = 0.35  # largest angle by which the tool's axis is raised or lowered from that line [rad]
 SHORTEST = 0.4  # the depth of a touch is drawn between this share of the scene's depth and all of it [-]
@@ -58,6 +61,12 @@ class ArmAim:
     refused: Counter
     """Why the targets before were refused: how many for each reason."""
 
+    @classmethod
+    def along(cls, q: np.ndarray, axis: np.ndarray) -> ArmAim:
+        """A touch along joint angles (T, 7) [rad], whose target nobody knows."""
+        unknown = np.full(3, np.nan)
+        return cls(unknown, axis, unknown, unknown, np.asarray(q, float), np.arange(len(q)), 1, Counter())
+
 
 def load(spec: ArmSpec) -> Arm:
     """The arm of a scene, standing where it says."""
@@ -71,7 +80,7 @@ def load(spec: ArmSpec) -> Arm:
 def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
             stream: Callable[[int], np.random.Generator], *, numbers: range, where: str) -> list[ArmAim]:
     """Draw touches of a view: targets uniform on the visible cloud, and lines that the arm can follow. A target whose
-    line it cannot follow is drawn again.
+    line it cannot follow is drawn again. With ``stations`` in ``[touches]`` so many touches in turn share a branch.
 
     Args:
         arm: the arm.
@@ -80,7 +89,8 @@ def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np
         plant: the plant.
         cloud: visible cloud of the view (n, 3) [m].
         stream: random stream of touch k.
-        numbers: which touches to draw; each has its own stream, so any of them may be drawn alone.
+        numbers: which touches to draw; each (with ``stations``, those of each branch) has its own stream, so any of
+            them may be drawn alone.
         where: the scene, for messages.
 
     Raises:
@@ -89,15 +99,61 @@ def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np
     """
     if not len(cloud):
         raise SceneError(f"{where}: the camera sees no plant; check [camera] distance, azimuth, elevation and fov.")
-    return [_draw(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
+    draw, count = partial(_draw, arm, spec, touches, plant, where=where), touches.stations
+    if count == 1:
+        return [draw(cloud, stream(k)) for k in numbers]
+    branches = visible_branches(plant, cloud, count)
+    found = {number: [*_on_branch(draw, branches, stream(count * number), where)]
+             for number in sorted({k // count for k in numbers})}
+    return [found[k // count][k % count] for k in numbers]
+
+
+def visible_branches(plant: Plant, cloud: np.ndarray, parts: int) -> list[list[np.ndarray]]:
+    """The visible points (n, 3) [m] of each stem or branch of which the cloud shows `SPAN` or more, in so many parts of
+    equal numbers along it."""
+    first, along = plant.nodes[plant.parent[1:]], plant.nodes[1:] - plant.nodes[plant.parent[1:]]
+    gap, segment, place = np.full(len(cloud), np.inf), np.zeros(len(cloud), int), np.zeros(len(cloud))
+    for i, (a, d) in enumerate(zip(first, along, strict=True), start=1):
+        share = np.clip((cloud - a) @ d / (d @ d), 0.0, 1.0)
+        away = np.linalg.norm(cloud - a - share[:, None] * d, axis=1) - max(plant.radius[i], plant.half_width[i])
+        closer = away < gap
+        gap[closer], segment[closer], place[closer] = away[closer], i, share[closer]
+    look = plant.region if plant.look is None else plant.look
+    arc, size = np.zeros(len(plant.nodes)), plant.lengths()
+    for i, parent in enumerate(plant.parent[1:], start=1):
+        arc[i] = size[i] + (arc[parent] if look[parent] == look[i] else 0.0)
+    at = arc[segment] - (1.0 - place) * size[segment]
+    out = []
+    for axis in np.unique(look[1:][plant.half_width[1:] == 0.0]):
+        mine = np.flatnonzero(look[segment] == axis)
+        mine = mine[np.argsort(at[mine], kind="stable")]
+        if len(mine) >= parts and at[mine[-1]] - at[mine[0]] >= SPAN:
+            out.append([cloud[some] for some in np.array_split(mine, parts)])
+    return out
+
+
+def _on_branch(draw: Callable[..., ArmAim], branches: list[list[np.ndarray]], rng: np.random.Generator,
+               where: str) -> Iterator[ArmAim]:
+    """A touch of each part of one branch, in random order; a branch is drawn by the number of its visible points."""
+    size = np.array([sum(map(len, parts)) for parts in branches], float)
+    for _ in range(DRAWS // ON_BRANCH if len(size) else 0):
+        parts = branches[rng.choice(len(size), p=size / size.sum())]
+        try:
+            found = [draw(parts[k], rng, draws=ON_BRANCH) for k in rng.permutation(len(parts))]
+        except NothingReached:
+            continue
+        yield from found
+        return
+    why = f"none of the {len(size)} stems and branches of which the camera sees {100 * SPAN:g} cm can be reached"
+    raise NothingReached(f"{where} [touches] stations: {why}. Move [arm] base, [camera] or the object.", why)
 
 
 def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
-          rng: np.random.Generator, where: str) -> ArmAim:
+          rng: np.random.Generator, *, where: str, draws: int = DRAWS) -> ArmAim:
     shoulder = arm.postures(np.zeros((1, 7))).anchors[0, 1]
     refused: Counter = Counter()
     free, inward, hold, out = touches.frames
-    for draw in range(1, DRAWS + 1):
+    for draw in range(1, draws + 1):
         target = cloud[rng.integers(len(cloud))]
         seed = int(rng.integers(2**31))
         axis = _turned(target - shoulder, rng.uniform(-TURN, TURN), rng.uniform(-LIFT, LIFT))
@@ -125,7 +181,7 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         plan = np.concatenate([np.zeros(free, int), np.arange(1, inward + 1), np.full(hold, inward), back])
         return ArmAim(target, way, start, stop, line, plan, draw, refused)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
-    why = f"none of {DRAWS} targets can be reached: {reasons}"
+    why = f"none of {draws} targets can be reached: {reasons}"
     raise NothingReached(f"{where} [touches]: {why}. Move [arm] base or the object, or use a "
                          "smaller approach or depth.", why)
 

@@ -169,7 +169,7 @@ def refusal(plant: Plant, scene: Scene, arm: Arm, views: int, seed: np.random.Se
         views: of the object.
         seed: of the pilot touches.
     """
-    pilot = dataclasses.replace(scene.required_touches, frames=(1, _FRAMES, 0, 0))
+    pilot = dataclasses.replace(scene.required_touches, frames=(1, _FRAMES, 0, 0), stations=1)
     streams = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(PILOTS)]
     norms: list[float] = []
     for view in range(min(views, PILOTS)):

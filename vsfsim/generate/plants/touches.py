@@ -17,7 +17,8 @@ from vsfsim.core.scene import Scene
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch
 from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim
-from vsfsim.generate.plants.subject import Subject, prepare_job
+from vsfsim.generate.plants.skeleton import displaced
+from vsfsim.generate.plants.subject import Subject, beams, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import recorded
 from vsfsim.generate.workers import enough_memory, process_pool, submit, write
@@ -26,12 +27,23 @@ from vsfsim.robot.arm import Arm, Postures, body_torque, chain_of
 from vsfsim.robot.path import times
 
 TOGETHER = 4096  # touches on a device at once, which take 7 GB
+FLIPPED = 0.05  # share of a touch's largest torques by which a frame may change if the skeleton is displaced
 
 
 def make_view(job: Job, *, device: str) -> ObjectView:
     """The object view of a job."""
     subject = prepare_job(job, device=device)
-    return finish(subject, solve([subject], device=device), device=device)
+    return finish(subject, solve([subject], device=device), _jittered([subject], device=device), device=device)
+
+
+def _jittered(subjects: Sequence[Subject], *, device: str) -> RodFrames | None:
+    """The same touches of the plants with skeletons displaced by the scene's ``jitter``; None if it asks for none."""
+    by = subjects[0].scene.required_arm.jitter
+    if not by:
+        return None
+    plants = [displaced(one.plant, by, np.random.default_rng(one.job.object_index)) for one in subjects]
+    return solve([dataclasses.replace(one, plant=plant, model=beams(plant, one.scene))
+                  for one, plant in zip(subjects, plants, strict=True)], device=device)
 
 
 def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None,
@@ -70,11 +82,12 @@ def make_together(jobs: Sequence[Job], *, device: str, workers: int | None) -> I
             some = slice(begin, begin + views)
             subjects = [future.result() for future in prepared[some]]
             with enough_memory(jobs[0].recipe.scene, device):
-                frames = solve(subjects, device=device)
+                frames, other = solve(subjects, device=device), _jittered(subjects, device=device)
             last = np.cumsum([len(s.aims) for s in subjects])
             for job, subject, end in zip(jobs[some], subjects, last, strict=True):
-                mine = frames.of(slice(end - len(subject.aims), end))
-                writing.append(submit(pool, _write, job, dataclasses.replace(subject, poses=np.zeros(0)), mine, device))
+                mine = [one and one.of(slice(end - len(subject.aims), end)) for one in (frames, other)]
+                writing.append(submit(pool, _write, job, dataclasses.replace(subject, poses=np.zeros(0)), *mine,
+                                      device))
                 yield job.name
         for future in writing:
             future.result()
@@ -85,17 +98,32 @@ def _prepared(job: Job, device: str) -> Subject:
     return dataclasses.replace(prepare_job(job, device=device), arm=None)
 
 
-def _write(job: Job, subject: Subject, frames: RodFrames, device: str) -> None:
-    write(job, finish(subject, frames, device=device), device)
+def _write(job: Job, subject: Subject, frames: RodFrames, other: RodFrames | None, device: str) -> None:
+    write(job, finish(subject, frames, other, device=device), device)
 
 
-def finish(subject: Subject, frames: RodFrames, *, device: str) -> ObjectView:
-    """The object view of a touched subject: records, torques and truth."""
+def finish(subject: Subject, frames: RodFrames, other: RodFrames | None, *, device: str) -> ObjectView:
+    """The object view of a touched subject: records, torques and truth; ``other`` are frames of its displaced plant,
+    None if none are asked for."""
     assert subject.view is not None
     touches, chain, job = finish_touches(subject, frames), chain_of(subject.loaded_arm()), subject.job
+    if other is not None:
+        touches = [dataclasses.replace(touch, resolved=agrees(touch, moved))
+                   for touch, moved in zip(touches, finish_touches(subject, other), strict=True)]
     truth = plant_truth(subject.model, subject.view, touches, chain,
                         friction=subject.scene.required_object.friction, device=device)
     return ObjectView(job.name, job.object_index, job.view_index, job.split, chain, subject.view, tuple(touches), truth)
+
+
+def agrees(touch: Touch, other: Touch) -> np.ndarray:
+    """The frames of a touch (T,) bool before the first in which the torques of two touches differ by more than
+    `FLIPPED` of its largest; a frame that one of them has not, or without an equilibrium in it, differs."""
+    ours, theirs = np.asarray(touch.torque), np.full((len(touch.time), 7), np.nan)
+    both = min(len(ours), len(other.time))
+    theirs[:both] = np.where(other.converged[:both, None], np.asarray(other.torque)[:both], np.nan)
+    size = np.linalg.norm(ours[touch.converged], axis=1).max(initial=0.0)
+    near = np.linalg.norm(ours - theirs, axis=1) <= FLIPPED * size
+    return np.logical_and.accumulate(near | ~touch.converged)
 
 
 def finish_touches(subject: Subject, frames: RodFrames) -> list[Touch]:

@@ -1,0 +1,104 @@
+"""The ceiling `rod-map`: a plant's true skeleton with moduli fitted to touches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from texts import changed
+
+import vsfsim
+from vsfsim.core.errors import SceneError
+from vsfsim.core.shelf import find_scene
+from vsfsim.data.dataset import Dataset
+from vsfsim.generate.plants.rod_map import fitted, held, with_classes
+from vsfsim.generate.plants.skeleton import displaced
+from vsfsim.generate.plants.subject import outline
+from vsfsim.generate.resim import named_job
+
+
+@dataclasses.dataclass
+class Plan:
+    """A touch as a task asks for it."""
+
+    q: np.ndarray
+    axis: np.ndarray
+
+
+@dataclasses.dataclass
+class Read:
+    """A touch that was made, and its joint torques."""
+
+    action: Plan
+    value: np.ndarray
+    valid: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two small plants of one kind, touched six times each."""
+    folder = tmp_path_factory.mktemp("plants")
+    scene = folder / "small.toml"
+    scene.write_text(changed(find_scene("plants-v4-mini").read_text(), plant='"orange-tree"', wood_segments=40,
+                             leaf_segments=40, frames="{ free = 1, in = 8, hold = 0, out = 0 }", reject_below=0.0))
+    vsfsim.generate(scene, out=folder / "data", objects=2, touches=6, seed=1)
+    return Dataset.open(folder / "data"), folder
+
+
+def asked(view):
+    """Plans and readings of the touches of a view."""
+    plans = [Plan(touch.planned_q, touch.axis) for touch in view.touches]
+    return plans, [Read(Plan(touch.q, touch.axis), np.asarray(touch.torque), touch.converged)
+                   for touch in view.touches]
+
+
+def error(found, view):
+    """RMSE of the torques over that of predicting zero."""
+    true = np.concatenate([np.asarray(touch.torque) for touch in view.touches])
+    told = np.concatenate([held(one, len(touch.time)) for one, touch in zip(found, view.touches, strict=True)])
+    return float(np.sqrt(((told - true)**2).sum() / (true**2).sum()))
+
+
+def test_the_true_plant_leaves_nothing_and_a_displaced_one_does(made, monkeypatch):
+    data, folder = made
+    monkeypatch.chdir(folder)
+    view = data.load(data.entries[0].name)
+    plans, _ = asked(view)
+    errors = [error(fitted(data.recipe, view.name, plans, moduli="true", jitter=jitter), view)
+              for jitter in (0.0, 0.02)]
+    assert errors[0] < 1e-6 and errors[1] > 0.02
+
+
+def test_touches_of_a_plant_with_other_moduli_are_learned_from(made, monkeypatch):
+    data, folder = made
+    monkeypatch.chdir(folder)
+    view = data.load(data.entries[0].name)
+    plans, readings = asked(view)
+    before, after = (error(fitted(data.recipe, view.name, plans, support=some), view) for some in ([], readings[:3]))
+    own = error(fitted(data.recipe, view.name, plans, moduli="own"), view)
+    assert after < max(0.7 * before, 1.2 * own)
+
+
+def test_cores_change_with_their_segments_and_blades_stay_across_them(made, monkeypatch):
+    data, folder = made
+    monkeypatch.chdir(folder)
+    plant = outline(named_job(data.recipe, data.entries[0].name)).plant
+    double = with_classes(plant, np.log(2.0 * np.array([plant.young_modulus[1:][plant.region[1:] == k].mean()
+                                                        if (plant.region[1:] == k).any() else 1.0
+                                                        for k in range(len(plant.region_names))])))
+    share = double.young_modulus[1:] / plant.young_modulus[1:]
+    np.testing.assert_allclose(double.yielding[1:], plant.yielding[1:] * share[:, None], rtol=1e-12)
+    moved = displaced(plant, 0.005, np.random.default_rng(0))
+    assert np.sqrt(((moved.nodes - plant.nodes)**2).sum(axis=1).mean()) == pytest.approx(0.005)
+    assert displaced(plant, 0.0, np.random.default_rng(0)) is plant
+
+
+def test_what_it_cannot_do_is_refused(made, generated, monkeypatch):
+    data, folder = made
+    solid = generated("sprung")
+    with pytest.raises(SceneError, match="rod-map bends plants"):
+        fitted(solid.recipe, solid.entries[0].name, [])
+    monkeypatch.chdir(folder)
+    with pytest.raises(SceneError, match="moduli"):
+        fitted(data.recipe, data.entries[0].name, [], moduli="known")
