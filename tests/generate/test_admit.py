@@ -20,7 +20,7 @@ from vsfsim.generate.recipe import make_recipe
 
 @pytest.fixture
 def job(tmp_path):
-    path = find_scene("plants-v4-mini")
+    path = find_scene("plants-v5-mini")
     loaded = parse_scene(changed(path.read_text(), wood_segments=30, leaf_segments=30, plant='"boxwood"'), path)
     recipe = make_recipe(loaded, seed=3, objects=1, views=2, touches=1)
     return jobs_of(recipe, loaded.path, tmp_path)[1]

@@ -100,7 +100,7 @@ def test_truth_of_a_plant(made, prepared):
 
 def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
     view, *_ = made
-    path = find_task("fewshot-plants-v4-mini-v1")
+    path = find_task("fewshot-plants-v5-mini-v1")
     white = path.read_text().replace('kind = "gen3-posed"', "force_std = 0.0\ntorque_std = 0.1")
     task = parse_task(white, path)
     protocol = dataclasses.replace(task.protocol, folds=0, draws=0, trainings=0, seeds=1)  # no planned paths

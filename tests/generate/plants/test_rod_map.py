@@ -40,7 +40,7 @@ def made(tmp_path_factory):
     """Two small plants of one kind, touched six times each."""
     folder = tmp_path_factory.mktemp("plants")
     scene = folder / "small.toml"
-    scene.write_text(changed(find_scene("plants-v4-mini").read_text(), plant='"orange-tree"', wood_segments=40,
+    scene.write_text(changed(find_scene("plants-v5-mini").read_text(), plant='"orange-tree"', wood_segments=40,
                              leaf_segments=40, frames="{ free = 1, in = 8, hold = 0, out = 0 }", reject_below=0.0))
     vsfsim.generate(scene, out=folder / "data", objects=2, touches=6, seed=1)
     return Dataset.open(folder / "data"), folder

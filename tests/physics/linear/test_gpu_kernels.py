@@ -10,7 +10,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effector import kernels_of
 from vsfsim.physics import runtime
 
-SCENES = "shoes-v3-mini", "shoes-v2-punyo-mini", "plants-v4-mini"  # solids, a bubble, plants
+SCENES = "shoes-v3-mini", "shoes-v2-punyo-mini", "plants-v5-mini"  # solids, a bubble, plants
 
 
 @pytest.fixture

@@ -41,7 +41,7 @@ def export(dataset: Dataset, folder: Path) -> None:
             raise DatasetError(f"export --to openvsf: {view.name} was not touched by an arm, and openvsf reads joint "
                                f"angles: a probe or a bubble that moves by itself has none. Use --to lerobot, "
                                f"webdataset or croissant, or export a dataset of a scene with [arm], e.g. "
-                               f"plants-v4-mini.")
+                               f"plants-v5-mini.")
         place = folder / view.name
         (place / "object").mkdir(parents=True)
         (place / "ground_truth").mkdir()
