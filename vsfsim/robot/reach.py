@@ -39,7 +39,7 @@ class Unreachable(VsfsimError):
     reason: Reason
     """Why, for the attempt that came furthest."""
 
-    def __init__(self, message: str, reason: Reason):
+    def __init__(self, message: str, reason: Reason = Reason.LIMITS):  # a process reads it back from the message alone
         super().__init__(message)
         self.reason = reason
 

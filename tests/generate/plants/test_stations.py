@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,9 +19,10 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.core.system.exact import snapped
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
-from vsfsim.generate.plants.aim import SPAN, visible_branches
+from vsfsim.generate.plants.aim import SPAN, NothingReached, visible_branches
 from vsfsim.generate.plants.subject import grow
 from vsfsim.generate.plants.touches import agrees
+from vsfsim.robot.reach import Reason, Unreachable
 from vsfsim.scenes import _artificial_kinds as kinds
 
 
@@ -96,6 +98,13 @@ def test_frames_are_resolved_until_a_nanometre_changes_them():
     assert agrees(ours, touch([0.0, 1.2, 2.0, 3.0])).tolist() == [True, False, False, False]
     assert agrees(ours, touch([0.0, 1.0])).tolist() == [True, True, False, False]
     assert agrees(ours, touch([0.0, 1.0, 2.0, 3.0], [True, True, False, True])).tolist() == [True, True, False, False]
+
+
+def test_an_error_of_another_process_is_read_back_whole():
+    """One with a field of its own broke the pool of processes, which then blamed memory."""
+    for error in (NothingReached("nothing", "the pot (3)"), Unreachable("too far", Reason.TABLE)):
+        again = pickle.loads(pickle.dumps(error))
+        assert type(again) is type(error) and str(again) == str(error) and vars(again) == vars(error)
 
 
 def test_the_last_touch_of_a_branch_is_asked():

@@ -35,7 +35,7 @@ class NothingReached(SceneError):
     reasons: str
     """What was in the way, and how often."""
 
-    def __init__(self, message: str, reasons: str):
+    def __init__(self, message: str, reasons: str = ""):  # a process reads it back from the message alone
         super().__init__(message)
         self.reasons = reasons
 
