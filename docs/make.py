@@ -27,7 +27,7 @@ LAYERS = ("core", "physics", "robot", "sensing", "generate", "press", "view", "v
 PICTURES = {
     "shoe": [["show", "shoes-v3-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
-    "plant": [["press", "plants-v4-mini", "--seed", "1", "--picture", "OUT"]],
+    "plant": [["press", "plants-v5-mini", "--seed", "1", "--picture", "OUT"]],
     "hidden": [["generate", "docs/pictures/hidden.toml", "--out", "DATASET"],
                ["show", "DATASET", "--method", "fem-map-seen", "--out", "GIF", *(
                    word for one in ("reach=0.02", "floor=0.02", "share=0.05", "objects=3", "presses=6")
