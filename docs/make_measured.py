@@ -34,12 +34,13 @@ def piped(head: list[str], rows: list[list[str]]) -> str:
 
 def leaderboard(task: str) -> str:
     """The table of `vsfsim leaderboard`, without the column of evidence."""
-    from vsfsim.bench.leaderboard import CEILING, cells, collect, footnotes, markdown
+    from vsfsim.bench.leaderboard import CEILING, cells, collect, footnotes
+    from vsfsim.bench.leaderboard import title as title_of
     from vsfsim.bench.task import load_task
     from vsfsim.core.plain_text import markdown as escaped
 
     board = BOARDS[task] = BOARDS.get(task) or collect(load_task(task))
-    title = next(line for line in markdown(board).splitlines() if "mean ± st" in line)
+    title = title_of(board.task)
     said = [line for line in footnotes(board, escaped)
             if line.startswith(("area: ", "rows with the same rank", "gap closed: ", "rank corr.: ", "no row of "))]
     title += "." * bool(said) + "".join(f" {line[0].upper()}{line[1:]}." for line in said)

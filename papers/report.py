@@ -11,7 +11,8 @@ import numpy as np
 from papers.results import Found, on_other_data
 from papers.study import Study
 from vsfsim.bench.board.compare import Paired, Runs, interval, paired
-from vsfsim.bench.leaderboard import interval_text, unit_of
+from vsfsim.bench.leaderboard import interval_text
+from vsfsim.bench.result import unit_of
 from vsfsim.core.text_table import text_table
 
 RANKING = "5"

@@ -25,11 +25,10 @@ from vsfsim.bench.board.rows import (
     listed,
 )
 from vsfsim.bench.board.templates import filled
-from vsfsim.bench.metrics import METRICS, Score
-from vsfsim.bench.result import Result
+from vsfsim.bench.metrics import Score
+from vsfsim.bench.result import Result, score_text, unit_of
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import markdown as escaped
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
@@ -186,43 +185,29 @@ def table(board: Board) -> dict[str, Any]:
 
 def text(board: Board) -> str:
     """The board for a terminal; its last column says which results shipped and which were made here."""
-    head, rows = cells(board)
-    shown = [[*cells, row.origin] for cells, row in zip(rows, board.rows)]
-    return filled("board.txt", **_shown(board, head, shown, footnotes(board))).rstrip()
-
-
-def markdown(board: Board) -> str:
-    """The board as a page."""
-    return filled("board.md", **_shown(board, *cells(board, escaped), footnotes(board, escaped))).rstrip() + "\n"
+    shown = _shown(board)
+    origins = [[*row, one.origin] for row, one in zip(shown.pop("rows"), board.rows)]
+    return filled("board.txt", rows=origins, **shown).rstrip()
 
 
 def page(boards: Sequence[Board]) -> str:
     """Some boards as one HTML page that works offline."""
-    shown = [_shown(board, *cells(board), footnotes(board)) for board in boards]
-    for one in shown:
-        one["title"] = filled("title.txt", **one)
-    return filled("boards.html", boards=shown, today=date.today(), version=made_by()["vsfsim"])
+    return filled("boards.html", boards=list(map(_shown, boards)), today=date.today(), version=made_by()["vsfsim"])
 
 
-def _shown(board: Board, head: list[str], rows: list[list[str]], notes: list[str]) -> dict[str, Any]:
-    unit = unit_of(board.task.primary, board.task.observation.unit)
-    return {"task": board.task, "unit": unit, "head": head, "rows": rows, "notes": notes}
+def _shown(board: Board) -> dict[str, Any]:
+    head, rows = cells(board)
+    return {"task": board.task, "title": title(board.task), "head": head, "rows": rows, "notes": footnotes(board)}
+
+
+def title(task: Task) -> str:
+    """What the figures of a board are: one line."""
+    return filled("title.txt", task=task, unit=unit_of(task.primary, task.observation.unit))
 
 
 def score_table(result: Result, metric: str) -> str:
     """One result for a terminal: every metric by shot, that called ``metric`` first."""
-    # a method without the function that the task ranks by has no such row
-    order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
-    units = {name: unit_of(name, result.unit) for name in order}
-    return text_table([result.method, *(f"{label}-shot" for label in result.shots)], [
-        [f"{name} [{unit}]" if unit else name, *(score_text(result.scores[name].get(label)) for label in result.shots)]
-        for name, unit in units.items()])
-
-
-def unit_of(metric: str, of_reading: str) -> str:
-    """Of a metric, "" for a pure number and for one that this version does not know."""
-    unit = METRICS[metric].unit if metric in METRICS else ""
-    return of_reading if unit is None else unit
+    return text_table(*result.table(metric))
 
 
 def cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
@@ -273,11 +258,6 @@ def footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
                   absent=absent(board.task.name, there), apart=f"{1.0 - LEVEL:.0%}",
                   shares=" + ".join(f"{share:.2f} of {label}-shot" for label, share in shares(board.task).items()),
                   correlated=any("stiffness_spearman" in row.scores for row in board.rows)).splitlines()
-
-
-def score_text(score: Score | None) -> str:
-    """A score with its deviation over runs, "" for none."""
-    return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
 
 
 def interval_text(values: Runs) -> str:

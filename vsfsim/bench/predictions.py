@@ -63,8 +63,10 @@ class Question:
     """Of the support draw."""
     view: View
     """Of the object."""
+    given: tuple[int, ...]
+    """Indices of the touches that the method may learn from."""
     support: tuple[Reading, ...]
-    """Touches that the method may learn from."""
+    """These touches."""
     touches: tuple[int, ...]
     """Indices of the query touches."""
     actions: tuple[Action, ...]
@@ -107,8 +109,9 @@ def _asked(task: Task, view: Any, shown: View, draw: Draw, readings: Sequence[Re
     """The questions about one object view, of which ``view`` has the name and the numbers."""
     for run in task.protocol.runs(seeded=False):
         for label in task.protocol.labels:
-            given = tuple(readings[k] for k in support(view, draw, label, run, task.protocol))
-            yield Question(view.name, label, run, shown, given, draw.query, actions, train)
+            given = support(view, draw, label, run, task.protocol)
+            yield Question(view.name, label, run, shown, given, tuple(readings[k] for k in given), draw.query, actions,
+                           train)
 
 
 def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.metrics import Answer, Score, scores_of
+from vsfsim.bench.metrics import METRICS, Answer, Score, scores_of
 from vsfsim.bench.result_file import SCHEMA_VERSION, Count, Size, as_rows, beside_zero, checked, pack, read_json
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.plain_text import plain
@@ -117,10 +117,14 @@ class Result:
         return f"Result({self.method} on {self.task}, {len(self.seeds)} seeds: {metric} {shots})"
 
     def _repr_html_(self) -> str:
-        rows = [(metric, *(f"{s.mean:.3f} ± {s.std:.3f}" if (s := by_shot.get(shot)) else "" for shot in self.shots))
-                for metric, by_shot in self.scores.items()]
-        return html_table(f"{self.method} on {self.task}, mean ± std over {len(self.seeds)} seeds; readings in "
-                          f"{self.unit}", ("metric", *(f"{shot}-shot" for shot in self.shots)), rows)
+        return html_table(f"{self.task}, mean ± std over {len(self.seeds)} seeds", *self.table())
+
+    def table(self, first: str = "") -> tuple[list[str], list[list[str]]]:
+        """Head and rows of a table: every metric by shot, that called ``first`` before the others."""
+        units = {name: unit_of(name, self.unit) for name in sorted(self.scores, key=lambda name: name != first)}
+        return [self.method, *(f"{shot}-shot" for shot in self.shots)], [
+            [f"{name} [{unit}]" if unit else name, *(score_text(self.scores[name].get(shot)) for shot in self.shots)]
+            for name, unit in units.items()]
 
     def plot(self, metric: str = "rmse", path: str | Path | None = None) -> Any:
         """Draw a metric over the number of touches, with its standard deviation over seeds.
@@ -190,13 +194,25 @@ class Result:
         are made once, and are not the caller's to change."""
         return beside_zero(as_rows(self.queries), self.readings)
 
+    def rows_of(self, answer: Answer) -> list[dict[str, Any]]:
+        """What is kept of an answer, as rows; [] of none."""
+        return self.rows if answer is Answer.READINGS else as_rows(self.answers.get(answer.value, {}))
+
     def computed(self) -> dict[str, dict[str, Score]]:
         """The scores, computed again from `queries` and `answers`; what `scores` says is not looked at."""
-        out = scores_of(Answer.READINGS, self.rows, self.shots, self.seeds)
-        for answer in Answer:
-            if answer.value in self.answers:
-                out |= scores_of(answer, as_rows(self.answers[answer.value]), self.shots, self.seeds)
-        return out
+        return {metric: by_shot for answer in Answer
+                for metric, by_shot in scores_of(answer, self.rows_of(answer), self.shots, self.seeds).items()}
+
+
+def unit_of(metric: str, of_reading: str) -> str:
+    """Of a metric, "" for a pure number and for one that this version does not know."""
+    unit = METRICS[metric].unit if metric in METRICS else ""
+    return of_reading if unit is None else unit
+
+
+def score_text(score: Score | None) -> str:
+    """A score with its deviation over runs, "" for none."""
+    return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
 
 
 def machine() -> dict[str, Any]:

@@ -184,8 +184,8 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
 
 
 @command(app)
-def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool = False, html: Path | None = None,
-                json: JsonFile = None) -> None:
+def leaderboard(results: Results = None, task: KnownTask = None, html: Path | None = None, json: JsonFile = None
+                ) -> None:
     """Rank the methods of a task, from result files.
 
     The last column says which results came with vsfsim and which were made here.
@@ -193,7 +193,6 @@ def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool 
     Args:
         results: More result files, or folders of them; default: results/TASK if there is one.
         task: Name of a task; default: all tasks.
-        markdown: Print a Markdown page.
         html (FILE): Write one page that works offline.
     """
     from vsfsim.bench import leaderboard as board
@@ -210,7 +209,7 @@ def leaderboard(results: Results = None, task: KnownTask = None, markdown: bool 
             if not paths and (Path("results") / wanted.name).is_dir():
                 paths = [Path("results") / wanted.name]
             boards.append(found := board.collect(wanted, paths))
-            pages.append((board.markdown if markdown else board.text)(found))
+            pages.append(board.text(found))
             tables.append(board.table(found))
     if html is not None:
         from vsfsim.data.disk import write_atomic

@@ -19,8 +19,8 @@ app = typer.Typer()
 
 
 @command(app)
-def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "", method: str = "",
-         settings: Parameters = None, seed: Seed = 0, device: Device = "cpu", json: JsonFile = None) -> None:
+def show(what: str, out: Shown = None, objects: AtLeastOne = 12, method: str = "", settings: Parameters = None,
+         seed: Seed = 0, device: Device = "cpu", json: JsonFile = None) -> None:
     """Show a dataset, a scene's object, or where a method errs: in words, as a picture, or as a page.
 
     A dataset: its summary and a contact sheet. A scene: its object from two sides, and cut open, coloured by
@@ -34,7 +34,6 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
         what (DATASET|SCENE|RESULT): Folder of a dataset, a scene, or a result file (.json).
         out: File to write: a picture (.png) or a page (.html); default: NAME.png here, and for a result no file.
         objects: Object views of a dataset or result on a page, at most.
-        shot: Number of touches at which a result's errors are sorted; default: the one that ranks.
         method: Of a dataset: draw what this method makes of the first test object, touch by touch, beside the truth,
             with --out NAME.gif.
         seed: Of a scene's object.
@@ -43,7 +42,7 @@ def show(what: str, out: Shown = None, objects: AtLeastOne = 12, shot: str = "",
     if result and out is None:
         from vsfsim.bench.commands.inspect_result import inspect_result
 
-        report(*inspect_result(Path(what), shot=shot), json)
+        report(*inspect_result(Path(what)), json)
         return
     if (method != "") != (out is not None and out.suffix == ".gif"):
         raise TaskError("--method METHOD and --out NAME.gif belong together: the GIF shows what a method makes of an "

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 from vsfsim.bench.board.compare import LEVEL, by_object, by_run, holm, interval, paired, ranks, shares, wins
+from vsfsim.bench.result_file import as_rows
 from vsfsim.bench.task import load_task
 
 
@@ -127,7 +128,7 @@ def test_every_doubling_of_the_touches_counts_alike():
 def test_a_value_is_of_its_shot_alone_and_a_missing_one_is_left_out():
     columns = {"object": ["a-v0", "a-v0", "a-v1", "a-v0", "b-v0"], "shot": ["5", "5", "5", "all", "5"],
                "seed": [0, 1, 0, 0, 0], "mask_f1": [0.2, None, 0.4, 0.9, None]}
-    result = SimpleNamespace(values={}, answers={"mask": columns}, seeds=(0, 1))
+    result = SimpleNamespace(values={}, rows_of=lambda _: as_rows(columns), seeds=(0, 1))
     assert by_run(result, "mask_f1", "5")["a"][:, 0] == pytest.approx([0.3, math.nan], nan_ok=True)
     assert by_object(result, "mask_f1", "5") == {"a": pytest.approx(0.3)}
     assert by_object(result, "mask_f1", "all") == {"a": 0.9} and by_object(result, "mask_f1", "0") == {}

@@ -173,22 +173,22 @@ def again(found: Record, known: Record) -> Record:
 def _apart(found: Record, known: Record) -> tuple[list[str], list[str], float]:
     """Where two records differ: phrases on what no rounding changes; the touches that read otherwise; and their
     share [-]. Where the two cannot be compared number by number, a phrase says so and nothing else is known."""
-    mine, theirs = found.fingerprints(), known.fingerprints()
+    (mine, a, one), (theirs, b, other) = found.fingerprints(), known.fingerprints()
     views = [[(e.name, e.split, e.object_index, e.view_index) for e in r.entries] for r in (found, known)]
     if views[0] != views[1]:
-        strange = sorted({one[0] for one in {*views[0]} ^ {*views[1]}}) or [views[0][0][0]]
+        strange = sorted({name for name, *_ in {*views[0]} ^ {*views[1]}}) or [views[0][0][0]]
         return [f"its object views or their splits are others, e.g. {plain(strange[0])}"], [], 0.0
-    if [e.query for e in found.entries] != [e.query for e in known.entries] or any(
-            mine[key].tolist() != theirs[key].tolist() for key in ("view", "touch", "kind")):
+    if [e.query for e in found.entries] != [e.query for e in known.entries] or mine != theirs:
         return ["it has other touches"], [], 0.0
-    a, b, kind = mine["norm"], theirs["norm"], np.unique(theirs["kind"], return_inverse=True)[1]
+    kinds = np.array([what for *_, what in theirs])
+    kind = np.unique(kinds, return_inverse=True)[1]
     floors = SMALLEST * np.sqrt(np.bincount(kind, b**2) / np.bincount(kind))  # as which a smaller vector counts
-    along = np.abs(a[:, None] * mine["along"] - b[:, None] * theirs["along"]).max(axis=1) / SCALE
-    tolerance = np.where(np.isin(theirs["kind"], IMAGES), IMAGE_TOLERANCE, TOLERANCE)
+    along = np.abs(a[:, None] * one - b[:, None] * other).max(axis=1) / SCALE
+    tolerance = np.where(np.isin(kinds, IMAGES), IMAGE_TOLERANCE, TOLERANCE)
     far = ~(np.maximum(np.abs(a - b), along) <= tolerance * np.maximum(b, floors[kind]))
-    read = theirs["kind"] == READING
-    names = [f"{one['view']}{f' touch {number - 1}' if (number := one['touch']) else ''}" for one in theirs]
-    wrong = [f"{names[k]}: {theirs['kind'][k]}" for k in np.flatnonzero(far & ~read)]
+    read = kinds == READING
+    names = [f"{view}{f' touch {number - 1}' if number else ''}" for view, number, _ in theirs]
+    wrong = [f"{names[k]}: {kinds[k]}" for k in np.flatnonzero(far & ~read)]
     out = [f"{len(wrong)} pictures or directions differ ({plain(wrong[0])})"] if wrong else []
     odd = [names[k] for k in np.flatnonzero(far & read)]
     return out, odd, len(odd) / max(int(read.sum()), 1)

@@ -37,7 +37,6 @@ IMAGES, DIRECTION, READING = ("colour", "depth"), "direction", "reading"
 """Kinds of vectors: two of an object view, the press direction of a touch, and its noise-free readings."""
 _PROJECTIONS = ("along_0", "along_1", "along_2")
 _COLUMNS = ("view", "touch", "kind", "norm", *_PROJECTIONS)
-_VECTOR = np.dtype([("view", "O"), ("touch", "i8"), ("kind", "O"), ("norm", "f8"), ("along", "f8", len(_PROJECTIONS))])
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -86,20 +85,18 @@ class Record(msgspec.Struct, frozen=True, omit_defaults=True):
         """As JSON values; msgspec converts them back."""
         return msgspec.to_builtins(self)
 
-    def fingerprints(self) -> np.ndarray:
-        """A row a vector (n,), structured: view, touch, kind, norm, along (3,).
+    def fingerprints(self) -> tuple[list[tuple[Any, ...]], np.ndarray, np.ndarray]:
+        """View, touch and kind of each vector; norms (n,); and projections (n, 3).
 
         Raises:
             ValueError, KeyError, TypeError: they are malformed.
         """
         columns = unpack(self.vectors)
-        out = np.empty(len(columns["norm"]), _VECTOR)
-        for name in _COLUMNS[:4]:
-            out[name] = columns[name]
-        out["along"] = np.array([columns[name] for name in _PROJECTIONS], float).T
-        if not (out["norm"] >= 0.0).all() or not np.isfinite(out["along"]).all():
+        of = list(zip(*(columns[name] for name in _COLUMNS[:3]), strict=True))
+        norm, *along = (np.array(columns[name], float).reshape(len(of)) for name in _COLUMNS[3:])
+        if not (norm >= 0.0).all() or not np.isfinite(along).all():
             raise ValueError("a norm is not a number >= 0, or a projection no number")
-        return out
+        return of, norm, np.stack(along, axis=1)
 
 
 def make_record(task: Task, dataset: Dataset) -> Record:

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import special
 
-from vsfsim.bench.metrics import METRICS, object_of, object_ratios
+from vsfsim.bench.metrics import METRICS, object_of, score_of_rows
 from vsfsim.bench.task import ALL, Task
 
 LEVEL = 0.05
@@ -70,8 +70,7 @@ class Paired:
 def by_run(result: Any, metric: str, shot: str, draws: int = 1) -> dict[str, np.ndarray]:
     """A metric of each object in each run, by the object's name; {} where the result does not hold it.
 
-    ``rmse`` is the mean over the query touches [unit of a reading]; ``rmse_ratio`` is that to zero
-    (`metrics.object_ratios`), where the result keeps the true readings' sizes.
+    It is what the metric gives of the rows of one object (`metrics.score_of_rows`).
 
     Args:
         result: of any task. metric: a key of `vsfsim.bench.metrics.METRICS`. shot: label. draws: of each training.
@@ -81,33 +80,15 @@ def by_run(result: Any, metric: str, shot: str, draws: int = 1) -> dict[str, np.
         known = result.values.get(metric, {}).get(shot, {})
         found = {name: of if isinstance(of, list | tuple) else [of] for name, of in known.items()}
     else:
-        cells: dict[str, dict[int, list[float]]] = {}
-        for name, run, value in _cells(result, metric, shot):
-            cells.setdefault(object_of(name), {}).setdefault(run, []).append(value)
-        found = {name: [math.fsum(of[run]) / len(of[run]) if run in of else None for run in result.seeds]
+        rows, cells = result.rows_of(METRICS[metric].answer), dict[str, dict[int, list[Any]]]()
+        for row in rows:
+            if row["shot"] == shot:
+                cells.setdefault(object_of(row["object"]), {}).setdefault(row["seed"], []).append(row)
+        found = {name: [score_of_rows(METRICS[metric], of[run]) if run in of else None for run in result.seeds]
                  for name, of in cells.items()}
     out = {name: np.array(of, float) for name, of in found.items()}  # None becomes NaN
     return {name: of.reshape(-1, draws if len(of) % draws == 0 else len(of)) for name, of in out.items()
             if np.isfinite(of).any()}
-
-
-def _cells(result: Any, metric: str, shot: str) -> Iterator[tuple[str, int, float]]:
-    """Object view, run and value."""
-    if metric == "rmse_ratio":
-        by_seed: dict[int, list[dict]] = {}
-        for row in result.rows:
-            if row["shot"] == shot:
-                by_seed.setdefault(row["seed"], []).append(row)
-        yield from ((name, run, value) for run, rows in by_seed.items()
-                    for name, value in (object_ratios(rows) or {}).items())
-    elif metric == "rmse":
-        columns = (result.queries[key] for key in ("object", "seed", "shot", "n", "sse"))
-        yield from ((name, run, math.sqrt(sse / n)) for name, run, at, n, sse in zip(*columns, strict=True)
-                    if at == shot)
-    else:
-        rows = result.answers.get(METRICS[metric].answer.value, {})
-        columns = (rows.get(key, ()) for key in ("object", "seed", "shot", metric))
-        yield from ((name, run, value) for name, run, at, value in zip(*columns) if at == shot and value is not None)
 
 
 def means(values: Runs) -> dict[str, float]:

@@ -7,7 +7,6 @@ import base64
 import functools
 import struct
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ def _environment() -> Environment:
     out = Environment(loader=FileSystemLoader(_PAGES), autoescape=lambda name: str(name).endswith(".html"),
                       undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
                       finalize=lambda value: plain(value) if type(value) is str else value)
-    out.globals |= {"style": Markup((_PAGES / "style.css").read_text(encoding="utf-8")), "piped": _piped,
+    out.globals |= {"style": Markup((_PAGES / "style.css").read_text(encoding="utf-8")),
                     "text_table": lambda *given: Markup(text_table(*given))}
     out.filters["escaped"] = markdown
     return out
@@ -35,12 +34,6 @@ def _environment() -> Environment:
 def filled(template: str, **given: Any) -> str:
     """A text or page of the folder `pages`, filled; texts are made `plain`, and escaped in a page."""
     return _environment().get_template(template).render(**given)
-
-
-def _piped(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
-    """A table in Markdown."""
-    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (head, *rows)]
-    return Markup("\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]))
 
 
 def png_uri(image: np.ndarray) -> str:

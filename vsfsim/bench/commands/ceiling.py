@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
-import itertools
 import multiprocessing
 import shutil
 import time
@@ -32,7 +31,8 @@ from vsfsim.bench.identity import contents_of
 from vsfsim.bench.method import Action, Reading
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.bench.protocol import Answers, Trial, divide, record, support, test_names
+from vsfsim.bench.predictions import questions
+from vsfsim.bench.protocol import Answers, Trial
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import load, save
@@ -42,6 +42,11 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shelf import CEILING_GROUP, FITTED_GROUP, ceilings
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
+
+Which = tuple[str, tuple[int, ...]]
+"""An object view, and the touches that a fitted ceiling is given."""
+Asked = tuple[tuple[Action, ...], tuple[Reading, ...]]
+"""Its query touches, and the readings of those."""
 
 
 def ceiling_rows(task: Task, dataset: Dataset) -> list[Choice]:
@@ -72,20 +77,15 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
     for key in parameters:
         if key not in takes:
             raise MethodError(f"the ceiling {name} has no parameter '{key}'. {did_you_mean(key, takes)}")
-    given, fits, runs = {**takes, **parameters}, entry.group == FITTED_GROUP, task.protocol.runs(seeded=False)
-    trials, asked = list[Trial](), dict[tuple[str, tuple[int, ...]], tuple[list[Action], list[Reading]]]()
-    for one in test_names(dataset, task.protocol):
-        view = dataset.blind().load(one)
-        recording, draw = record(view, task), divide(view, task.protocol)
-        queries = [recording.queries[index].action for index in draw.query]
-        for shot, run in itertools.product(task.protocol.labels, runs):
-            known = support(view, draw, shot, task.protocol.draw_of(run), task.protocol) if fits else ()
-            trials.append(Trial(one, shot, run, known))
-            asked[one, known] = queries, [recording.readings[index] for index in known]
+    given, fits = {**takes, **parameters}, entry.group == FITTED_GROUP
+    trials, asked = list[Trial](), dict[Which, Asked]()
+    for one in questions(task, dataset):
+        trials.append(Trial(one.name, one.shot, one.seed, one.given if fits else ()))
+        asked[one.name, trials[-1].support] = one.actions, one.support
     began = time.perf_counter()
     contents, part = contents_of(name, given), out.with_suffix(".part")
     identity = repr((task.sha256, dataset.sha256, given, contents))
-    said: dict[tuple[str, tuple[int, ...]], tuple[int, list[np.ndarray]]] = {}
+    said: dict[Which, tuple[int, list[np.ndarray]]] = {}
     with contextlib.ExitStack() as held:
         each: Callable[..., Iterator[Any]] = map
         if workers > 1:
@@ -98,8 +98,8 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
     answers = [Answers(trial, tuple(said[trial.subject, trial.support][1])) for trial in trials]
     notes = (f"a ceiling: it knows the true object{', but not its moduli' if fits else ' and no touch'}",
              *([f"{lost} frames without a converged answer are interpolated"] if lost else []))
-    result = result_of(answers, task, dataset, runs, method=name, entry=entry.value, parameters=given, notes=notes,
-                       data=fingerprint.beside_record(task, dataset), contents=contents,
+    result = result_of(answers, task, dataset, task.protocol.runs(seeded=False), method=name, entry=entry.value,
+                       parameters=given, notes=notes, data=fingerprint.beside_record(task, dataset), contents=contents,
                        timing={"predict_s": time.perf_counter() - began,
                                "predicts": sum(len(queries) for queries, _ in asked.values())})
     result.save(out)
@@ -108,8 +108,7 @@ def evaluate_ceiling(name: str, task: Task, dataset: Dataset, out: Path, *, para
 
 
 def _answered(folder: Path, identity: str, ceiling: EntryPoint, recipe: Recipe, parameters: Mapping[str, Any],
-              which: tuple[str, tuple[int, ...]], asked: tuple[list[Action], list[Reading]]
-              ) -> tuple[int, list[np.ndarray]]:
+              which: Which, asked: Asked) -> tuple[int, list[np.ndarray]]:
     """The number of frames that had no answer of their own, and readings (T, d) of each action; those that an earlier
     run with the same identity kept in the folder."""
     digest = hashlib.sha256(f"{identity} {which}".encode()).hexdigest()

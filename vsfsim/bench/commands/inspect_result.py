@@ -14,29 +14,24 @@ from vsfsim.bench.leaderboard import score_table
 from vsfsim.bench.metrics import METRICS, object_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
-from vsfsim.core.errors import TaskError, did_you_mean
+from vsfsim.core.errors import TaskError
 
 MOST_LINES = 12
 """Touches in the text."""
 
 
-def inspect_result(path: Path, *, shot: str = "") -> tuple[str, dict[str, Any]]:
-    """Errors of a result file by object and by touch, the worst first; `vsfsim show RESULT --out page.html` draws them.
-
-    Args:
-        path: of the result. shot: label at which errors are sorted; "" for the one that ranks.
+def inspect_result(path: Path) -> tuple[str, dict[str, Any]]:
+    """Errors of a result file by object and by touch, the worst first at the shot that ranks; `vsfsim show RESULT --out
+    page.html` draws them.
 
     Returns:
         The text to print, and the same for JSON.
 
     Raises:
-        TaskError: the file is not a result, or it has no such shot.
+        TaskError: the file is not a result.
     """
     result = Result.load(path)
-    metric, ranking = _asked(result)
-    shot = shot or ranking
-    if shot not in result.shots:
-        raise TaskError(f"--shot is '{shot}'. {did_you_mean(shot, result.shots)}")
+    metric, shot = _asked(result)
     objects = {label: by_object(result, metric, label) for label in result.shots}
     touches = _touches(result, shot)
     order = sorted(objects[shot], key=lambda name: objects[shot][name], reverse=not METRICS[metric].higher_is_better)

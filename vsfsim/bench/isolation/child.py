@@ -46,6 +46,7 @@ from vsfsim.bench.method import (
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.core.extras import MissingPackage
 from vsfsim.core.plain_text import plain
+from vsfsim.core.system.engines import one_thread
 
 _DEATH_SIGNAL, _DUMPABLE, _SUBREAPER = 1, 4, 36
 OPTIONAL = ("stiffness", "locate", "choose")
@@ -86,13 +87,10 @@ def _rehearse(name: str, parameters: dict[str, Any]) -> None:
     """Test the contract of a method that ships: all that it loads is there for every process that is forked then."""
     from vsfsim.bench.check import check
 
-    before = os.environ.get("OMP_NUM_THREADS")
-    os.environ["OMP_NUM_THREADS"] = "1"  # what PyTorch reads when it is imported; a fork has no other thread
-    with contextlib.suppress(Exception, SystemExit):  # the method's own process says what is wrong
+    # PyTorch reads the number when it is imported, and a fork has no other thread; the method's own process says what
+    # is wrong
+    with one_thread(), contextlib.suppress(Exception, SystemExit):
         check(name, parameters=parameters, brief=True)
-    os.environ.update({} if before is None else {"OMP_NUM_THREADS": before})
-    if before is None:
-        del os.environ["OMP_NUM_THREADS"]
 
 
 def prctl(option: int, value: int) -> None:
