@@ -13,7 +13,7 @@ from pathlib import Path
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vsfsim.bench.predictions import read_predictions as arrays_of
+from vsfsim.bench.commands.score import read_predictions as arrays_of
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import VsfsimError

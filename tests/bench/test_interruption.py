@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from conftest import TASK
 
+from vsfsim.bench.commands.score import score_predictions
 from vsfsim.bench.evaluate import evaluate, own
-from vsfsim.bench.predictions import questions, score_predictions
+from vsfsim.bench.predictions import questions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError
 

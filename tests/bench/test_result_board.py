@@ -8,9 +8,10 @@ import pytest
 from vsfsim.bench import leaderboard
 from vsfsim.bench.admission.fingerprint import make_record
 from vsfsim.bench.board.rows import CLAIMED
+from vsfsim.bench.commands.score import score_predictions
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.metrics import Answer, metrics_of, scores_of
-from vsfsim.bench.predictions import questions, score_predictions
+from vsfsim.bench.predictions import questions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError, TaskError
 

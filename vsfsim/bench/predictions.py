@@ -16,7 +16,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,13 +27,10 @@ from zipfile import BadZipFile
 import msgspec
 import numpy as np
 
-from vsfsim.bench.admission import fingerprint
-from vsfsim.bench.method import Action, Reading, Surface, checked_prediction, frozen_view
-from vsfsim.bench.protocol import Answers, Draw, Trial, divide, folds_of, record, support, test_names
-from vsfsim.bench.result import Result
+from vsfsim.bench.method import Action, Reading, Surface, frozen_view
+from vsfsim.bench.protocol import Draw, divide, folds_of, record, support, test_names
 from vsfsim.bench.task import Task
-from vsfsim.bench.trials.score import result_of
-from vsfsim.core.errors import MethodError, SceneError, TaskError, no_such_file
+from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.plain_text import from_json, plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
 from vsfsim.data.dataset import Dataset
@@ -45,8 +41,6 @@ from vsfsim.data.safety import check_name
 INDEX = "sealed.json"
 FEWEST_SEEDS = 10**11
 """A smaller seed can be found by making an object of each and comparing pictures."""
-_LARGEST_NUMBER, _LARGEST_HEADER = 16, 10_000
-"""Bytes of a number and of what stands before the numbers of an array in an .npz."""
 T = TypeVar("T")
 _VIEW = ("rgb", "depth", "mask", "intrinsics", "camera_pose")
 
@@ -112,55 +106,6 @@ def _asked(task: Task, view: Any, shown: View, draw: Draw, readings: Sequence[Re
             given = support(view, draw, label, run, task.protocol)
             yield Question(view.name, label, run, shown, given, tuple(readings[k] for k in given), draw.query, actions,
                            train)
-
-
-def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:
-    """Score the predictions in ``path``; ``name`` is what the method is called in the result.
-
-    Raises:
-        MethodError: the file is not an .npz, a key is missing or unknown, or a prediction has the wrong shape, is not
-            made of real numbers, or is not finite.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise MethodError(no_such_file("file of predictions", path))
-    data = fingerprint.beside_record(task, dataset)
-    asked = [(Trial(q.name, q.shot, q.seed, ()), q.keys, q.actions) for q in questions(task, dataset)]
-    given = read_predictions(path, {key: (len(action.time), action.size) for _, keys, actions in asked
-                                     for key, action in zip(keys, actions, strict=True)})
-    answers = [Answers(trial, tuple(checked_prediction([given[key] for key in keys], actions, keys)))
-               for trial, keys, actions in asked]
-    return result_of(answers, task, dataset, task.protocol.runs(seeded=False), method=plain(name),
-                     entry="predictions file", notes=("scored from a file of predictions",), data=data)
-
-
-def read_predictions(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    """The arrays of an .npz, which must be of these keys and shapes. None is read that has more bytes than its shape
-    needs, so that a file cannot make the reader allocate more.
-
-    Raises:
-        MethodError: it is no .npz, a key is missing or unknown, or an array is another one.
-    """
-    where, out = f"predictions {path}", {}
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in file.zip.infolist()}
-            for key in (*shapes, *sizes):
-                if key not in sizes or key not in shapes:
-                    raise MethodError(f"{where} have no '{key}'. One array (T, d) a query is needed; "
-                                      f"`vsfsim.bench.predictions.questions` lists the keys." if key in shapes else
-                                      f"{where} have '{plain(key, longest=100)}', which the task does not ask. Keys "
-                                      f"are <object>/<shot>/<seed>/<touch>.")
-            for key, shape in shapes.items():
-                if sizes[key] > _LARGEST_NUMBER * math.prod(shape) + _LARGEST_HEADER:
-                    raise MethodError(f"{where}: '{key}' has {sizes[key]} bytes; it must be real numbers of shape "
-                                      f"(T, d) = {shape}.")
-                out[key] = file[key]
-    except MethodError:
-        raise
-    except Exception as error:  # NumPy and zipfile may raise anything on a damaged file
-        raise MethodError(f"{where} cannot be read: {plain(error)}. Give an .npz as numpy.savez writes it.") from error
-    return out
 
 
 def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:

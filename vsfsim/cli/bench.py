@@ -167,8 +167,9 @@ def score(predictions: Path, task: TaskName, name: Annotated[str, typer.Option()
         out: Result file; default: results/TASK/NAME.json.
     """
     from vsfsim.bench.board.rows import row_sha256
+    from vsfsim.bench.commands.score import score_predictions
     from vsfsim.bench.leaderboard import score_table
-    from vsfsim.bench.predictions import check_commitment, receipt, score_predictions
+    from vsfsim.bench.predictions import check_commitment, receipt
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)

@@ -15,7 +15,7 @@ import pytest
 from measurements.release import ship, write_list
 from vsfsim.bench import leaderboard, predictions
 from vsfsim.bench.board import rows
-from vsfsim.bench.predictions import score_predictions
+from vsfsim.bench.commands.score import score_predictions
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 from vsfsim.core.errors import TaskError
