@@ -8,6 +8,7 @@ What ships already, and is of the present task, dataset, method, settings and sc
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
 import shlex
@@ -23,6 +24,7 @@ from papers.results import make_missing, stored
 from papers.study import Study, Variant, load_study
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.admission.admit import differences
+from vsfsim.bench.board import rows as board
 from vsfsim.bench.board.rows import LIST, Entry, Part, as_shipped, command_of, is_same, listed, plan, row_sha256
 from vsfsim.bench.commands import audit
 from vsfsim.bench.commands.catalogue import Choice, preset
@@ -98,11 +100,11 @@ class Whole:
         """Make and ship what is missing; yields what is there now, and "" or why it could not be made."""
         left = [key for key, (_, done) in self.items().items() if not done]
         task, out = self.task, shelf.checkout() / "leaderboard"
-        if not left:
+        if not left or (task.dataset.recorded and "dataset" in left):
             return
         try:
             data = dataset_of(task, workers)
-        except TaskError as error:  # recordings that nobody may ship are not everywhere
+        except TaskError as error:  # what lies there is another one
             yield "dataset", str(error)
             return
         _keep_record(task, data, out)
@@ -153,12 +155,13 @@ def planned(only: str | None) -> tuple[str, list[list[str]]]:
     Raises:
         TaskError: there is no such task in the table, or it is damaged.
     """
-    found = [(one.name, what, minutes, done) for one in _asked(only)
-             for what, (minutes, done) in one.items().items()]
+    asked = _asked(only)
+    found = [(one.name, what, minutes, done) for one in asked for what, (minutes, done) in one.items().items()]
     rows = [[task, what, f"{minutes:g}", "there" if done else "missing"] for task, what, minutes, done in found]
     hours = [sum(minutes for *_, minutes, done in found if not (done and left)) / 60.0 for left in (False, True)]
     table = text_table(["task", "what", "CPU min", "state"], rows)
-    return f"{table}\n{hours[0]:.1f} CPU hours, of which {hours[1]:.1f} are missing", rows
+    said = [f"{hours[0]:.1f} CPU hours, of which {hours[1]:.1f} are missing", *left_out(asked)]
+    return "\n".join([table, *said]), rows
 
 
 def release(only: str | None, workers: int, progress: Progress) -> tuple[str, list[str]]:
@@ -169,7 +172,7 @@ def release(only: str | None, workers: int, progress: Progress) -> tuple[str, li
         `vsfsim.bench.evaluate.evaluate`.
 
     Returns:
-        The next step, to be printed, and what was made.
+        What was left out and the next step, to be printed, and what was made.
 
     Raises:
         TaskError: something could not be made, and the rest is there; or the code here names no commit.
@@ -177,11 +180,11 @@ def release(only: str | None, workers: int, progress: Progress) -> tuple[str, li
     if commit() is None:
         raise TaskError(f"The code here names no commit, which every row that ships has. Set {VARIABLE} to what "
                         f"`python -m vsfsim.data.provenance` prints in the checkout that it was copied from.")
-    found = {f"{one.name}, {what}": message for one in _asked(only)
-             for what, message in one.make(workers, progress)}
+    asked = _asked(only)
+    found = {f"{one.name}, {what}": message for one in asked for what, message in one.make(workers, progress)}
     if any(found.values()):
         raise TaskError("\n\n".join(f"{what}: {message}" for what, message in found.items() if message))
-    return "python docs/make.py results   # writes the pages' tables", list(found)
+    return "\n".join([*left_out(asked), "python docs/make.py results   # writes the pages' tables"]), list(found)
 
 
 def _asked(only: str | None) -> list[Whole]:
@@ -189,19 +192,30 @@ def _asked(only: str | None) -> list[Whole]:
     return [Whole(name, known[name]) for name in (known if only is None else [one_of(only, known, "--only")])]
 
 
+def left_out(asked: Sequence[Whole]) -> list[str]:
+    """What is not made here, each with the reason: tasks whose recordings do not ship, and variants of a study in
+    `leaderboard/absent.toml`."""
+    gone = [one.task for one in asked if one.task.dataset.recorded and not one.items()["dataset"][1]]
+    return [*(f"left out: {task.name}; its recordings do not ship, and are not in {task.dataset.path()}"
+              for task in gone),
+            *(f"left out of study {name}: {what}; {why}" for one in asked for name in one.part.studies
+              for what, why in board.absent(f"study {name}", ()).items())]
+
+
 def lacking(study: Study, boards: dict[str, Board] | None = None, *, made: bool = False) -> list[Variant]:
-    """The variants of a study that have no result that ships and counts; operands as of `papers.results.stored`."""
-    found = stored(study, boards, made)
-    return [variant for variant in study.variants if variant.name not in found]
+    """The variants of a study that have no result that ships and counts, and are not in `leaderboard/absent.toml`;
+    operands as of `papers.results.stored`."""
+    there = {*stored(study, boards, made), *", ".join(board.absent(f"study {study.name}", ())).split(", ")}
+    return [variant for variant in study.variants if variant.name not in there]
 
 
 def make_studies(studies: Sequence[Study], out: Path, workers: int, progress: Progress) -> Iterator[tuple[str, str]]:
     """Make what some studies lack, datasets too, and ship it; yields as `papers.results.make_missing`."""
     boards = dict[str, Board]()
-    for study in studies:
-        for variant in lacking(study, boards, made=True):
-            dataset_of(study.task_of(variant), workers)
-    yield from make_missing(studies, workers, progress)
+    asked = [dataclasses.replace(one, variants=tuple(lacking(one, boards, made=True))) for one in studies]
+    for task in [one.task_of(variant) for one in asked for variant in one.variants]:
+        dataset_of(task, workers)
+    yield from make_missing(asked, workers, progress)
     ship({one.path.relative_to(MADE): (one.result, f"vsfsim papers study {study.name}", 0.0) for study in studies
           for one in stored(study).values() if MADE / "studies" in one.path.parents}, out)
 

@@ -108,6 +108,7 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     monkeypatch.setattr(release, "lacking", lambda _: lacking)
     monkeypatch.setattr(release, "make_studies", lambda studies, *_: made.append(studies) or iter(()))
     monkeypatch.setattr(release, "commit", lambda: "a" * 40)
+    monkeypatch.setattr(rows, "absent", lambda what, _: {"all": "too large"} if what == "study toy" else {})
     asked = []
 
     def evaluate_all(one, choices, **_):
@@ -127,11 +128,12 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
 
     assert set(state().values()) == {"missing"}
     monkeypatch.chdir(make_folder(tmp_path / "one"))
-    release.release("toy-v1", 1, lambda *_: None)
+    said, _ = release.release("toy-v1", 1, lambda *_: None)
+    assert said.startswith("left out of study toy: all; too large\n")
     assert asked == ["contact-points.tuned", "resim"] and made == [["toy"]]
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "study toy"}
     lacking.clear()
-    assert release.planned(None)[0].endswith("0.2 CPU hours, of which 0.0 are missing")
+    assert "0.2 CPU hours, of which 0.0 are missing\nleft out of" in release.planned(None)[0]
     (tmp_path / "leaderboard" / "toy-v1" / "resim.json").unlink()
     monkeypatch.chdir(make_folder(tmp_path / "two"))
     assert {what for what, how in state().items() if how == "missing"} == {"dataset", "resim", "audit"}
@@ -141,6 +143,19 @@ def test_a_release_goes_on_where_it_stopped_on_another_machine(task, toy_dataset
     assert len(asked) == 3, "nothing is made twice"
     monkeypatch.setattr(release, "changed", lambda name, *_: ["the method"] * (name == "contact-points"))
     assert [what for what, how in state().items() if how == "missing"] == ["dataset", "contact-points.tuned", "audit"]
+
+
+def test_what_does_not_ship_is_left_out_and_told(monkeypatch):
+    """Recordings, and variants with weights of others; what is named is in the study."""
+    mini, real = (release.Whole(name, rows.plan()[name]) for name in ("fewshot-shoes-v3-mini-v1", "real-palpation-v1"))
+    study, without = release.load_study("shoes-features"), {"dinov2-s", "dinov2-b"}
+    assert without <= {one.name for one in study.variants}
+    assert not without & {one.name for one in release.lacking(study)}
+    monkeypatch.setattr(release.Whole, "items", lambda _: {"dataset": (0.2, False)})
+    assert list(real.make(1, lambda *_: None)) == []
+    of_task, of_study = release.left_out([mini, real])
+    assert of_task.startswith("left out: real-palpation-v1; its recordings do not ship, and are not in ")
+    assert of_study.startswith("left out of study shoes-features: dinov2-s, dinov2-b; the published weights do not")
 
 
 def test_data_that_are_others_take_the_rows_with_them(task, toy_dataset, tmp_path, monkeypatch, write_dataset,
