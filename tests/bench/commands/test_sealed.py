@@ -115,7 +115,7 @@ def test_what_was_changed_is_refused(parts, task, toy_dataset, tmp_path):
         predictions.seal(task, toy_dataset, tmp_path / "new", tmp_path / "new" / "private.json")
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "howto.md").read_text().split("## Score a sealed")[1].split("\n## ")[0]
+PAGE = (Path(__file__).parents[3] / "GOVERNANCE.md").read_text().split("## Score a sealed")[1].split("\n## ")[0]
 
 
 def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path, monkeypatch):
@@ -131,7 +131,7 @@ def test_the_page_goes_through_a_round(toy_dataset, task_text, vsfsim, tmp_path,
     said = []
     for kind, block in blocks:
         if kind == "py":
-            exec(compile(block, "docs/howto.md", "exec"), {})
+            exec(compile(block, "GOVERNANCE.md", "exec"), {})
             continue
         for line in block.splitlines():
             words = shlex.split(line)
