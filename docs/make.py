@@ -32,7 +32,6 @@ PICTURES = {
                ["show", "DATASET", "--method", "fem-map-seen", "--out", "GIF", *(
                    word for one in ("reach=0.02", "floor=0.02", "share=0.05", "objects=3", "presses=6")
                    for word in ("--set", one))]],
-    "press": [["press", "indent", "--tier", "fem", "--gif", "GIF"]],
     "contact-sheet": [["generate", "shoes-v3-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
                        "DATASET"],
                       ["show", "DATASET", "--out", "OUT"]],
