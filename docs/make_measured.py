@@ -194,9 +194,9 @@ def written(found: Any, words: str, about: str, tables: list) -> str:
 def tradeoff(scene: str, **options: Any) -> str:
     """The front of `vsfsim lab tradeoff SCENE` in the folder tradeoff/SCENE, and what each goal costs; what is there
     already is not measured again."""
+    from measurements.tradeoff import tradeoff as run
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.generate.trade.command import tradeoff as run
 
     found = run(load_scene(find_scene(scene)), ROOT / "tradeoff" / scene,
                 progress=lambda done, total, what: print(f"{done}/{total} {what}"), **options)
@@ -205,9 +205,8 @@ def tradeoff(scene: str, **options: Any) -> str:
 
 def tradeoff_table(scene: str, options: Mapping[str, Any], table: Mapping[str, Any]) -> str:
     """The front of a scene, drawn too, and what each goal costs, from the JSON of `vsfsim lab tradeoff`."""
+    from measurements.tradeoff import draw, front
     from vsfsim.data.disk import write_figure
-    from vsfsim.generate.trade import front
-    from vsfsim.generate.trade.command import draw
 
     points = [front.Point(**{**p, "error": math.nan if p["error"] is None else p["error"]}) for p in table["points"]]
     if scene in DRAWN:

@@ -45,7 +45,7 @@ HEAVY = {
     "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "trimesh", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn"},
-    "generate": {"numpy", "scipy", "warp", "matplotlib", "msgspec"},
+    "generate": {"numpy", "scipy", "warp"},
     "press": {"numpy", "scipy", "warp", "matplotlib", "PIL"},
     "view": {"numpy", "scipy", "jinja2"},
     "measurements": {"numpy", "scipy", "msgspec", "warp", "torch", "trimesh", "matplotlib", "typer", "mujoco", "skfem",

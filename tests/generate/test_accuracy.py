@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_tradeoff import Imagined
 from typer.testing import CliRunner
 
 from vsfsim.cli.main import app
@@ -17,6 +16,7 @@ from vsfsim.data.verify import verify
 from vsfsim.generate import run
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.trade import buy
+from vsfsim.generate.trade.setting import Ground
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ class Pilot:
     """Touches that imagined settings are off by 300 h^2, and a reference that knows it."""
 
     def __init__(self, scene, **_):
-        self.ground, self.effector, self.drawn, self.count = Imagined(0.02).ground, self, [(None, 1.0)] * buy.PILOT, 0
+        self.ground, self.effector, self.drawn = Ground("fem-coarse", 0.02, None), self, [(None, [1.0])] * buy.PILOT
 
     def touched(self, subject, aims, setting, *, device):
         fine = 1.0 if setting.level is None else 0.5 / 1.3**setting.level
@@ -64,7 +64,7 @@ FORCE, FOUND = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 4.0]]), np.ones(2, bool)
 
 
 def test_a_pilot_chooses_a_factor_once_or_refuses_with_the_figure(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(buy, "DatasetTouches", Pilot)
+    monkeypatch.setattr(buy, "aimed", Pilot)
     recipe, said = make_recipe(scene), []
     tier, options = buy.bought(scene, tmp_path / "new", Request(accuracy=0.13, note=said.append), recipe)
     promise = options["accuracy"]
@@ -124,10 +124,10 @@ def test_the_error_of_a_touch_is_that_of_its_worst_reading(what):
 
 @pytest.mark.slow
 def test_a_dataset_holds_its_audits_and_verify_holds_it_to_them(scene, tmp_path, here, monkeypatch):
-    monkeypatch.setattr(buy, "DatasetTouches", Pilot)
+    monkeypatch.setattr(buy, "aimed", Pilot)
     monkeypatch.setattr(buy, "AUDITS", (1, 1))
     made = run.generate(scene, tmp_path / "data", accuracy=0.5, objects=1)
-    monkeypatch.setattr(buy, "DatasetTouches", None)  # a second pilot would fail
+    monkeypatch.setattr(buy, "aimed", None)  # a second pilot would fail
     run.generate(scene, tmp_path / "data", accuracy=0.5, objects=1)
     stored = json.loads((tmp_path / "data" / "dataset.json").read_text())
     assert stored["accuracy"]["asked"] == 0.5

@@ -142,7 +142,7 @@ def _terminated(*_: Any) -> NoReturn:
 def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4, objects: AtLeastOne = 1,
              tier: list[str] | None = None, picture: Picture = None, seed: Seed = 0, device: Device = "cpu",
              json: JsonFile = None) -> None:
-    """Measure what a cheaper simulation of a scene costs its readings.
+    """Measure what a cheaper simulation of a scene costs its readings, in a checkout.
 
     The same touches are made at every tier, element size, tolerance and number of frames, and each reading is compared
     with the limit of finer and finer meshes, whose own error is stated. Prints all points, the front among them, and
@@ -156,11 +156,12 @@ def tradeoff(scene: SceneName, out: Path | None = None, touches: AtLeastOne = 4,
         picture: Also draw error against time here.
     """
     from vsfsim.core.scene import load_scene
-    from vsfsim.core.shelf import find_scene
+    from vsfsim.core.shelf import checkout, find_scene
 
+    checkout()
     loaded = load_scene(find_scene(scene))
-    from vsfsim.data.disk import write_figure  # takes seconds; a mistake in the scene is reported before
-    from vsfsim.generate.trade import command
+    from measurements import tradeoff as command  # takes seconds; a mistake in the scene is reported before
+    from vsfsim.data.disk import write_figure
     from vsfsim.physics.tiers import TIERS
 
     for name in tier or []:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,25 +32,13 @@ from vsfsim.physics.mesh.quadratic import quadratic_mesh
 from vsfsim.sensing.cut import Elements
 
 
-@dataclass(frozen=True)
-class Manner:
-    """How an effector meets a solid."""
-
-    reach: float
-    """Radius of what leads, about [m]."""
-    tiers: tuple[str, ...]
-    """At which it can press the solid, cheapest first."""
-    nodes: int | None = None
-    """Of its own mesh; None if it is rigid."""
-
-
 class OnSolids(abc.ABC):
     """An effector that touches solids, whose touches can be made again, as they were aimed, on another model of the
     object; see `vsfsim.generate.effector.Effector`."""
 
     @abc.abstractmethod
-    def manner(self, scene: Scene) -> Manner:
-        """How it meets the solid of a scene."""
+    def reach(self, scene: Scene) -> float:
+        """Radius of what meets the solid of a scene, about [m]."""
 
     @abc.abstractmethod
     def shapes(self, subject: Subject, aims: Sequence[Aim]) -> tuple[ProbeShape, list[ProbeShape], float]:
@@ -117,7 +104,7 @@ class OnSolids(abc.ABC):
     def contact_edge(self, scene: Scene, a: Aim, level: int) -> tuple[float, float]:
         """Radius of the disc that a touch will meet, sqrt(r d) of a ball of radius r that is pressed d deep (Hertz),
         and longest edge of the elements in it on a ``level``, see `LOCAL` [m]."""
-        radius = float(np.sqrt(self.manner(scene).reach * a.depth))
+        radius = float(np.sqrt(self.reach(scene) * a.depth))
         return radius, LOCAL * radius / RATIO**level
 
     def on(self, subject: Subject, a: Aim, setting: Setting) -> Subject:

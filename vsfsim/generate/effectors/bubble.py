@@ -20,7 +20,7 @@ from vsfsim.generate.aim import Aim, clearance
 from vsfsim.generate.boundary import deformed_surface
 from vsfsim.generate.bubble_touch import LEADING, Solved, in_mount
 from vsfsim.generate.effector import Drawing
-from vsfsim.generate.on_solids import Manner, OnSolids
+from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.press_result import (
     PICTURE,
     BodyPanel,
@@ -101,11 +101,9 @@ class BubbleEffector(OnSolids):
         dome = bubble_touch.dome_of(_sensor_of(subject))
         return dome, [dome] * len(aims), float("inf")
 
-    def manner(self, scene: Scene) -> Manner:
-        """With the short semi-axis of its rim, at the tiers that bend far."""
-        sensor = scene.required_sensor
-        able = tuple(name for name, tier in tiers.TIERS.items() if tier.nonlinear)
-        return Manner(sensor.semi_axes[1], able if scene.object is not None else (), sensor.nodes)
+    def reach(self, scene: Scene) -> float:
+        """The short semi-axis of its rim."""
+        return scene.required_sensor.semi_axes[1]
 
     def aim(self, subject: Subject, *, device: str) -> list[Aim]:
         """Along the normals, or tilted from them."""

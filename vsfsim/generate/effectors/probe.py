@@ -21,7 +21,7 @@ from vsfsim.generate import effects, rigid_touch
 from vsfsim.generate.aim import Aim, aim_probe, clearance, in_kinds
 from vsfsim.generate.assume import with_press, with_probe
 from vsfsim.generate.boundary import deformed_surface, face_pressure, node_pressure
-from vsfsim.generate.on_solids import Manner, OnSolids
+from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.press_result import (
     PICTURE,
     BodyPanel,
@@ -83,9 +83,9 @@ class Probe(OnSolids):
         scene = subject.scene
         return (scene.probe, [scene.presses[a.press].probe for a in aims], scene.required_object.friction)
 
-    def manner(self, scene: Scene) -> Manner:
-        """With its largest radius, at every tier."""
-        return Manner(min(sdf.reach(scene.probe), 1.0), tuple(tiers.TIERS))
+    def reach(self, scene: Scene) -> float:
+        """The probe's largest radius, of a plane 1 m."""
+        return min(sdf.reach(scene.probe), 1.0)
 
     def aim(self, subject: Subject, *, device: str) -> list[Aim]:
         """Along the normals, or tilted from them."""

@@ -13,6 +13,7 @@ import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,15 @@ from vsfsim.core.scene_tables.request import Request
 from vsfsim.data.disk import Store
 from vsfsim.data.manifest import ENOUGH, MANIFEST, PART_MANIFEST, apart, error_against
 from vsfsim.data.recipe import Recipe
-from vsfsim.generate.trade.touches import DatasetTouches
+from vsfsim.generate.aim import Aim
+from vsfsim.generate.effector import effector_of, kernels_of
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.on_solids import OnSolids
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.solid import Subject, prepare
+from vsfsim.generate.trade.setting import Ground
+from vsfsim.physics import tiers
+from vsfsim.physics.runtime import compile_kernels
 
 LEAST, MOST = 0.001, 0.5
 """Accuracies that can be asked for [-]."""
@@ -59,11 +68,10 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
     if there is not None and there.get("options", {}).get("accuracy", {}).get("asked") == asked:
         return there["tier"], {"accuracy": there["options"]["accuracy"]}
     said, began = request.note or (lambda sentence: None), time.process_time()
-    pilot = DatasetTouches(loaded, touches=1, objects=PILOT, seed=request.seed + SEED, device=request.device,
-                           candidates=1)
+    pilot = aimed(loaded, touches=1, objects=PILOT, seed=request.seed + SEED, device=request.device)
     steps, ladder = pilot.ground.steps(), pilot.ground.ladder()
     tried, began = list[tuple[list[float], list[float]]](), time.process_time()
-    for k, (subject, a) in enumerate(pilot.drawn):
+    for k, (subject, (a,)) in enumerate(pilot.drawn):
         made = [pilot.effector.touched(subject, [a], step, device=request.device)[0] for step in steps]
         force, error, found = pilot.effector.reference(subject, a, ladder, device=request.device).values()
         tried.append(([apart(*pair) for pair in itertools.pairwise(made)],
@@ -92,6 +100,46 @@ def bought(loaded: SceneFile, folder: Path | str, request: Request, recipe: Reci
                "expected": max(errors[k] for k, (_, errors) in zip(ends, tried, strict=True)),
                **{name: [s.table() for s in some] for name, some in (("steps", steps), ("ladder", ladder))}}
     return pilot.ground.tier, {"accuracy": promise}
+
+
+@dataclass(frozen=True)
+class Aimed:
+    """Touches of the first objects of a scene, aimed once."""
+
+    effector: OnSolids
+    """What touches."""
+    tier: str
+    """The scene's own."""
+    ground: Ground
+    """Where its settings begin."""
+    drawn: Sequence[tuple[Subject, list[Aim]]]
+    """Of each object, how it is touched."""
+
+
+def aimed(loaded: SceneFile, *, touches: int, objects: int, seed: int, device: str) -> Aimed:
+    """Aim touches that can be made again under other settings.
+
+    Args:
+        loaded: the scene, with ``[touches]``.
+        touches: of each object.
+        objects: how many.
+        seed: as of `vsfsim generate`.
+        device: Warp device.
+
+    Raises:
+        SceneError: the scene cannot be touched so.
+    """
+    recipe, scene = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=touches), loaded.sample(0)
+    effector = effector_of(scene)
+    if not isinstance(effector, OnSolids):
+        raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched again on another mesh. "
+                         f"Speed against accuracy is measured for a [probe] and a [sensor] on a solid object.")
+    start = max(recipe.tier, "fem-coarse", key=list(tiers.TIERS).index)
+    ground = Ground(start, tiers.element_size(scene.required_object, start, scene.probe),
+                    None if scene.sensor is None else scene.sensor.nodes)
+    compile_kernels(kernels_of(scene), device)
+    subjects = [prepare(job, device=device) for job in jobs_of(recipe, loaded.path, ".")]
+    return Aimed(effector, recipe.tier, ground, [(one, effector.aim(one, device=device)) for one in subjects])
 
 
 def least_factor(differences: Sequence[float], errors: Sequence[float], asked: float) -> float:

@@ -1,4 +1,4 @@
-"""One way to simulate the touches of a scene, and the ways that a sweep compares."""
+"""One way to simulate the touches of a scene, and the ways that a promise goes through."""
 
 from __future__ import annotations
 
@@ -6,16 +6,11 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from vsfsim.physics import tiers
-
 RATIO = 1.3
 """Of the edges of two meshes of a ladder."""
 LOCAL = 0.5
 """Longest edge of the elements where a touch meets the object, over the radius of the contact, on level 0; on each
 further level smaller by `RATIO`, see `vsfsim.generate.on_solids` [-]."""
-REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
-"""Settings with small elements where each touch meets the object: those elsewhere as the scene's own times `RATIO` to
-such a power, and the level there."""
 STEPS = ((1, None), (0, None), (0, 0), (-1, 1))
 """Settings that a touch of a promise goes through until it is exact enough: elements as the scene's own times `RATIO`
 to such a power, and the level where it meets the object."""
@@ -67,22 +62,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Ground:
-    """What a scene says of itself, where the sweep begins."""
+    """What a scene says of itself, where its settings begin."""
 
-    own: Setting
-    """Its own tier and elements."""
     tier: str
     """Its tier, at least ``fem-coarse``."""
     resolution: float
     """Edge of its elements at that [m]."""
-    readings: int
-    """Of an object: frames of all its touches."""
-    frames: int
-    """Readings on the way in."""
     nodes: int | None
     """Of its bubble, or None."""
-    pressable: tuple[str, ...]
-    """Tiers that its effector can touch."""
 
     def steps(self) -> list[Setting]:
         """See `STEPS`; a bubble's meshes grow with the object's."""
@@ -98,17 +85,3 @@ class Ground:
         grow with the object's."""
         return [Setting(LIMIT_TIER, self.resolution / RATIO**k, level=k + 1, nodes=self._nodes(-k))
                 for k in range(MESHES)]
-
-    def sweep(self) -> list[Setting]:
-        """Each tier by element size, small elements at the contact; then the tolerance, the frames and a bubble's
-        nodes alone."""
-        out = [Setting(tier, self.resolution * RATIO**power) for tier in self.pressable
-               for power in ((-1, -2) if tier == LIMIT_TIER else (1, 0, -1))]
-        if LIMIT_TIER in self.pressable:
-            out += [Setting(LIMIT_TIER, self.resolution * RATIO**power, level=level) for power, level in REFINED]
-        own, loose = (self.tier, self.resolution), 10.0 * tiers.TIERS[self.tier].tolerance
-        out += [Setting(*own, tolerance=value) for value in (loose, loose / 100.0)]
-        counts = {max(1, self.frames // 2), 2 * self.frames} - {self.frames}
-        out += [Setting(*own, frames=count) for count in sorted(counts)]
-        return out if self.nodes is None else [
-            *out, *(Setting(*own, nodes=count) for count in (self.nodes // 2, 2 * self.nodes))]

@@ -12,23 +12,23 @@ import msgspec
 import numpy as np
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import SceneFile
+from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import Touch
 from vsfsim.data.verify import unresolved_frames
 from vsfsim.generate.aim import Aim
-from vsfsim.generate.effector import effector_of, kernels_of
-from vsfsim.generate.job import jobs_of
-from vsfsim.generate.on_solids import OnSolids
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.generate.solid import Subject, prepare
-from vsfsim.generate.trade.setting import LIMIT_TIER, Ground, Setting
+from vsfsim.generate.solid import Subject
+from vsfsim.generate.trade.buy import aimed
+from vsfsim.generate.trade.setting import LIMIT_TIER, RATIO, Setting
 from vsfsim.generate.truth import probe_stiffness
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit, curve_limit
 from vsfsim.physics.linear.rest_factor import forget_all
 from vsfsim.physics.mesh.scan import forget_fillings
-from vsfsim.physics.runtime import compile_kernels
 
+REFINED = ((1, 0), (0, 0), (-1, 0), (-2, 1))
+"""Settings with small elements where each touch meets the object: those elsewhere as the scene's own times `RATIO` to
+such a power, and the level there."""
 CANDIDATES = 3
 """Touches that are drawn for each that is taken."""
 WHOLE = 0.75
@@ -101,35 +101,26 @@ class DatasetTouches:
         objects: how many.
         seed: as of `vsfsim generate`.
         device: Warp device.
-        candidates: touches that are drawn for each that is taken.
 
     Raises:
         SceneError: the scene cannot be touched so.
     """
 
-    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0,
-                 device: str = "cpu", candidates: int = CANDIDATES):
-        recipe = make_recipe(loaded, seed=seed, objects=objects, views=1, touches=candidates * touches)
-        whole, scene = make_recipe(loaded), loaded.sample(0)
-        effector = effector_of(scene)
-        if not isinstance(effector, OnSolids):
-            raise SceneError(f"{scene.source}: what a [{effector.table}] touches cannot be touched "
-                             "again on another mesh. Speed against accuracy is measured for a "
-                             "[probe] and a [sensor] on a solid object.")
-        manner, start = effector.manner(scene), max(recipe.tier, "fem-coarse", key=list(tiers.TIERS).index)
-        size = {tier: tiers.element_size(scene.required_object, tier, scene.probe) for tier in (recipe.tier, start)}
-        frames = scene.required_touches.frames
-        self.ground = Ground(Setting(recipe.tier, size[recipe.tier]), start, size[start],
-                             whole.views * whole.touches * sum(frames), frames[1], manner.nodes,
-                             tuple(name for name in manner.tiers if name != "fem-fine"))
-        self.effector, self._device, self._warm = effector, device, set[str]()
-        compile_kernels(kernels_of(scene), device)
-        self._drawn: list[tuple[Subject, list[Aim]]] = []
-        for job in jobs_of(recipe, loaded.path, "."):
-            subject = prepare(job, device=device)
-            drawn = effector.aim(subject, device=device)
-            taken = spread([a.depth for a in drawn], np.stack([a.target for a in drawn]), touches)
-            self._drawn.append((subject, [drawn[k] for k in taken]))
+    def __init__(self, loaded: SceneFile, *, touches: int, objects: int = 1, seed: int = 0, device: str = "cpu"):
+        drawn = aimed(loaded, touches=CANDIDATES * touches, objects=objects, seed=seed, device=device)
+        scene, whole = loaded.sample(0), make_recipe(loaded)
+        self.ground, self.effector = drawn.ground, drawn.effector
+        self.own = Setting(drawn.tier, tiers.element_size(scene.required_object, drawn.tier, scene.probe))
+        """The scene's own tier and elements."""
+        self.frames = scene.required_touches.frames[1]
+        """Readings on the way in."""
+        self.readings = whole.views * whole.touches * sum(scene.required_touches.frames)
+        """Of an object: frames of all its touches."""
+        self.pressable = [name for name in tiers.TIERS if name != "fem-fine" and self._can(scene, name)]
+        """Tiers at which its effector can touch."""
+        self._device, self._warm = device, set[str]()
+        self._drawn = [(subject, [aims[k] for k in spread([a.depth for a in aims], np.stack([a.target for a in aims]),
+                                                          touches)]) for subject, aims in drawn.drawn]
         self.drawn = [(subject, a) for subject, own in self._drawn for a in own]
         """Of each touch, its object and how it was aimed."""
         self.count = len(self.drawn)
@@ -137,6 +128,12 @@ class DatasetTouches:
         self.what = (f"{self.count} touch{'es' * (self.count > 1)} of {objects} object{'s' * (objects > 1)}, "
                      f"{' to '.join(dict.fromkeys((depths[0], depths[-1])))} mm deep")
         """The touches in words."""
+
+    def _can(self, scene: Scene, tier: str) -> bool:
+        try:  # what a tier that does not show the scene's needs errs is measured, too
+            return self.effector.check(dataclasses.replace(scene, needs=()), tier) == tier
+        except SceneError:
+            return False
 
     def run(self, setting: Setting) -> Run:
         """All touches.
@@ -178,6 +175,21 @@ class DatasetTouches:
             once += time.process_time() - done + (built - began) * (setting.level is None)
         curves = tuple(of_touch(t, a, np.array([s])) for t, a, s in zip(touches, aims, soft, strict=True))
         return Run(curves, once, cpu, sum(len(t.time) for t in touches), tuple(edge))
+
+
+def sweep(of: DatasetTouches) -> list[Setting]:
+    """Each tier by element size, small elements at the contact; then the tolerance, the frames and a bubble's nodes
+    alone."""
+    tier, size, nodes = of.ground.tier, of.ground.resolution, of.ground.nodes
+    out = [Setting(name, size * RATIO**power) for name in of.pressable
+           for power in ((-1, -2) if name == LIMIT_TIER else (1, 0, -1))]
+    if LIMIT_TIER in of.pressable:
+        out += [Setting(LIMIT_TIER, size * RATIO**power, level=level) for power, level in REFINED]
+    loose = 10.0 * tiers.TIERS[tier].tolerance
+    out += [Setting(tier, size, tolerance=value) for value in (loose, loose / 100.0)]
+    out += [Setting(tier, size, frames=count)
+            for count in sorted({max(1, of.frames // 2), 2 * of.frames} - {of.frames})]
+    return out if nodes is None else [*out, *(Setting(tier, size, nodes=count) for count in (nodes // 2, 2 * nodes))]
 
 
 def spread(depth: Sequence[float], place: np.ndarray, count: int) -> list[int]:

@@ -9,13 +9,14 @@ import time
 import numpy as np
 import pytest
 
+from measurements import tradeoff as command
+from measurements.tradeoff import front
+from measurements.tradeoff.front import Point, distance, sentence, with_front
+from measurements.tradeoff.touches import Curve, DatasetTouches, Run
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.trade import command, front
-from vsfsim.generate.trade.front import Point, distance, sentence, with_front
 from vsfsim.generate.trade.setting import Ground, Setting
-from vsfsim.generate.trade.touches import Curve, DatasetTouches, Run
 from vsfsim.physics.convergence import curve_limit
 
 EDGE = (0.013, 0.010, 0.0077)
@@ -82,7 +83,8 @@ class Imagined:
 
     def __init__(self, edge=0.01):
         self.made = 0
-        self.ground = Ground(Setting("fem-coarse", edge), "fem-coarse", edge, 40, 4, None, ("linear", "fem-coarse"))
+        self.ground, self.own = Ground("fem-coarse", edge, None), Setting("fem-coarse", edge)
+        self.readings, self.frames, self.pressable = 40, 4, ("linear", "fem-coarse")
 
     def run(self, setting):
         self.made += 1
@@ -139,7 +141,7 @@ def test_costs_are_those_of_a_new_object_and_add_up_to_the_process(loaded):
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         touches = DatasetTouches(loaded("small"), touches=2)
-        own = touches.ground.own
+        own = touches.own
         settings = [own, dataclasses.replace(own, tolerance=1e-4), Setting("fem", own.resolution, level=0), own]
         for setting in settings[1:]:
             touches.run(setting)  # kernels

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from measurements.tradeoff.touches import Curve, Run
 from vsfsim.core.text_table import text_table
 from vsfsim.data.manifest import NOISE
 from vsfsim.generate.trade.setting import Setting
-from vsfsim.generate.trade.touches import Curve, Run
 from vsfsim.physics.convergence import Limit
 
 GOALS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)

@@ -16,6 +16,9 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import vsfsim
+from measurements.tradeoff import front
+from measurements.tradeoff.front import Point
+from measurements.tradeoff.touches import DatasetTouches, Run, limits, sweep
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
@@ -23,10 +26,7 @@ from vsfsim.core.system.interactive import new_figure
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
-from vsfsim.generate.trade import front
-from vsfsim.generate.trade.front import Point
 from vsfsim.generate.trade.setting import Setting
-from vsfsim.generate.trade.touches import DatasetTouches, Run, limits
 from vsfsim.physics import tiers
 from vsfsim.physics.convergence import Limit
 
@@ -126,13 +126,12 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
                                  "touches": touches, "objects": objects, "device": device,
                                  "version": vsfsim.__version__, "commit": commit()})
     subject = DatasetTouches(loaded, touches=touches, objects=objects, seed=seed, device=device)
-    ground = subject.ground
-    everything = ground.sweep()
-    sweep = [s for s in everything if not tiers_only or s.tier in tiers_only]
-    if not sweep:
+    everything = sweep(subject)
+    chosen = [s for s in everything if not tiers_only or s.tier in tiers_only]
+    if not chosen:
         raise VsfsimError(f"{loaded.path}: none of the tiers {', '.join(tiers_only)} can be "
-                          f"touched here; there are {', '.join(ground.pressable)}.")
-    total, bounds, shares = subject.count + len(sweep), [], []
+                          f"touched here; there are {', '.join(subject.pressable)}.")
+    total, bounds, shares = subject.count + len(chosen), [], []
     for k in range(subject.count):
         row = lines.made(f"limit of touch {k}", lambda k=k: {  # type: ignore[misc]
             "ladder": [subject.near(k, setting).table() for setting in subject.ground.ladder()]})
@@ -145,15 +144,15 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         raise VsfsimError(f"{loaded.path}: the limit of no touch is known: {'; '.join(said)}. Give "
                           "more --touches, or a finer resolution in [object], from which the "
                           "meshes of the limit start.")
-    points, refused = [], {s.key: f"left out by --tier {' '.join(tiers_only)}" for s in everything if s not in sweep}
-    for number, setting in enumerate(sweep):
+    points, refused = [], {s.key: f"left out by --tier {' '.join(tiers_only)}" for s in everything if s not in chosen}
+    for number, setting in enumerate(chosen):
         row = lines.made(setting.key, lambda s=setting: _made(subject, s))  # type: ignore[misc]
         if "refused" in row:
             refused[setting.key] = row["refused"]
         else:
             points.append(front.point(setting, Run.read(row["run"]), bounds, shares,
-                                      shows=_shows(loaded, setting.tier), once=1.0 / objects / ground.readings,
-                                      own=setting == ground.own))
+                                      shows=_shows(loaded, setting.tier), once=1.0 / objects / subject.readings,
+                                      own=setting == subject.own))
         progress(subject.count + number + 1, total, setting.key)
     if not points:
         raise VsfsimError(f"{loaded.path}: no setting of the sweep can be made. "
