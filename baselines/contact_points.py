@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.baselines.converted import converted
 from vsfsim.baselines.known_object import STEP, PoseSearch, locate
 from vsfsim.baselines.visible_cloud import visible_cloud
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
@@ -24,7 +23,6 @@ from vsfsim.data.records import View
 _NEIGHBOURS = 8  # visible points beside a vertex, of which the first that is met counts
 
 
-@converted
 class ContactPoints:
     """Learns nothing from training objects.
 

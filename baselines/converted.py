@@ -1,12 +1,14 @@
-"""Settings that follow the size of the probe and the scale of the readings.
+"""Settings that follow the size of a contact and the scale of the readings.
 
-A preset states what its lengths and forces were chosen for, ``made_for = [length, reading]``: the half width of the
-probe [m], and the median over the training touches of the largest reading [unit of the readings]. A method that is
-`converted` sees everything in those units: views, paths, probes and points are multiplied by length / (half width of
-the probes of the training touches), readings by reading / (their median), and its answers are divided again. So the
-same settings serve a ball of 3 mm on 1 N and one of 30 mm on 10 N, and what a method answers does not depend on the
-unit of length or force. Both factors come from the training objects alone; without training objects, and without
-``made_for``, nothing is converted.
+A preset states what its lengths and forces were chosen for, ``made_for = [length, reading]``: medians over the training
+touches of the radius of the contact [m] and of the largest reading [unit of the readings]. The radius is that of Hertz
+(Johnson, Contact Mechanics, 1985, section 4.2), the root of the probe's half width times the depth past the visible
+surface: the places that a touch tells of lie that far apart, whatever the probe. A method that is `converted` sees
+everything in those units: views, paths, probes and points are multiplied by a factor of length, readings by one of
+reading, and its answers are divided again. So the same settings serve a ball of 3 mm on 1 N and one of 30 mm on 10 N.
+The factors are powers of two: nothing is rounded, and data within a factor of 1.4 of those that the settings were made
+for stay as they are. They come from the training objects alone; without training objects, and without ``made_for``,
+nothing is converted.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 from vsfsim.data.records import View
+from vsfsim.vsf.surface_contact import surface_contact
 
 T = TypeVar("T")
 
@@ -41,11 +44,12 @@ class Units:
     def of(cls, specimens: Sequence[Specimen], made_for: Sequence[float]) -> Units:
         """From training objects. A probe without a size (an arm, a half-space, a mesh) leaves lengths as they are, and
         so does a length of 0; readings of 0 leave readings as they are."""
-        touches = [touch for specimen in specimens for touch in specimen.touches if touch.valid.any()]
-        size = [half_width(touch.action.probe) for touch in touches]
-        reading = [float(np.abs(touch.value[touch.valid]).max()) for touch in touches]
-        factors = [wanted / found if wanted > 0.0 and found > 0.0 else 1.0 for wanted, found in zip(
-            made_for, (float(np.median(x)) if x and np.isfinite(x).all() else 0.0 for x in (size, reading)))]
+        touches = [(specimen.view, touch) for specimen in specimens for touch in specimen.touches if touch.valid.any()]
+        found = [[contact_radius(view, touch) for view, touch in touches],
+                 [float(np.abs(touch.value[touch.valid]).max()) for _, touch in touches]]
+        middle = [float(np.median(x)) if x and np.isfinite(x).all() else 0.0 for x in found]
+        factors = [2.0 ** round(np.log2(wanted / here)) if wanted > 0.0 and here > 0.0 else 1.0
+                   for wanted, here in zip(made_for, middle)]
         return cls(*factors)
 
     def view(self, view: View) -> View:
@@ -69,6 +73,16 @@ class Units:
         surface = reading.surface and Surface(reading.surface.vertices * self.length,
                                               reading.surface.force * self.reading)
         return Reading(self.action(reading.action), reading.value * self.reading, reading.valid, surface)
+
+
+def contact_radius(view: View, touch: Reading) -> float:
+    """Of a touch at its deepest [m]: sqrt(R d), R the half width of the probe and d its depth past the visible surface;
+    0 for a probe without a size that can be changed, and where nothing is seen."""
+    half = half_width(touch.action.probe)
+    if half == 0.0 or not view.mask.any():
+        return 0.0
+    depth = surface_contact(view.points(), touch.action.poses, touch.action.probe).depth
+    return float(np.sqrt(half * depth[touch.valid].max()))
 
 
 def half_width(probe: ProbeShape) -> float:
@@ -117,7 +131,7 @@ def _with_made_for(own: Callable[..., None]) -> Callable[..., None]:
     def build(self: Any, *, made_for: Sequence[float] | None = None, **settings: Any) -> None:
         made_for = made_for or ()
         if len(made_for) not in (0, 2) or not all(0.0 <= x < np.inf for x in made_for):
-            raise MethodError(f"made_for is {list(made_for)}; give the probe's half width [m] and the readings' scale "
+            raise MethodError(f"made_for is {list(made_for)}; give the contact's radius [m] and the readings' scale "
                               f"for which the settings are, both 0 or greater, or nothing.")
         if made_for or not hasattr(self, "_made_for"):  # a derived class has set it already
             self._made_for, self._units = tuple(made_for), Units()

@@ -30,7 +30,7 @@ from vsfsim.vsf.meta.calibration import Felt, Held, Level, Missed, Shares, Width
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 
 if TYPE_CHECKING:  # torch is imported where it is used
-    from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
+    from vsfsim.vsf.meta.prior import MetaPrior, MetaTask, Spread, Training
 
 
 @converted
@@ -140,7 +140,8 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         spread = _spread(fits, parts)
         common = self.networks > 1 and self.structure == "HE" and self.common_std > 0.0
         known = [Composition.of("HE+HO", self._normaliser(f)) for f in raw] if common else parts
-        tasks = [self._task(*row) for row in zip(models, specimens, raw, known)]
+        tasks = [self._task(model, specimen, self._normaliser(f), part)
+                 for model, specimen, f, part in zip(models, specimens, raw, known)]
         self._trained, self.training, self._shares, self._width, held_out, own = [], [], None, None, [], []
         for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
@@ -275,7 +276,7 @@ class Sbml(PosteriorAnswers, LearnedArrays):
                                                     device=self.device)
         return model.features[key]
 
-    def _task(self, model: ParticleModel, specimen: Specimen, raw: np.ndarray, part: Composition):
+    def _task(self, model: ParticleModel, specimen: Specimen, features: np.ndarray, part: Composition) -> MetaTask:
         import torch
 
         from vsfsim.vsf.estimate.evidence import Evidence
@@ -285,9 +286,9 @@ class Sbml(PosteriorAnswers, LearnedArrays):
         counts = [int(t.valid.sum()) * t.action.size for t in specimen.touches]
         evidence = Evidence.of(rows, z, noise_std=self.shelf.settings.noise_std, membership=part.membership,
                                touch=np.repeat(np.arange(len(counts)), counts), device=self.device)
-        features = self._normaliser(raw)[evidence.touched]
-        return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device)
-                          for x in (features, part.features)), evidence)
+        own, of_part = (torch.as_tensor(np.asarray(x, np.float32), device=self.device)
+                        for x in (features[evidence.touched], part.features))
+        return MetaTask(own, of_part, evidence)
 
     def _fit(self, model: ParticleModel, specimen: Specimen) -> tuple[np.ndarray, np.ndarray]:
         """Particles that an object's touches moved (k,) int, and the spring constants fitted to them (k,) [N/m], as

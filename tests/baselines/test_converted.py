@@ -1,4 +1,4 @@
-"""Methods whose settings follow the probe and the readings: on data of other units they answer the same."""
+"""Methods whose settings follow the contact and the readings: on data of other units they answer the same."""
 
 import dataclasses
 import inspect
@@ -6,7 +6,8 @@ import inspect
 import numpy as np
 import pytest
 
-from vsfsim.baselines.converted import Units, enlarged
+from vsfsim.baselines.converted import Units, enlarged, half_width
+from vsfsim.baselines.surface_touches import SurfaceView
 from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.commands.catalogue import preset
 from vsfsim.bench.method import Specimen, find_method
@@ -47,7 +48,7 @@ def answers(name, data, units, **more):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_preset_serves_every_size_of_probe_and_every_scale_of_readings(name, data):
+def test_a_preset_serves_every_size_of_contact_and_every_scale_of_readings(name, data):
     """A ball of 1/8 on forces of 1/64, as those of a palpation beside those of shoes. Both are powers of two, so that
     nothing is rounded and even a trained network answers alike."""
     here, there = answers(name, data, Units()), answers(name, data, Units(1 / 8, 1 / 64))
@@ -68,14 +69,19 @@ def test_what_has_lengths_or_forces_of_its_own_answers_otherwise_without_it(name
     assert np.abs(64.0 * there - here).max() > 1e-3 * np.abs(here).max()
 
 
-def test_factors_come_from_probes_and_readings_of_training_touches_alone(data):
+def test_factors_come_from_contacts_and_readings_of_training_touches_alone(data):
     train = data[0]
-    peaks = [np.abs(r.value[r.valid]).max() for s in train for r in s.touches]
-    assert Units.of(train, (0.03, 6.0)) == Units(2.0, 6.0 / float(np.median(peaks)))
-    assert Units.of(train, (0.0, 0.0)) == Units.of([], (0.03, 6.0)) == Units()
+    peak = float(np.median([np.abs(r.value[r.valid]).max() for s in train for r in s.touches]))
+    radius = float(np.median([np.sqrt(half_width(r.action.probe) * SurfaceView(s.view).contact(r.action).depth.max())
+                              for s in train for r in s.touches]))
+    assert Units.of(train, (1.3 * radius, 0.8 * peak)) == Units()  # near what the settings were made for: untouched
+    assert Units.of(train, (5.0 * radius, peak / 3.5)) == Units(4.0, 0.25)
+    assert Units.of(train, (0.0, 0.0)) == Units.of([], (radius, peak)) == Units()
     silent = [dataclasses.replace(s, touches=tuple(dataclasses.replace(r, value=0.0 * r.value) for r in s.touches))
               for s in train]
-    assert Units.of(silent, (0.03, 6.0)) == Units(2.0, 1.0)
+    assert Units.of(silent, (2.0 * radius, peak)) == Units(2.0, 1.0)
+    unseen = [dataclasses.replace(s, view=dataclasses.replace(s.view, mask=np.zeros_like(s.view.mask))) for s in train]
+    assert Units.of(unseen, (2.0 * radius, 2.0 * peak)) == Units(1.0, 2.0)
 
 
 @pytest.mark.parametrize("probe, larger", [
@@ -91,15 +97,15 @@ def test_what_cannot_be_converted_is_refused(data):
     with pytest.raises(MethodError, match=r"meshfile has one size.*a length of 0"):
         enlarged(MeshFile("tip.stl"), 2.0)
     factory = find_method("near-springs")
-    for wrong in ([0.03], [-0.03, 6.0], [0.03, float("inf")]):
-        with pytest.raises(MethodError, match="half width"):
+    for wrong in ([0.016], [-0.016, 6.0], [0.016, float("inf")]):
+        with pytest.raises(MethodError, match="radius"):
             factory(made_for=wrong)
     assert inspect.signature(factory).parameters["made_for"].default is None
 
 
 def test_a_saved_method_keeps_its_factors(data, tmp_path):
     train, view, readings = data
-    first, other = (find_method("near-springs")(made_for=[0.03, 6.0]) for _ in range(2))
+    first, other = (find_method("near-springs")(made_for=[0.016, 6.0]) for _ in range(2))
     first.meta_fit(train)
     first.save(tmp_path)
     other.load(tmp_path)
