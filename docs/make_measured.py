@@ -95,7 +95,7 @@ def claims() -> str:
 
 def audits() -> str:
     """What `vsfsim lab audit` says of each living task that it audits, from the rows and audits that ship."""
-    from vsfsim.bench.commands.audit import KINDS, audit
+    from measurements.audit import KINDS, audit
     from vsfsim.bench.task import load_task
     from vsfsim.core.shelf import tasks
 

@@ -20,13 +20,13 @@ from pathlib import Path
 
 import msgspec
 
+from measurements import audit
 from papers.results import make_missing, stored
 from papers.study import Study, Variant, load_study
 from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.admission.admit import differences
 from vsfsim.bench.board import rows as board
 from vsfsim.bench.board.rows import LIST, Entry, Part, as_shipped, command_of, is_same, listed, plan, row_sha256
-from vsfsim.bench.commands import audit
 from vsfsim.bench.commands.catalogue import Choice, preset
 from vsfsim.bench.evaluate import evaluate_all, is_of
 from vsfsim.bench.identity import changed, method_sha256

@@ -22,8 +22,8 @@ def _complete(incomplete: str) -> list[str]:
 
 @command(app)
 def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)] = None,
-          every: Annotated[bool, typer.Option("--all")] = False, workers: AtLeastOne = 1, device: str = "",
-          show: bool = False, json: JsonFile = None) -> None:
+          every: Annotated[bool, typer.Option("--all")] = False, workers: AtLeastOne = 1, show: bool = False,
+          json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
@@ -32,8 +32,6 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         names: Of a study, or the path of its .toml file; may be given again. Without it, the studies are listed.
         every: All studies that ship.
         workers: Trainings that run at the same time, of all variants.
-        device: Torch device of the methods that a GPU makes faster: cuda:0 for instance; with cuda each training uses
-            one of all GPUs.
         show: Print what is stored and make nothing.
     """
     from papers import report as tables
@@ -54,7 +52,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         return
     if not show:
         with Progress("study") as progress:
-            for name, message in make_missing(known, workers, progress=progress, device=device, fan=fan):
+            for name, message in make_missing(known, workers, progress=progress, fan=fan):
                 if message:
                     reasons.setdefault(message.strip(), []).append(name)
                 if str(json) != "-":

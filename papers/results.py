@@ -10,7 +10,6 @@ from papers.study import Study, Variant
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import Runs, by_run
 from vsfsim.bench.board.rows import listed, row_sha256
-from vsfsim.bench.commands.catalogue import on_device
 from vsfsim.bench.evaluate import make
 from vsfsim.bench.identity import changed
 from vsfsim.bench.result import Result
@@ -87,29 +86,29 @@ def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True)
     return boards[task]
 
 
-def evaluation(study: Study, variant: Variant, device: str = "") -> Evaluation:
+def evaluation(study: Study, variant: Variant) -> Evaluation:
     """What makes the result of a variant.
 
     Args:
-        study: the study. variant: of it. device: that methods use which a GPU makes faster.
+        study: the study. variant: of it.
 
     Raises:
         VsfsimError: the dataset is missing, with the command that makes it, or does not fit.
     """
     row = study.is_row(variant)
     task = load_task(study.task) if row else study.task_of(variant)  # a row without the study's shots and runs
-    choice = on_device(study.choice(variant, task), device, task.observation.name)
+    choice = study.choice(variant, task)
     return Evaluation(choice.method, task, open_dataset(task), MADE / study.place(variant), choice.parameters,
                       preset=choice.preset, training=study.training(variant))
 
 
 def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[int, int, str], None] = lambda *_: None,
-                 device: str = "", fan: Fan = HERE) -> Iterator[tuple[str, str]]:
+                 fan: Fan = HERE) -> Iterator[tuple[str, str]]:
     """Make the results of some studies that are not there, several trainings at a time.
 
     Args:
         studies: whose variants are made. processes: trainings at a time. progress: called with (done, of how many, what
-        is going on). device: as of `evaluation`. fan: where the trainings run; a shard scores nothing.
+        is going on). fan: where the trainings run; a shard scores nothing.
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -123,7 +122,7 @@ def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[i
         for variant in (one for one in study.variants if one.name not in found):
             name = f"{study.name}, {variant.name}"
             try:
-                one = evaluation(study, variant, device)
+                one = evaluation(study, variant)
             except VsfsimError as error:
                 yield name, str(error)
                 continue

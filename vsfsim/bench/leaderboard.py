@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.admission.admit import admit
+from vsfsim.bench.admission.admit import Row, admit
 from vsfsim.bench.admission.fingerprint import Record, shipped_record
-from vsfsim.bench.board.compare import AREA, LEVEL, Runs, curve, interval, means, ranks, shares, wins
+from vsfsim.bench.board.compare import AREA, LEVEL, Runs, interval, means, ranks, shares, wins
 from vsfsim.bench.board.rows import (
     CEILING,
     CLAIMED,
@@ -25,7 +24,6 @@ from vsfsim.bench.board.rows import (
     listed,
 )
 from vsfsim.bench.board.templates import filled
-from vsfsim.bench.metrics import Score
 from vsfsim.bench.result import Result, score_text, unit_of
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
@@ -33,47 +31,6 @@ from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
 from vsfsim.data.provenance import made_by
-
-
-@dataclass(frozen=True)
-class Row:
-    """One method."""
-
-    rank: int | None
-    """From 1; None where the result may not be ranked."""
-    mark: str
-    """Why it is not ranked, or ""."""
-    result: Result
-    """The result."""
-    scores: Mapping[str, Mapping[str, Score]]
-    """Its scores by metric and shot, computed from its rows."""
-    path: Path
-    """Its file."""
-    other_bits: bool
-    """Its dataset is the board's, made on a machine that rounds otherwise."""
-    values: Mapping[str, Runs] = dataclasses.field(default_factory=dict)
-    """The task's metric of each object in each run, by shot, and the area under it (`compare.curve`)."""
-    wins: float = math.nan
-    """Share of the objects on which it errs less than another ranked row, mean over these (`compare.wins`)."""
-    origin: str = "shipped"
-    """"shipped", "made here", or "shipped, made again here"."""
-    evidence: str = "open"
-    """What the repository's list says that it rests on (`vsfsim.bench.board.rows.Entry`)."""
-
-    def admitted(self) -> Result:
-        """The result with the scores of its rows.
-
-        Raises:
-            TaskError: it may not ship.
-        """
-        if self.mark not in ("", CEILING):
-            raise TaskError(f"{self.path} is no row: {self.mark}.")
-        return dataclasses.replace(self.result, scores=self.scores)
-
-    @property
-    def signs(self) -> str:
-        """Behind the name: † an earlier row, * not ranked for another reason, ~ other bits."""
-        return " †" if self.mark == EARLIER else " *" if self.mark else " ~" if self.other_bits else ""
 
 
 @dataclass(frozen=True)
@@ -113,24 +70,20 @@ def collect(task: Task, paths: Iterable[Path] = (), *, shipped: bool = True) -> 
     good: list[Row] = []
     odd: list[Row] = []
     for path, result in told.items():
-        here = path.parent != own
-        found = admit(result, task, record, reference, entries, made_here=here)
+        row = admit(result, path, task, record, reference, entries, made_here=path.parent != own)
         # a shipped result that was made again here, to the same numbers, is one row
-        rows = odd if found.mark else good
-        if not found.mark:  # an earlier row that comes out again needs no row of its own
-            odd = [row for row in odd if row.mark != EARLIER or not is_same(result, row.result)]
+        rows = odd if row.mark else good
+        if not row.mark:  # an earlier row that comes out again needs no row of its own
+            odd = [one for one in odd if one.mark != EARLIER or not is_same(result, one.result)]
         same = next((k for k, before in enumerate(rows) if is_same(result, before.result)), None)
-        if same is None:
-            values = curve(result, task) if found.mark in ("", CEILING, EARLIER) else {}
-            row = Row(None, found.mark, result, found.scores, path, found.other_bits and not found.mark, values,
-                      origin="made here" if here else "shipped",
-                      evidence=found.entry.evidence if found.entry else "open")
-            if found.entry is None and not found.mark and any(one.origin != "made here" and contradicts(
-                    result, one.result, values[AREA], one.values[AREA]) for one in good):
-                row, rows = dataclasses.replace(row, mark=CLAIMED, other_bits=False), odd
-            rows.append(row)
-        elif here and rows[same].origin == "shipped":
-            rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
+        if same is not None:
+            if row.origin != "shipped" and rows[same].origin == "shipped":
+                rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
+            continue
+        if not row.mark and row.entry is None and any(one.origin != "made here" and contradicts(
+                result, one.result, row.values[AREA], one.values[AREA]) for one in good):
+            row, rows = dataclasses.replace(row, mark=CLAIMED, other_bits=False), odd
+        rows.append(row)
     sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda row: (sign * interval(row.values[AREA]).mean, row.result.method))
     areas = [row.values[AREA] for row in good]

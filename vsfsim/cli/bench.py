@@ -270,16 +270,20 @@ def audit(task: Annotated[str, typer.Argument(autocompletion=complete_task)], re
           dataset: DatasetFolder = None, fresh: Folders = None, json: JsonFile = None) -> None:
     """Measure whether a task measures what it says.
 
-    Three diagnostics: what methods reach that do not look at everything, which share of neighbouring ranks differ and
-    the least difference that can be told, and whether the ranks hold on fresh objects.
+    For who keeps tasks, in a checkout. Three diagnostics: what methods reach that do not look at everything, which
+    share of neighbouring ranks differ and the least difference that can be told, and whether the ranks hold on fresh
+    objects.
 
     Args:
         task: Name of a task (`vsfsim list tasks`), or the path of its .toml file.
         results: More result files, or folders; default: results/TASK.
         fresh: Folder of results of the same methods on objects of another seed; may be given again.
     """
-    from vsfsim.bench.commands import audit as module
     from vsfsim.bench.task import load_task
+    from vsfsim.core import shelf
+
+    shelf.checkout()
+    from measurements import audit as module
 
     wanted = load_task(task)
     own = Path("results") / wanted.name

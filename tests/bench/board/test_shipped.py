@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from measurements import release
+from measurements import audit, release
 from measurements.release import SEEDS, ship, write_list
 from vsfsim.bench import leaderboard
 from vsfsim.bench.admission import fingerprint
@@ -18,7 +18,6 @@ from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board import rows
 from vsfsim.bench.board.compare import by_object
 from vsfsim.bench.board.rows import row_sha256
-from vsfsim.bench.commands import audit
 from vsfsim.bench.evaluate import Made, evaluate
 from vsfsim.bench.identity import contents_of
 from vsfsim.bench.metrics import Answer, scores_of

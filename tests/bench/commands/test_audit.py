@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from measurements import audit as module
+from measurements.audit import audit, text
 from measurements.release import ship_audit
 from vsfsim.baselines.shortcuts import KINDS, Shortcut
 from vsfsim.bench.check import MOCK_TASK
-from vsfsim.bench.commands import audit as module
-from vsfsim.bench.commands.audit import audit, text
 from vsfsim.bench.method import Reading, Specimen
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record

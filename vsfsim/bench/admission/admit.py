@@ -12,16 +12,18 @@ record (`Record.again`); a dataset is the task's if it differs no more than that
 
 from __future__ import annotations
 
-import dataclasses
+import math
 import shlex
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from vsfsim.bench.admission.fingerprint import IMAGES, READING, SCALE, Record
+from vsfsim.bench.board.compare import Runs, curve
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, Entry, claimed, is_ceiling, row_sha256
 from vsfsim.bench.metrics import Score
 from vsfsim.bench.result import Result
@@ -34,29 +36,62 @@ OTHER_TEXT = "other text of the task"
 
 
 @dataclass(frozen=True)
-class Admission:
-    """What the board thinks of a result."""
+class Row:
+    """One method on a board."""
 
+    result: Result
+    """The result."""
+    path: Path
+    """Its file."""
     mark: str
     """Why it is not ranked, or ""."""
     scores: Mapping[str, Mapping[str, Score]]
-    """By metric and shot, computed from its rows."""
+    """Its scores by metric and shot, computed from its rows."""
     other_bits: bool
-    """Its dataset is not the board's to the bit."""
-    entry: Entry | None = None
+    """Its dataset is the board's, made on a machine that rounds otherwise."""
+    entry: Entry | None
     """What the repository's list says of it; None where it is not listed."""
+    origin: str
+    """"shipped", "made here", or "shipped, made again here"."""
+    values: Mapping[str, Runs] = field(default_factory=dict)
+    """The task's metric of each object in each run, by shot, and the area under it (`compare.curve`)."""
+    rank: int | None = None
+    """From 1; None where the result may not be ranked."""
+    wins: float = math.nan
+    """Share of the objects on which it errs less than another ranked row, mean over these (`compare.wins`)."""
+
+    @property
+    def evidence(self) -> str:
+        """What the repository's list says that it rests on (`vsfsim.bench.board.rows.Entry`)."""
+        return self.entry.evidence if self.entry else "open"
+
+    def admitted(self) -> Result:
+        """The result with the scores of its rows.
+
+        Raises:
+            TaskError: it may not ship.
+        """
+        if self.mark not in ("", CEILING):
+            raise TaskError(f"{self.path} is no row: {self.mark}.")
+        return replace(self.result, scores=self.scores)
+
+    @property
+    def signs(self) -> str:
+        """Behind the name: † an earlier row, * not ranked for another reason, ~ other bits."""
+        return " †" if self.mark == EARLIER else " *" if self.mark else " ~" if self.other_bits else ""
 
 
-def admit(result: Result, task: Task, record: Record | None, reference: str,
-          entries: Mapping[str, Entry], *, made_here: bool) -> Admission:
+def admit(result: Result, path: Path, task: Task, record: Record | None, reference: str,
+          entries: Mapping[str, Entry], *, made_here: bool) -> Row:
     """Look at a result before it is ranked: is it of the task, are its rows complete and its data the task's, and is it
     of the method whose name it has? Its scores are computed from its rows; what it says of them is not read.
 
     Args:
-        result: the result. task: of the board. record: of the task's dataset; None if the task has none, so that only
-        the same bits are ranked. reference: sha256 of the board's dataset. entries: the repository's list. made_here:
-        it does not ship, so that it is on no list.
+        result: the result. path: of its file. task: of the board. record: of the task's dataset; None if the task has
+        none, so that only the same bits are ranked. reference: sha256 of the board's dataset. entries: the repository's
+        list. made_here: it does not ship, so that it is on no list.
     """
+    origin = "made here" if made_here else "shipped"
     packed = bool(result.values)  # without its rows; its data were looked at before it was listed
     if packed:
         scores, reason = result.scores, "" if result.task_sha256 == task.sha256 else OTHER_TEXT
@@ -64,19 +99,20 @@ def admit(result: Result, task: Task, record: Record | None, reference: str,
         try:
             scores, other = result.computed(), result.dataset_sha256 != reference
         except (KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError):
-            return Admission("its rows cannot be scored", {}, True)
+            return Row(result, path, "its rows cannot be scored", {}, False, None, origin)
         reason = (_other_task(result, task) or _wrong_rows(result, task, record)
                   or "; ".join(f"no {task.primary} at {label}-shot" for label in task.protocol.labels
                                if label not in scores.get(task.primary, {}))
                   or (_other_data(result, record) if other else ""))
-    entry = None if made_here else entries.get(row_sha256(dataclasses.replace(result, scores=scores)))
+    entry = None if made_here else entries.get(row_sha256(replace(result, scores=scores)))
     if packed:
         other = entry is not None and entry.other_bits
     if not reason and entry is None and (packed or claimed(result, task)):
         reason = EARLIER if packed else CLAIMED
     elif not reason and is_ceiling(result):
         reason = CEILING
-    return Admission(reason, scores, other, entry)
+    values = curve(result, task) if reason in ("", CEILING, EARLIER) else {}
+    return Row(result, path, reason, scores, other and not reason, entry, origin, values)
 
 
 def _other_task(result: Result, task: Task) -> str:

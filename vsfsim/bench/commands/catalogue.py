@@ -122,13 +122,6 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if not isinstance(value, dict)}
 
 
-def on_device(choice: Choice, device: str, observation: str) -> Choice:
-    """A choice on this device if it makes the method faster where this is read; "" for its own."""
-    if not device or observation not in _table().get(choice.method, {}).get("gpu", []):
-        return choice
-    return replace(choice, parameters={**choice.parameters, "device": device})
-
-
 def choices(observation: str, device: str = "", answer: str = "readings", *, chosen: bool = False) -> list[Choice]:
     """All methods with all their presets that a task can rank, the one with the papers' settings first, but those that
     are too slow to be asked other than by name.
@@ -144,6 +137,7 @@ def choices(observation: str, device: str = "", answer: str = "readings", *, cho
         if table.get("by_name", False) or (table.get("chooses", False) and not chosen):
             continue
         if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
-            out += [on_device(preset(method, name, observation, answer), device, observation)
-                    for name in PRESETS if name in table]
+            own = {"device": device} if device and observation in table.get("gpu", []) else {}
+            found = [preset(method, name, observation, answer) for name in PRESETS if name in table]
+            out += [replace(one, parameters={**one.parameters, **own}) for one in found]
     return out

@@ -10,10 +10,11 @@ from typing import Any
 
 from markupsafe import Markup
 
+from vsfsim.bench.admission.admit import Row
 from vsfsim.bench.board.rows import CEILING, CLAIMED, EARLIER, PREDICTIONS, command_of
 from vsfsim.bench.board.templates import filled
 from vsfsim.bench.identity import SCORER, changed
-from vsfsim.bench.leaderboard import Row, collect, score_table
+from vsfsim.bench.leaderboard import collect, score_table
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import OTHERS, Task, load_task, retired
 from vsfsim.core.errors import TaskError
