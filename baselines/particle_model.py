@@ -157,7 +157,7 @@ class ParticleModel:
             except VsfError as error:
                 raise MethodError(str(error)) from error
             if self.settings.growth != 1.0 and action.size == 1:
-                total = np.asarray(np.abs(predicted).sum(axis=1)).ravel()
+                total: np.ndarray = np.asarray(abs(predicted).sum(axis=1)).ravel()
                 scale = np.power(total, self.settings.growth - 1.0, where=total > 0.0, out=np.zeros_like(total))
                 predicted = sparse.csr_matrix(sparse.diags_array(scale) @ predicted)
             self.rows[key] = predicted / row.force_per_unit

@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import astuple
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,9 +79,9 @@ class LearnedArrays:
         """Write what was learned to a folder, which is made if missing."""
         learned = self._learned
         folder.mkdir(parents=True, exist_ok=True)
-        settings = {f"set.{key}": np.array(str(getattr(self, key))) for key in self._settings}
-        settings["units"] = np.array(astuple(self._units))
-        np.savez(folder / f"{self._name}.npz", **learned, **settings)
+        arrays: dict[str, Any] = {f"set.{key}": np.array(str(getattr(self, key))) for key in self._settings}
+        arrays |= {**learned, "units": np.array(astuple(self._units))}
+        np.savez(folder / f"{self._name}.npz", **arrays)
 
     def load(self, folder: Path) -> None:
         """Read what `save` wrote.
