@@ -77,10 +77,9 @@ class LearnedArrays:
 
     def save(self, folder: Path) -> None:
         """Write what was learned to a folder, which is made if missing."""
-        learned = self._learned
+        arrays: dict[str, Any] = {**self._learned, "units": np.array(astuple(self._units))}
+        arrays |= {f"set.{key}": np.array(str(getattr(self, key))) for key in self._settings}
         folder.mkdir(parents=True, exist_ok=True)
-        arrays: dict[str, Any] = {f"set.{key}": np.array(str(getattr(self, key))) for key in self._settings}
-        arrays |= {**learned, "units": np.array(astuple(self._units))}
         np.savez(folder / f"{self._name}.npz", **arrays)
 
     def load(self, folder: Path) -> None:
