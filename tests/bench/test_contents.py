@@ -1,6 +1,8 @@
 """What a score is of: kept answers and digests belong to the method's source, the files that it opens, and the parts of
 vsfsim that its answers pass through."""
 
+import os
+
 import pytest
 import toy_methods  # noqa: F401  (the methods below extend one of it, in a process of their own)
 
@@ -57,7 +59,8 @@ def test_a_mended_method_begins_again(author, tmp_path):
 @pytest.mark.parametrize(("file", "words"), [
     ("mine.py", {}), ("w.txt", {"weights": "w.txt"}),
     ("helper.py", {"learns": "import sys, importlib as i; sys.path.append({here!r}); i.import_module('help' + 'er')"}),
-    ("table.csv", {"learns": "self.value = float(open({here!r} + '/table.csv').read())"})])
+    ("table.csv", {"learns": "self.value = float(open({here!r} + '/table.csv').read())"}),
+    ("table.csv", {"learns": "self.value = float(open(os.fsencode({here!r} + '/table.csv')).read())"})])
 def test_a_file_that_is_edited_while_the_method_is_evaluated_is_refused(author, tmp_path, file, words):
     """Also those that no import statement names: the process says which files it opened."""
     (tmp_path / "w.txt").write_text("5.0")
@@ -119,10 +122,21 @@ def test_answers_pass_through_the_particle_model_and_ceilings_through_the_solver
     assert len(_SCORES) < 15 and len(found) == 3
 
 
-def test_a_package_counts_with_every_file_in_it(tmp_path):
+@pytest.mark.parametrize("table", ["table.csv", os.fsdecode(b"caf\xe9.csv")])
+def test_a_package_counts_with_every_file_in_it(tmp_path, table):
     (tmp_path / "lab").mkdir()
-    for name, text in (("__init__.py", ""), ("mine.py", "class Mine: ...\n"), ("table.csv", "1\n")):
+    for name, text in (("__init__.py", ""), ("mine.py", "class Mine: ...\n"), (table, "1\n")):
         (tmp_path / "lab" / name).write_text(text)
     before = method_sha256("lab.mine:Mine", tmp_path)
-    (tmp_path / "lab" / "table.csv").write_text("2\n")
+    (tmp_path / "lab" / table).write_text("2\n")
     assert method_sha256("lab.mine:Mine", tmp_path) != before
+
+
+def test_a_file_whose_name_is_no_text_is_refused(author, tmp_path):
+    """One that the method opens, and one that a parameter names."""
+    name = os.fsdecode(b"caf\xe9")
+    (tmp_path / name).write_text("5.6")
+    with pytest.raises(MethodError, match=r"reads 'caf\\udce9'\. The name is not UTF-8, .* Rename the file"):
+        author(learns=f"open({str(tmp_path)!r} + '/' + os.fsdecode(b'caf\\xe9')).read()")
+    with pytest.raises(MethodError, match=r"a parameter cannot be written into a result file: .* surrogates not allow"):
+        author(weights=str(tmp_path / name))

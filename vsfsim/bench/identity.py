@@ -39,7 +39,7 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
         what is neither is left out.
 
     Raises:
-        MethodError: a file of such a folder cannot be read.
+        MethodError: a file of such a folder cannot be read; the name of a file is no text.
     """
     folder = folder or os.getcwd()
     here = Path(__file__).parent
@@ -58,7 +58,11 @@ def contents_of(name: str, parameters: Mapping[str, Any], *, folder: str | Path 
     except OSError as error:
         raise MethodError(f"a folder that a parameter of {name} names cannot be read whole: {error}. Name one whose "
                           f"files stay as they are, and can be read.") from error
-    return out | {text: file_sha256(path) for text, path in named.items()}
+    out |= {text: file_sha256(path) for text, path in named.items()}
+    if bad := [text for text in out if text.encode(errors="replace").decode() != text]:
+        raise MethodError(f"{name} reads {bad[0]!a}. The name is not UTF-8, so that no result can hold it. Rename the "
+                          f"file.")
+    return out
 
 
 def changed(name: str, parameters: Mapping[str, Any], contents: Mapping[str, str]) -> list[str]:

@@ -205,7 +205,7 @@ def plain_parameters(values: Mapping[str, Any]) -> None:
         MethodError: with what is no plain value.
     """
     try:
-        json.dumps(dict(values), allow_nan=False)
+        json.dumps(dict(values), allow_nan=False, ensure_ascii=False).encode()
     except (TypeError, ValueError) as error:
         raise MethodError(f"a parameter cannot be written into a result file: {error}. Use numbers, text, "
                           f"lists.") from error

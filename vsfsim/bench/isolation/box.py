@@ -145,12 +145,12 @@ def _set(path: str, on: int, off: int, flags: int = 0) -> None:
     """Change the attributes of a mount, see mount_setattr(2)."""
     attributes = (ctypes.c_uint64 * 4)(on, off, 0, 0)
     _check(ctypes.CDLL(None, use_errno=True).syscall(
-        ctypes.c_long(_MOUNT_SETATTR), ctypes.c_long(-100), path.encode(), ctypes.c_ulong(flags), attributes,
+        ctypes.c_long(_MOUNT_SETATTR), ctypes.c_long(-100), os.fsencode(path), ctypes.c_ulong(flags), attributes,
         ctypes.c_ulong(32)), f"mount_setattr of {path}")
 
 
 def _mount(source: str | None, target: str, kind: str | None, flags: int, data: str | None = None) -> None:
-    words = [None if text is None else text.encode() for text in (source, target, kind, data)]
+    words = [None if text is None else os.fsencode(text) for text in (source, target, kind, data)]
     libc = ctypes.CDLL(None, use_errno=True)
     _check(libc.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3]), f"mount of {target}")
 

@@ -227,12 +227,13 @@ class _Server:
         self.parameters = dict[str, Any]()
         self.factory: Any = None
         self.method: Any = None
-        self.opened = set[str]()
+        self.opened = set[bytes]()
 
     def watch(self, event: str, operands: tuple[Any, ...]) -> None:
         """The audit hook: keep the name of every file that is opened to be read."""
-        if event == "open" and isinstance(operands[0], str) and operands[1] in (None, "r", "rb", "rt"):
-            self.opened.add(os.path.abspath(operands[0]))
+        if event == "open" and operands[1] in (None, "r", "rb", "rt"):
+            with contextlib.suppress(TypeError, ValueError):  # a descriptor; no name of a file
+                self.opened.add(os.path.abspath(os.fsencode(operands[0])))
 
     # ------------------------------------------------------------------ before the trials
 

@@ -180,8 +180,8 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
         # a container's own files are no one else's, whatever lies here at their paths
         shown = tuple(f"{path}/" for path in ([""] if self.isolation.sandbox == "process" else self._places["shown"]))
         said = reply.head.get("opened")
-        opened = tuple(name for name in map(str, said if isinstance(said, list) else ())
-                       if not name.startswith(("/proc/", "/sys/")) and not name.endswith(".pyc")
+        names = [os.fsdecode(name) for name in (said if isinstance(said, list) else ()) if isinstance(name, bytes)]
+        opened = tuple(name for name in names if not name.startswith(("/proc/", "/sys/")) and not name.endswith(".pyc")
                        and f"{name}/".startswith(shown))
         return Learned(reply.blob, reply.head.get("host") is True, opened, process.seconds["meta_fit"],
                        given)

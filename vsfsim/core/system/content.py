@@ -61,7 +61,7 @@ def source_sha256(module: str) -> str:
 def files_sha256(files: Mapping[str, Path]) -> str:
     """sha256 of the names and contents of files."""
     lines = "".join(f"{name} {file_sha256(path)}\n" for name, path in sorted(files.items()))
-    return hashlib.sha256(lines.encode()).hexdigest()
+    return hashlib.sha256(os.fsencode(lines)).hexdigest()
 
 
 def file_sha256(path: Path) -> str:
