@@ -111,7 +111,7 @@ def make(name: str, files: list[Path]) -> None:
 
 
 def picture(name: str) -> None:
-    """Write ``pictures/NAME.png``, or ``NAME.webp`` of an animation; a PNG is brought to 256 colours and `WIDTH` pixels."""
+    """Write ``pictures/NAME.png``, brought to 256 colours and `WIDTH` pixels, or ``NAME.webp`` of an animation."""
     with tempfile.TemporaryDirectory() as folder:
         out, gif = Path(folder) / "out.png", Path(folder) / "out.gif"
         for words in PICTURES[name]:
