@@ -10,7 +10,7 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 from stems import crossing, plant, stem, touch
 
-from vsfsim.core.shape import Capsule, Sphere
+from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
 from vsfsim.physics.solve.frames import Reason
@@ -113,7 +113,7 @@ def test_a_batch_gives_the_bits_of_touches_alone(device):
 
 
 def test_a_touch_ends_before_the_frame_past_the_force_limit(device):
-    """A stem as stiff as a pole, which takes 70 N a frame, in and out again; and plans that are none."""
+    """A stem as stiff as a pole, which takes 70 N a frame, in and out again."""
     models, poses = [build(stem(10, radius=0.01, young_modulus=5e9))], crossing(np.linspace(0.0, 0.06, 31), height=0.15,
                                                                                start=-0.07)
     plan = np.concatenate([np.arange(31), np.arange(30)[::-1]])[None]
@@ -124,9 +124,6 @@ def test_a_touch_ends_before_the_frame_past_the_force_limit(device):
     assert whole.frames[0] == 61 and whole.converged.all() and force.max() > 500.0
     assert n == int(np.argmax(force > 500.0)) and short.converged[:n].all() and not short.converged[n:].any()
     assert np.array_equal(short.force[:n], whole.force[:n]) and np.isnan(short.force[n:]).all()
-    for wrong in (plan + 1, plan + 0.5):
-        with pytest.raises(RodError, match="whole numbers of the 31 poses"):
-            RodSolver(models, [Capsule(0.03, 0.2)], device=device).run(np.zeros(1, int), poses, plan=wrong)
 
 
 def test_a_frame_without_room_for_its_contacts_is_marked(device):
@@ -222,11 +219,6 @@ def test_a_heavy_stem_sags(device):
 
 
 def test_what_cannot_be_solved_is_refused():
-    model = build(stem(3))
-    with pytest.raises(RodError, match="capsules only"):
-        RodSolver([model], [Sphere(0.02)])
-    with pytest.raises(RodError, match="at most 31"):
-        RodSolver([model], [Capsule(0.02, 0.1)] * 32)
     with pytest.raises(RodError, match=r"segment 1 .* 8 m wide"):
         build(plant(np.array([[0.0, 0, 0], [0, 0, 0.1]]), [-1, 0], half_width=4.0,
                     blade_normal=np.array([1.0, 0.0, 0.0])))

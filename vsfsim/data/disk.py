@@ -14,7 +14,7 @@ import os
 import shutil
 import socket
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -100,17 +100,19 @@ def write_figure(figure: Any, path: str | Path) -> None:
     write_atomic(path if path.suffix else path.with_suffix(".png"), buffer.getvalue(), error=VsfsimError)
 
 
-def write_animation(path: Path, pictures: Sequence[bytes], milliseconds: Sequence[int]) -> None:
-    """Write PNGs as a GIF that repeats, of 256 colours a frame.
+def write_animation(path: Path, figures: Iterable[Any], milliseconds: Sequence[int], *, dpi: int = 100) -> None:
+    """Write figures of matplotlib, one after the other, as a GIF that repeats, of 256 colours a frame.
 
     Raises:
         VsfsimError: the file cannot be written.
     """
     from PIL import Image
 
-    first, *others = (Image.open(io.BytesIO(one)).convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE)
-                      for one in pictures)
-    whole = io.BytesIO()
+    frames = []
+    for figure in figures:
+        figure.savefig(buffer := io.BytesIO(), format="png", dpi=dpi)
+        frames.append(Image.open(buffer).convert("RGB").quantize(256, method=Image.Quantize.FASTOCTREE))
+    (first, *others), whole = frames, io.BytesIO()
     first.save(whole, "GIF", save_all=True, append_images=others, loop=0, optimize=True, duration=list(milliseconds))
     write_atomic(path, whole.getvalue(), error=VsfsimError)
 

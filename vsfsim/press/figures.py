@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -64,14 +63,14 @@ def animation(result: PressResult, title: str, path: Path, *, device: str = "cpu
     Raises:
         VsfsimError: the file cannot be written.
     """
-    frames, count = [], len(result.depth)
-    for t in range(count):
-        buffer = io.BytesIO()
-        picture(result, title, frame=t, device=device).savefig(buffer, dpi=_GIF_DPI, format="png")
-        frames.append(buffer.getvalue())
+    def frame(t: int) -> Figure:
         if progress is not None:
-            progress(t + 1, count, "pictures")
-    write_animation(path, frames, [1200 if t == result.deepest else 200 for t in range(count)])
+            progress(t, count, "pictures")
+        return picture(result, title, frame=t, device=device)
+
+    count = len(result.depth)
+    write_animation(path, map(frame, range(count)), [1200 if t == result.deepest else 200 for t in range(count)],
+                    dpi=_GIF_DPI)
 
 
 def picture(result: PressResult, title: str, path: str | Path | None = None, *,

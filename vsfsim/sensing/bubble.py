@@ -134,11 +134,3 @@ def readout_of(model: BubbleModel) -> BubbleReadout:
 
     mesh, published = cast(TriangleMesh, model.mesh), model.read_out
     return BubbleReadout(flat(model.flat, mesh.faces, mesh.rim), flat(published.flat, published.faces, published.rim))
-
-
-def wrench(points: np.ndarray, force: np.ndarray, *, origin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Net force (T, 3) [N] and its moment (T, 3) [N m] about ``origin`` (T, 3) or (3,) [m] of nodal forces (T, n, 3) at
-    points (T, n, 3)."""
-    about = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
-    arm = points - (about[:, None] if about.ndim == 2 else about)
-    return force.sum(axis=1), np.cross(arm, force).sum(axis=1)

@@ -17,7 +17,7 @@ import numpy as np
 
 from vsfsim.core.solid import Appearance
 from vsfsim.sensing.camera import render
-from vsfsim.sensing.surface import RenderError, Surface
+from vsfsim.sensing.surface import Surface
 
 _LOOK = Appearance(np.array([[0.05, 0.45, 0.18]]), ("noise",), np.array([0.003]), np.array([0.9]))
 """Of the skin: green, with patches of 3 mm on its stress-free shape."""
@@ -39,15 +39,6 @@ class BubbleCamera:
     """From the camera to the rim plane, along the dome's axis [m]."""
     offset: float = 0.040
     """Of the camera along -x, the long semi-axis [m]."""
-
-    def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1 or not self.focal > 0.0:
-            raise RenderError(f"bubble camera: {self.width} x {self.height} pixels, focal length {self.focal!r} px; "
-                              f"all must be greater than 0.")
-        if not abs(self.tilt) < 1.5 or not 0.0 < self.distance < 0.5 or not abs(self.offset) < 0.5:
-            raise RenderError(f"bubble camera: tilt {self.tilt!r} rad, distance {self.distance!r} m, offset "
-                              f"{self.offset!r} m; give a tilt within 1.5 and lengths under half a metre, "
-                              "the distance greater than 0 (the camera is below the rim plane).")
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -85,22 +76,8 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
         material: coordinates of the nodes on the stress-free skin (n, 2) [m]; the noise is fixed there.
         camera: its pose and intrinsics.
         device: Warp device.
-
-    Raises:
-        RenderError: a shape that does not match, a node that is not finite, or a skin behind the camera.
     """
-    points, material = np.asarray(points, np.float64), np.asarray(material, np.float64)
-    if points.ndim != 3 or len(points) == 0:
-        raise RenderError(f"bubble camera: points have shape {points.shape}; give frames of positions "
-                          f"(T, n, 3), T >= 1.")
-    if material.shape != (points.shape[1], 2):
-        raise RenderError(f"bubble camera: material coordinates have shape {material.shape}; give "
-                          f"({points.shape[1]}, 2) in metres.")
-    pose = camera.pose
-    if (((points - pose[:3, 3]) @ pose[:3, 2]).max(axis=1) <= 0.0).any():
-        raise RenderError("bubble camera: the whole skin lies behind the camera; positions are in the mount frame, +z "
-                          "out of the dome.")
     printed = np.pad(material, ((0, 0), (0, 1)))
-    seen = [render(Surface(x, triangles, np.zeros(len(triangles), np.int64), _LOOK, printed), camera.intrinsics, pose,
-                   camera.width, camera.height, device=device) for x in points]
+    seen = [render(Surface(x, triangles, np.zeros(len(triangles), np.int64), _LOOK, printed), camera.intrinsics,
+                   camera.pose, camera.width, camera.height, device=device) for x in points]
     return InsideView(np.stack([view.depth for view in seen]), np.stack([view.rgb for view in seen]))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vsfsim.sensing.bubble import readout_of, wrench
+from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pressure: np.ndarray,
-                 mount_pose: np.ndarray, *, converged: np.ndarray | None = None, camera: BubbleCamera | None = None,
+                 mount_pose: np.ndarray, *, converged: np.ndarray, camera: BubbleCamera | None = None,
                  device: str = "cpu") -> dict[str, Any]:
     """Keyword arguments for a `Touch` by a bubble: the fields that a rigid probe does not have.
 
@@ -24,7 +24,7 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
         force: contact force on each node, world (T, m, 3) [N].
         pressure: gauge (T,) [Pa].
         mount_pose: mount to world (T, 4, 4) [m].
-        converged: (T,) bool, None for all; the readings of other frames are NaN, and their pictures black.
+        converged: (T,) bool; the readings of other frames are NaN, and their pictures black.
         camera: takes pictures from inside; None for none.
         device: Warp device of the ray caster.
 
@@ -33,10 +33,7 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
         fine_position, fine_force, fine_rest and fine_triangles with ``model.spec.fine``; inside_depth and inside_rgb
         with a camera.
     """
-    position, force, pressure, mount_pose = (np.asarray(x, np.float64) for x in (position, force, pressure, mount_pose))
-    frames = len(position)
-    good = np.ones(frames, bool) if converged is None else np.asarray(converged, bool)
-    readout = readout_of(model)
+    frames, good, readout = len(position), converged, readout_of(model)
     nodes = len(readout.readout.points)
 
     def nan(*shape: int) -> np.ndarray:
@@ -46,7 +43,8 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
                            "moment": nan(3), "node_position": nan(nodes, 3),
                            "node_force": nan(nodes, 3)}
     if good.any():
-        out["moment"][good] = wrench(position[good], force[good], origin=mount_pose[good, :3, 3])[1]
+        out["moment"][good] = np.cross(
+            position[good] - mount_pose[good, None, :3, 3], force[good]).sum(axis=1)
         out["node_position"][good] = readout.positions(position[good])
         out["node_force"][good] = readout.forces(position[good], force[good])
     for name in ("node_position", "node_force"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,5 @@ def _write(out: Path, shown: ObjectView, body: Any, found: list[np.ndarray], off
                 panel.annotate(str(number), (x / w, y / w), ha="center", va="center", fontsize=8)
             panel.set_axis_off()
         colours.bar(figure, axes, shrink=0.85, aspect=18)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png")
-        frames.append(buffer.getvalue())
+        frames.append(figure)
     write_animation(out, frames, [1200] * (len(frames) - 1) + [3000])

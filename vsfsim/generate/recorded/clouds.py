@@ -15,6 +15,21 @@ _COARSE = 1.5  # edge of a pixel over the median distance of neighbouring points
 _MARGIN = 4  # pixels around the object
 
 
+def lattice(ray: np.ndarray, edge: float) -> tuple[np.ndarray, int, int, np.ndarray]:
+    """A picture that holds points with some room, of pixels that are ``edge`` wide at a distance of one metre.
+
+    Args:
+        ray: x / z and y / z of the points in the camera's frame (n, 2) [-].
+
+    Returns:
+        The same of its first pixel (2,) [-], width and height [px], and the pinhole matrix (3, 3) [px].
+    """
+    low = ray.min(axis=0) - _MARGIN * edge
+    width, height = np.ceil((ray.max(axis=0) - low) / edge).astype(int) + 1 + _MARGIN
+    return low, width, height, np.array(
+        [[1.0 / edge, 0.0, -low[0] / edge], [0.0, 1.0 / edge, -low[1] / edge], [0.0, 0.0, 1.0]])
+
+
 def read_pcd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """A cloud in the PCD format (version 0.7 of the Point Cloud Library), ``ascii`` or ``binary``.
 
@@ -101,12 +116,10 @@ def view_of_cloud(points: np.ndarray, colours: np.ndarray, inside: np.ndarray, e
     if local[inside, 2].min() <= 1e-3:
         raise DatasetError(f"the camera at {np.round(eye, 3).tolist()} lies in the object; correct its origin.")
     ray = local[:, :2] / np.maximum(local[:, 2:], 1e-3)
-    low, high = ray[inside].min(axis=0), ray[inside].max(axis=0)
     sample = ray[inside][::max(1, len(mine) // 5000)]
     apart = np.median(cKDTree(ray[inside]).query(sample, k=2)[0][:, 1])
-    edge = max(_COARSE * float(apart), float((high - low).max()) / (_LARGEST - 2 * _MARGIN - 1))
-    low -= _MARGIN * edge
-    width, height = np.ceil((high - low) / edge).astype(int) + 1 + _MARGIN
+    edge = max(_COARSE * float(apart), float(np.ptp(ray[inside], axis=0).max()) / (_LARGEST - 2 * _MARGIN - 1))
+    low, width, height, intrinsics = lattice(ray[inside], edge)
     pixel = np.rint((ray - low) / edge).astype(int)
     seen = np.flatnonzero((local[:, 2] > 1e-3) & (pixel >= 0).all(axis=1) & (pixel < [width, height]).all(axis=1))
     number = pixel[seen, 1] * width + pixel[seen, 0]
@@ -119,6 +132,5 @@ def view_of_cloud(points: np.ndarray, colours: np.ndarray, inside: np.ndarray, e
     depth[filled] = np.where(inside[nearest], local[nearest, 2], 0.0)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, eye
-    intrinsics = np.array([[1.0 / edge, 0.0, -low[0] / edge], [0.0, 1.0 / edge, -low[1] / edge], [0.0, 0.0, 1.0]])
     return View(rgb.reshape(height, width, 3), depth.reshape(height, width),
                 mask.reshape(height, width), intrinsics, pose)

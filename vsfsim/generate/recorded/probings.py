@@ -28,13 +28,14 @@ from vsfsim.core.extras import require
 from vsfsim.core.shape import Sphere
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, View
+from vsfsim.generate.recorded.clouds import lattice
 from vsfsim.generate.recorded.written import SPLIT, nothing_known, recorded_touch, write_recorded
 
 SHALLOW, STRONG = 0.0005, 20.0
 """Presses less deep [m], and those with more force [N], are left out: the ball may have missed, or hit what is hard."""
 SAME = 0.0005
 """Presses of two days whose contacts lie so near are of one place [m]."""
-_FINE, _HEIGHT, _MARGIN = 0.0002, 0.3, 4  # edge of a pixel that holds one contact; of the camera [m]; pixels
+_FINE, _HEIGHT = 0.0002, 0.3  # edge of a pixel that holds one contact; of the camera [m]
 _LEAST = 10  # presses of an object
 _RADII = 0.0005, 0.05  # of a ball [m]
 
@@ -153,15 +154,13 @@ def view_from_above(points: np.ndarray, pitch: float) -> View:
     pose[:3, 3] = np.array([*points[:, :2].mean(axis=0), points[:, 2].max() + _HEIGHT]).round(6)
     local = (points - pose[:3, 3]) * [1.0, -1.0, -1.0]
     ray, edge = local[:, :2] / local[:, 2:], round((pitch or _FINE) / float(local[:, 2].mean()), 9)
-    low = ray.min(axis=0) - _MARGIN * edge
-    width, height = np.ceil((ray.max(axis=0) - low) / edge).astype(int) + 1 + _MARGIN
+    low, width, height, camera = lattice(ray, edge)
     if pitch:  # along a plane 1 / depth is linear in the picture
         at = low + edge * np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=2)
         depth = np.nan_to_num(1.0 / LinearNDInterpolator(ray, 1.0 / local[:, 2])(at))
     else:
         depth = np.zeros((height, width))
         depth[tuple(np.rint((ray - low) / edge).astype(int).T[::-1])] = local[:, 2]
-    camera = np.array([[1.0 / edge, 0.0, -low[0] / edge], [0.0, 1.0 / edge, -low[1] / edge], [0.0, 0.0, 1.0]])
     return View(np.where(depth > 0.0, 128, 0)[..., None].repeat(3, axis=2).astype(np.uint8),
                 depth.round(7).astype(np.float32), depth > 0.0, camera, pose)
 
