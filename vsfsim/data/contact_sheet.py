@@ -1,10 +1,13 @@
-"""One picture of a dataset: for each object view its image, depth, touched points and force curves."""
+"""One picture of a dataset: for each object view its image, depth, touched points and force curves.
+
+Object views, views and touches are those of `vsfsim.data.records`, which calls this module and is not imported here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,8 +15,9 @@ from vsfsim.core.errors import DatasetError
 from vsfsim.core.system.interactive import new_figure
 from vsfsim.data.disk import write_figure
 
-if TYPE_CHECKING:
-    from vsfsim.data.records import ObjectView, Touch, View
+ObjectView: TypeAlias = Any
+View: TypeAlias = Any
+Touch: TypeAlias = Any
 
 def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None, *, title: str = "") -> Any:
     """Draw one row an object view: RGB, depth, where it was touched, and force over travel.
