@@ -29,10 +29,10 @@ from vsfsim.bench.evaluate import evaluate_all
 from vsfsim.bench.leaderboard import collect, labels_of
 from vsfsim.bench.metrics import Answer, spearman
 from vsfsim.bench.result import Result
+from vsfsim.bench.result_file import read_record
 from vsfsim.bench.task import Task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import plain
 
 METHOD = "vsfsim.baselines.shortcuts:Shortcut"
 KINDS = ("constant", "action", "view", "touch")
@@ -129,14 +129,9 @@ def shipped(task: Task) -> Shipped:
     Raises:
         TaskError: the file is damaged.
     """
-    path, nothing = shelf.folder("leaderboard") / "audits" / f"{task.name}.json", Shipped("vsfsim-audit-2", task.sha256)
-    if not path.is_file():
-        return nothing
-    try:
-        found = msgspec.json.decode(path.read_bytes(), type=Shipped)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise TaskError(f"{path} is not what `vsfsim lab release` wrote: {plain(error)}. Restore the file.") from error
-    return found if found.task_sha256 == task.sha256 else nothing
+    path = shelf.folder("leaderboard") / "audits" / f"{task.name}.json"
+    found = read_record(path, Shipped, "audit as `vsfsim lab release` writes it") if path.is_file() else None
+    return found if found and found.task_sha256 == task.sha256 else Shipped("vsfsim-audit-2", task.sha256)
 
 
 def text(found: Audit, board_metric: str) -> str:

@@ -178,8 +178,11 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
         again: The dataset was made on another machine: write into the record of --task how many touches differ.
             Results on data that differ no more are ranked.
     """
+    import msgspec
+
     from vsfsim.bench.admission import fingerprint
-    from vsfsim.bench.admission.admit import again as differing
+    from vsfsim.bench.admission.admit import apart
+    from vsfsim.bench.result_file import read_record
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.core import shelf
     from vsfsim.data.dataset import Dataset
@@ -191,9 +194,13 @@ def record(dataset: Path, task: str | None = None, again: bool = False) -> None:
         if (known := fingerprint.shipped_record(one)) is None:
             raise TaskError(f"task {task} has no record yet. Write one without --again.")
         found = (fingerprint.make_record(one, open_dataset(one, dataset)) if dataset.is_dir()
-                 else fingerprint.load_record(dataset))
-        fingerprint.save_record(known := differing(found, known), path := fingerprint.record_path(one))
-        print(f"{path}: {100.0 * known.again:.3g} % of the touches read otherwise")
+                 else read_record(dataset, fingerprint.Record, fingerprint.KIND))
+        wrong, _, share = apart(found, known)
+        if wrong:
+            raise TaskError(f"the two datasets of task {task} are not of the same planned touches: {wrong[0]}. Give "
+                            f"one that `vsfsim generate` made on another machine with the operands of the task.")
+        fingerprint.save_record(msgspec.structs.replace(known, again=share), path := fingerprint.record_path(one))
+        print(f"{path}: {100.0 * share:.3g} % of the touches read otherwise")
         return
     folder = Dataset.open(dataset).path.resolve().name
     wanted = [load_task(task)] if task else [one for one in map(load_task, shelf.tasks())

@@ -32,6 +32,7 @@ from vsfsim.bench.evaluate import evaluate_all, is_of
 from vsfsim.bench.identity import changed, method_sha256
 from vsfsim.bench.leaderboard import Board, collect
 from vsfsim.bench.result import Result
+from vsfsim.bench.result_file import write_record
 from vsfsim.bench.task import Task, load_task, one_of, open_dataset
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
@@ -276,5 +277,4 @@ def ship_audit(found: audit.Audit, path: Path, task_sha256: str, of: str = "") -
         TaskError: the file cannot be written.
     """
     errors = {sees: {name: float(f"{value:.7g}") for name, value in of.items()} for sees, of in found.errors.items()}
-    told = msgspec.json.encode(audit.Shipped("vsfsim-audit-2", task_sha256, of, found.fresh, errors))
-    write_atomic(path, msgspec.json.format(told, indent=1) + b"\n", error=TaskError)
+    write_record(path, audit.Shipped("vsfsim-audit-2", task_sha256, of, found.fresh, errors))

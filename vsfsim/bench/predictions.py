@@ -15,33 +15,33 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import json
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, TypeVar
+from typing import Literal
 from zipfile import BadZipFile
 
 import msgspec
 import numpy as np
 
 from vsfsim.bench.method import Action, Reading, Surface, frozen_view
-from vsfsim.bench.protocol import Draw, divide, folds_of, record, support, test_names
+from vsfsim.bench.protocol import divide, folds_of, record, support
+from vsfsim.bench.result_file import read_record, write_record
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import SceneError, TaskError
 from vsfsim.core.plain_text import from_json, plain
-from vsfsim.core.shape import ProbeShape, parse_probe_shapes, probe_tables
+from vsfsim.core.shape import parse_probe_shapes, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import View
 from vsfsim.data.safety import check_name
 
-INDEX = "sealed.json"
+INDEX, _PART = "sealed.json", "part of a sealed set as `lab seal` writes it"
 FEWEST_SEEDS = 10**11
 """A smaller seed can be found by making an object of each and comparing pictures."""
-T = TypeVar("T")
 _VIEW = ("rgb", "depth", "mask", "intrinsics", "camera_pose")
 
 
@@ -87,25 +87,18 @@ def questions(task: Task, source: Dataset | Path) -> Iterator[Question]:
     if isinstance(source, Dataset):
         for fold in folds_of(source, task.protocol):
             for view in map(source.blind().load, fold.test):
-                recording, draw = record(view, task), divide(view, task.protocol)
-                yield from _asked(task, view, frozen_view(view.view), draw, recording.readings, tuple(
-                    recording.queries[i].action for i in draw.query), fold.train)
+                recording, draw, shown = record(view, task), divide(view, task.protocol), frozen_view(view.view)
+                actions = tuple(recording.queries[k].action for k in draw.query)
+                for run, label in itertools.product(task.protocol.runs(seeded=False), task.protocol.labels):
+                    given = support(view, draw, label, run, task.protocol)
+                    yield Question(view.name, label, run, shown, given, tuple(recording.readings[k] for k in given),
+                                   draw.query, actions, fold.train)
         return
-    index = _read(source / INDEX, _Index)
+    index = read_record(source / INDEX, _Index, _PART)
     if index.task_sha256 != task.sha256:
         raise TaskError(f"{source} is a sealed set of task {plain(index.task)}, not of this text of {task.name}.")
     for file, sha256 in index.files.items():
-        yield from _asked(task, *_object_of(source / check_name(file, str(source / INDEX)), sha256, task))
-
-
-def _asked(task: Task, view: Any, shown: View, draw: Draw, readings: Sequence[Reading] | Mapping[int, Reading],
-           actions: tuple[Action, ...], train: tuple[str, ...] = ()) -> Iterator[Question]:
-    """The questions about one object view, of which ``view`` has the name and the numbers."""
-    for run in task.protocol.runs(seeded=False):
-        for label in task.protocol.labels:
-            given = support(view, draw, label, run, task.protocol)
-            yield Question(view.name, label, run, shown, given, tuple(readings[k] for k in given), draw.query, actions,
-                           train)
+        yield from _unsealed(source / check_name(file, str(source / INDEX)), sha256, task)
 
 
 def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
@@ -126,14 +119,13 @@ def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
     text = json.dumps({"dataset_sha256": dataset.sha256, "scene": dataset.recipe.scene, "seed": dataset.recipe.seed,
                        "task_sha256": task.sha256, "word": secrets.token_hex(16)}, sort_keys=True)
     commitment = hashlib.sha256(text.encode()).hexdigest()
-    names = test_names(dataset, task.protocol)
-    _write(private, _Private("vsfsim-sealed-private", 1, commitment, text))
+    write_record(private, _Private("vsfsim-sealed-private", 1, commitment, text))
     files = {}
-    for number, name in enumerate(names):
-        content = _public_part(dataset, task, name)
+    for number, (_, asked) in enumerate(itertools.groupby(questions(task, dataset), lambda one: one.name)):
+        content = _public_part(list(asked))
         write_atomic(public / f"object-{number:04d}.npz", content, error=TaskError)
         files[f"object-{number:04d}.npz"] = hashlib.sha256(content).hexdigest()
-    _write(public / INDEX, _Index("vsfsim-sealed", 1, task.name, task.sha256, commitment, files))
+    write_record(public / INDEX, _Index("vsfsim-sealed", 1, task.name, task.sha256, commitment, files))
     return commitment
 
 
@@ -143,7 +135,7 @@ def check_commitment(private: Path, task: Task, dataset: Dataset) -> None:
     Raises:
         TaskError: with what differs.
     """
-    part = _read(private, _Private)
+    part = read_record(private, _Private, _PART)
     if hashlib.sha256(part.text.encode()).hexdigest() != part.commitment:
         raise TaskError(f"{private} does not keep its commitment: the sha256 of its text is another one.")
     try:
@@ -163,66 +155,54 @@ def receipt(private: Path, row_sha256: str) -> dict[str, str]:
     Raises:
         TaskError: the file is no private part.
     """
-    part = _read(private, _Private)
+    part = read_record(private, _Private, _PART)
     return {"commitment": part.commitment,
             "receipt": hashlib.sha256(f"{part.text}{row_sha256}".encode()).hexdigest()}
 
 
-def _public_part(dataset: Dataset, task: Task, name: str) -> bytes:
-    view = dataset.blind().load(name)
-    recording, draw = record(view, task), divide(view, task.protocol)
-    head = {"name": view.name, "object_index": view.object_index, "view_index": view.view_index,
-            "probe": probe_tables(view.probes), "query": list(draw.query), "pool": list(draw.pool)}
-    arrays: dict[str, np.ndarray] = {key: np.asarray(getattr(view.view, key)) for key in _VIEW}
-    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
-    for index in draw.pool:
-        reading = recording.readings[index]
-        arrays |= _of_action(index, reading.action, view.touches[index].press)
-        arrays |= {f"{index}/value": reading.value, f"{index}/valid": reading.valid}
+def _public_part(asked: Sequence[Question]) -> bytes:
+    """The questions about one object view."""
+    one = asked[0]
+    actions, arrays = dict(zip(one.touches, one.actions, strict=True)), {key: getattr(one.view, key) for key in _VIEW}
+    for k, reading in ((k, reading) for q in asked for k, reading in zip(q.given, q.support, strict=True)):
+        actions[k] = reading.action
+        arrays |= {f"{k}/value": reading.value, f"{k}/valid": reading.valid}
         if reading.surface is not None:
-            arrays |= {f"{index}/vertices": reading.surface.vertices, f"{index}/node_force": reading.surface.force}
-    for index in draw.query:
-        arrays |= _of_action(index, recording.queries[index].action, view.touches[index].press)
+            arrays |= {f"{k}/vertices": reading.surface.vertices, f"{k}/node_force": reading.surface.force}
+    for k, action in actions.items():
+        arrays |= {f"{k}/time": action.time, f"{k}/poses": action.poses, f"{k}/axis": action.axis}
+        arrays |= {f"{k}/q": action.q} if action.q is not None else {}
+    head = {"name": one.name, "query": one.touches, "asked": [(q.shot, q.seed, q.given) for q in asked],
+            "probes": {k: (probe_table(action.probe), action.mount_stiffness) for k, action in actions.items()}}
+    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
     out = io.BytesIO()
-    np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(out, **arrays)
     return out.getvalue()
 
 
-def _of_action(index: int, action: Action, press: int | None) -> dict[str, np.ndarray]:
-    more = {"q": action.q, "mount_stiffness": action.mount_stiffness, "press": press}
-    return {f"{index}/{key}": np.asarray(value) for key, value in {
-        "time": action.time, "poses": action.poses, "axis": action.axis, **more}.items() if value is not None}
-
-
-def _object_of(path: Path, sha256: str, task: Task) -> tuple[Any, View, Draw, dict[int, Reading], tuple[Action, ...]]:
-    """The operands of `_asked` of an object of a sealed set."""
+def _unsealed(path: Path, sha256: str, task: Task) -> list[Question]:
+    """What `_public_part` wrote."""
     try:
         content = path.read_bytes()
         if hashlib.sha256(content).hexdigest() != sha256:
             raise TaskError(f"{path} was changed after the set was sealed: its sha256 is another one.")
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = dict(file)
-        head = from_json(arrays.pop("head").tobytes())
-        shown = frozen_view(View(**{key: arrays[key] for key in _VIEW}))
-        probes = parse_probe_shapes(head["probe"], str(path))
-        draw = Draw(tuple(head["query"]), tuple(head["pool"]))
-        readings = {k: Reading(_action(arrays, k, probes, task), arrays[f"{k}/value"], arrays[f"{k}/valid"],
-                               _surface(arrays, k)) for k in draw.pool}
-        view = SimpleNamespace(name=check_name(head["name"], str(path)), object_index=int(head["object_index"]),
-                               view_index=int(head["view_index"]))
-        return view, shown, draw, readings, tuple(_action(arrays, k, probes, task) for k in draw.query)
+        head, row = from_json(arrays.pop("head").tobytes()), task.observation
+        shown, query = frozen_view(View(**{key: arrays[key] for key in _VIEW})), tuple(head["query"])
+        actions = {int(k): Action(*(arrays[f"{k}/{name}"] for name in ("time", "poses", "axis")),
+                                  *parse_probe_shapes(probe, str(path)), row.name, row.size, arrays.get(f"{k}/q"),
+                                  spring)
+                   for k, (probe, spring) in head["probes"].items()}
+        surfaces = {k: Surface(arrays[f"{k}/vertices"], arrays[f"{k}/node_force"])
+                    for k in actions if f"{k}/vertices" in arrays}
+        readings = {k: Reading(action, arrays[f"{k}/value"], arrays[f"{k}/valid"], surfaces.get(k))
+                    for k, action in actions.items() if f"{k}/value" in arrays}
+        return [Question(check_name(head["name"], str(path)), shot, seed, shown, tuple(given),
+                         tuple(readings[k] for k in given), query, tuple(actions[k] for k in query))
+                for shot, seed, given in head["asked"]]
     except (OSError, ValueError, KeyError, TypeError, IndexError, BadZipFile, EOFError, SceneError) as error:
         raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
-
-
-def _action(arrays: Mapping[str, np.ndarray], k: int, probes: Sequence[ProbeShape], task: Task) -> Action:
-    spring, press = arrays.get(f"{k}/mount_stiffness"), int(arrays.get(f"{k}/press", 0))
-    return Action(arrays[f"{k}/time"], arrays[f"{k}/poses"], arrays[f"{k}/axis"], probes[press], task.observation.name,
-                  task.observation.size, arrays.get(f"{k}/q"), None if spring is None else float(spring))
-
-
-def _surface(arrays: Mapping[str, np.ndarray], k: int) -> Surface | None:
-    return Surface(arrays[f"{k}/vertices"], arrays[f"{k}/node_force"]) if f"{k}/vertices" in arrays else None
 
 
 class _Private(msgspec.Struct):
@@ -239,14 +219,3 @@ class _Index(msgspec.Struct):
     task_sha256: str
     commitment: str
     files: dict[str, str]
-
-
-def _read(path: Path, kind: type[T]) -> T:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise TaskError(f"{path} is no part of a sealed set as `lab seal` writes it: {plain(error)}.") from error
-
-
-def _write(path: Path, table: Any) -> None:
-    write_atomic(path, msgspec.json.format(msgspec.json.encode(table), indent=1) + b"\n", error=TaskError)

@@ -21,6 +21,7 @@ import numpy as np
 from vsfsim.bench.metrics import Answer, Record, Score, columns_of
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
+from vsfsim.data.disk import write_atomic
 
 Rows = dict[Answer, list[dict[str, Any]]]
 
@@ -140,6 +141,27 @@ def read_json(path: Path) -> Any:
     except (OSError, ValueError, RecursionError) as error:
         raise TaskError(f"result {path} cannot be read: {plain(error, longest=300)}. Evaluate the method "
                         f"again.") from error
+
+
+def read_record(path: Path, kind: Any, what: str) -> Any:
+    """The record of a type ``kind`` in a JSON file of this repository's; ``what`` says in messages what it should be.
+
+    Raises:
+        TaskError: it is missing, or is none.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, ValueError, RecursionError) as error:
+        raise TaskError(f"{path} is no {what}: {plain(error)}. Restore the file.") from error
+
+
+def write_record(path: Path, record: Any) -> None:
+    """Write what `read_record` reads.
+
+    Raises:
+        TaskError: the file cannot be written.
+    """
+    write_atomic(path, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n", error=TaskError)
 
 
 def _refuse(word: str) -> float:

@@ -80,7 +80,7 @@ def test_what_needs_data_ships_and_is_read_without_them(folded, tmp_path, monkey
     other = audit(dataclasses.replace(folded, sha256="0" * 64), [], measure=False)
     assert other.errors == {} and other.fresh == () and "no audit of it ships" in text(other, "m")
     (tmp_path / "audits" / "toy-v1.json").write_text("{}")
-    with pytest.raises(TaskError, match="is not what `vsfsim lab release` wrote"):
+    with pytest.raises(TaskError, match="is no audit as `vsfsim lab release` writes it"):
         audit(folded, [tmp_path / "r"], measure=False)
 
 

@@ -53,10 +53,10 @@ def test_nothing_of_a_query_and_nothing_of_the_seed_is_public(parts, toy_dataset
         with np.load(file) as arrays:
             head = json.loads(arrays["head"].tobytes())
             inside = {k: {name.split("/")[1] for name in arrays.files if name.startswith(f"{k}/")}
-                      for k in (*head["query"], *head["pool"])}
+                      for k in map(int, head["probes"])}
         assert all(inside[k] == {"time", "poses", "axis"} for k in head["query"])
-        assert all(inside[k] >= {"time", "poses", "axis", "value", "valid"} for k in head["pool"])
-        assert set(head) == {"name", "object_index", "view_index", "probe", "query", "pool"}
+        assert all(inside[k] >= {"time", "poses", "axis", "value", "valid"} for k in inside.keys() - {*head["query"]})
+        assert set(head) == {"name", "probes", "query", "asked"}
     index = json.loads((public / "sealed.json").read_text())
     text = json.loads(private.read_text())["text"]
     assert hashlib.sha256(text.encode()).hexdigest() == commitment == index["commitment"]

@@ -184,7 +184,7 @@ def differences(found: Record, known: Record) -> list[str]:
     Raises:
         ValueError, KeyError, TypeError: a record is malformed.
     """
-    out, odd, share = _apart(found, known)
+    out, odd, share = apart(found, known)
     allowed = max(OTHER_ENDS, AGAIN * known.again)
     if share > allowed:
         out.append(f"{len(odd)} of its touches read otherwise ({plain(odd[0])}), {100.0 * share:.3g} % of all, where "
@@ -192,21 +192,7 @@ def differences(found: Record, known: Record) -> list[str]:
     return out
 
 
-def again(found: Record, known: Record) -> Record:
-    """The record ``known`` with the share of touches that a dataset of the same plan, made on another machine, reads
-    otherwise.
-
-    Raises:
-        TaskError: they are not the same views or the same planned touches.
-    """
-    wrong, _, share = _apart(found, known)
-    if wrong:
-        raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
-                        f"one that `vsfsim generate` made on another machine with the operands of the task.")
-    return msgspec.structs.replace(known, again=share)
-
-
-def _apart(found: Record, known: Record) -> tuple[list[str], list[str], float]:
+def apart(found: Record, known: Record) -> tuple[list[str], list[str], float]:
     """Where two records differ: phrases on what no rounding changes; the touches that read otherwise; and their
     share [-]. Where the two cannot be compared number by number, a phrase says so and nothing else is known."""
     (mine, a, one), (theirs, b, other) = found.fingerprints(), known.fingerprints()

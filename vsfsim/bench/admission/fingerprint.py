@@ -21,15 +21,15 @@ import msgspec
 import numpy as np
 
 from vsfsim.bench.protocol import divide, folds_of, record, share_unresolved
-from vsfsim.bench.result_file import pack, unpack
+from vsfsim.bench.result_file import pack, read_record, unpack
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
-from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import Touch
 
+KIND = "record of a dataset as `vsfsim measure record FOLDER` writes it"
 _BLOCK = 8  # pixels
 SCALE = 4096.0
 """Projections are stored as multiples of norm / SCALE, within 8 norms."""
@@ -137,7 +137,7 @@ def shipped_record(task: Task) -> Record | None:
     path = record_path(task)
     if not path.is_file():
         return None
-    found = load_record(path)
+    found = read_record(path, Record, KIND)
     return found if (found.task, found.task_sha256) == (task.name, task.sha256) else None
 
 
@@ -148,19 +148,6 @@ def save_record(record: Record, path: Path) -> None:
         TaskError: the file cannot be written.
     """
     write_atomic(path, msgspec.json.encode(record) + b"\n", error=TaskError)
-
-
-def load_record(path: Path) -> Record:
-    """Read a record.
-
-    Raises:
-        TaskError: the file cannot be read, or is no record.
-    """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Record)
-    except (OSError, ValueError, RecursionError) as error:
-        raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file, or make it again with `vsfsim "
-                        f"measure record FOLDER`.") from error
 
 
 def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:

@@ -28,10 +28,10 @@ from vsfsim.bench.commands.catalogue import PRESETS, preset
 from vsfsim.bench.identity import method_sha256
 from vsfsim.bench.metrics import METRICS, Answer, Score
 from vsfsim.bench.result import Result
+from vsfsim.bench.result_file import read_record
 from vsfsim.bench.task import Task
 from vsfsim.core import table
 from vsfsim.core.errors import MethodError, TaskError
-from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import ceilings, folder, methods
 from vsfsim.core.table import parse_toml, read_text
 
@@ -107,12 +107,8 @@ def listed() -> dict[str, Entry]:
         TaskError: the file is damaged, or a sealed row has no receipt.
     """
     path = folder("leaderboard") / LIST
-    if not path.is_file():
-        return {}
-    try:
-        return {entry.sha256: entry for entry in msgspec.json.decode(path.read_bytes(), type=list[Entry])}
-    except (OSError, msgspec.MsgspecError) as error:
-        raise TaskError(f"{path} is no list of rows: {plain(error)}. Restore the file.") from error
+    found = read_record(path, list[Entry], "list of rows") if path.is_file() else []
+    return {entry.sha256: entry for entry in found}
 
 
 def is_ceiling(result: Result) -> bool:
