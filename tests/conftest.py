@@ -16,16 +16,6 @@ from vsfsim.core.solid import Solid
 
 WORKERS = 4  # processes at most: each holds a gigabyte and compiles for itself what is not in the cache yet
 
-LONGEST = ("test_invariance.py", "test_bad_input.py", "test_extremes.py", "test_bubble.py", "test_isolation.py",
-           "test_scan.py", "test_generate.py", "test_first_hour.py", "test_rigid.py", "test_training.py",
-           "test_solver.py", "test_sbml.py", "test_friction.py", "test_new_effector.py", "test_plants.py",
-           "test_notebook.py", "test_bubble_edges.py", "test_field_vsf.py",
-           "test_packaging.py", "test_press_cli.py", "test_python.py", "test_dataset.py", "test_stability.py",
-           "test_touch_bubble.py", "test_evaluate.py", "test_presets.py", "test_admission.py", "test_interruption.py",
-           "test_body_points.py", "test_docs.py")
-"""Files that take 8 s of a core or more, the longest first. The whole suite begins with them, so that its processes
-end together; by default those with few tests come last, and one of these has a single test of 20 s."""
-
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device of the physics tests: cpu or cuda:0.")
@@ -51,21 +41,13 @@ def pytest_cmdline_main(config):
         cores = len(os.sched_getaffinity(0))
         if cores > 1:
             options.numprocesses = min(cores + 1, WORKERS)
-            options.dist, options.loadscopereorder = "loadfile", False
+            options.dist = "loadfile"
 
 
 def pytest_collection_finish(session):
     """Fewer searches for circles, which leave out the libraries' 400,000 objects: a tenth of the time of some files."""
     gc.set_threshold(50_000, 20, 50)
     gc.freeze()
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(config, items):
-    """`LONGEST` first, in a worker of the whole suite; the order within a file stays."""
-    if hasattr(config, "workerinput"):
-        place = {name: k for k, name in enumerate(LONGEST)}
-        items.sort(key=lambda item: place.get(item.path.name, len(place)))
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ time, continued later, and ended by a budget of time."""
 from __future__ import annotations
 
 import gc
-import json
 import tempfile
 import time
 import traceback
@@ -18,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
+from measurements.kept import Kept
 from measurements.stability.checks import PATH, TIER, compare, contradictions
 from measurements.stability.design import Cell
 from measurements.stability.evidence import Evidence, gather
-from measurements.stability.team import Ended, answers, kept
+from measurements.stability.team import Ended, answers
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.table import typed
 
 SAMPLE = 8  # one cell in so many is also pressed in twice the frames, and another one at tier fem
-COMMAND = "vsfsim measure stability"
 FRAMES = 80  # more than any cell has
 SPARE = 180.0  # for meshes, factors and kernels of a cell [s]
 LATE = 1.2  # time of a frame over its limit that counts as over the limit [-]
@@ -137,20 +136,6 @@ def second_press(cell: Cell, e: Evidence, folder: Path, limit: float, device: st
     return []
 
 
-def finished(file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
-    """The verdicts that a file already holds; a new file gets its first line.
-
-    Args:
-        file: see `team.kept`.
-        circumstances: what must be the same for verdicts to be comparable: limit, commit and version.
-
-    Raises:
-        VsfsimError: see `team.kept`.
-    """
-    return [typed(row, Verdict, str(file), also=("key",), error=VsfsimError)
-            for row in kept(file, circumstances, COMMAND)]
-
-
 def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device: str = "cpu",
         budget: float | None = None, circumstances: dict[str, Any] | None = None,
         progress: Callable[[int, int, str], None] | None = None) -> list[Verdict]:
@@ -161,33 +146,32 @@ def run(cells: Sequence[Cell], file: Path, *, limit: float, workers: int, device
 
     Args:
         cells: in the order in which they are made.
-        file: see `finished`.
+        file: see `Kept`.
         limit: limit of a frame's processor time [s].
         workers: processes.
         device: Warp device.
         budget: time after which no new cell begins [s]; None for none.
-        circumstances: see `finished`; limit and device are added.
+        circumstances: see `Kept`; limit and device are added.
         progress: called with (done, in all, what).
 
     Returns:
         The verdicts of the cells that are done, in the order of ``cells``.
 
     Raises:
-        VsfsimError: see `finished`.
+        VsfsimError: see `Kept`.
     """
-    done = {v.cell.key: v for v in finished(file, {"limit": limit, "device": device, **(circumstances or {})})}
+    lines = Kept(file, {"limit": limit, "device": device, **(circumstances or {})})
+    done = {key: typed(row, Verdict, str(file), also=("key",), error=VsfsimError) for key, row in lines.rows.items()}
     waiting = [c for c in cells if c.key not in done]
-    with file.open("a") as out:
-        for cell, found in answers(waiting, partial(_work, limit=limit, device=device), workers=workers,
-                                   most=FRAMES * LATE * limit + SPARE, budget=budget):
-            if isinstance(found, Ended):
-                outcome = Outcome.LATE if found.late else Outcome.CRASHED
-                found = Verdict(cell, outcome, (found.words,), seconds=found.seconds)
-            out.write(json.dumps(found.table()) + "\n")
-            out.flush()
-            done[cell.key] = found
-            if progress is not None:
-                progress(sum(c.key in done for c in cells), len(cells), "cells")
+    for cell, found in answers(waiting, partial(_work, limit=limit, device=device), workers=workers,
+                               most=FRAMES * LATE * limit + SPARE, budget=budget):
+        if isinstance(found, Ended):
+            outcome = Outcome.LATE if found.late else Outcome.CRASHED
+            found = Verdict(cell, outcome, (found.words,), seconds=found.seconds)
+        lines.add(found.table())
+        done[cell.key] = found
+        if progress is not None:
+            progress(sum(c.key in done for c in cells), len(cells), "cells")
     return [done[c.key] for c in cells if c.key in done]
 
 

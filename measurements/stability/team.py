@@ -1,20 +1,16 @@
-"""Jobs in worker processes that may crash or not end, whose answers are kept in a file of JSON lines as they come."""
+"""Jobs in worker processes that may crash or not end."""
 
 from __future__ import annotations
 
-import json
 import multiprocessing as mp
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import VsfsimError
-from vsfsim.core.plain_text import from_json
 from vsfsim.core.system.engines import one_thread
 
 
@@ -46,36 +42,6 @@ def processor_time(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
-
-
-def kept(file: Path, circumstances: Mapping[str, Any], command: str) -> list[dict[str, Any]]:
-    """The lines that a file already holds; a new file gets its first line.
-
-    Args:
-        file: JSON lines: first the circumstances, then one answer a line. A last line that was cut off by an
-            interruption is removed.
-        circumstances: what must be the same for answers to be comparable.
-        command: whose file it is.
-
-    Raises:
-        VsfsimError: the file cannot be read, or was made under other circumstances.
-    """
-    if not file.exists():
-        file.write_text(json.dumps(dict(circumstances)) + "\n")
-        return []
-    lines = file.read_text().split("\n")
-    try:
-        found = dict(from_json(lines[0]))
-        rows = [dict(from_json(line)) for line in lines[1:-1]]
-    except (ValueError, TypeError) as error:
-        raise VsfsimError(f"{file} is not a file of `{command}` ({error}). Give another --out.") from None
-    for name, value in circumstances.items():
-        if found.get(name) != value:
-            raise VsfsimError(f"{file} was made with {name} {found.get(name)!r}, and this run has {value!r}; their "
-                              f"rows cannot be put together. Give another --out, or delete the file.")
-    if lines[-1]:
-        file.write_text("\n".join(lines[:-1]) + "\n")
-    return rows
 
 
 @dataclass

@@ -4,7 +4,6 @@ error against time on logarithmic axes with a line a tier."""
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -16,14 +15,13 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import vsfsim
+from measurements.kept import Kept
 from measurements.tradeoff import front
 from measurements.tradeoff.front import Point
 from measurements.tradeoff.touches import DatasetTouches, Run, limits, sweep
 from vsfsim.core.errors import VsfsimError
-from vsfsim.core.plain_text import from_json
 from vsfsim.core.scene import SceneFile
 from vsfsim.core.system.interactive import new_figure
-from vsfsim.data.disk import write_atomic
 from vsfsim.data.provenance import commit, machine_kind
 from vsfsim.data.recipe import text_sha256
 from vsfsim.generate.trade.setting import Setting
@@ -71,37 +69,6 @@ class Tradeoff:
         return {**dataclasses.asdict(self), "sentences": self.sentences()}
 
 
-class _Lines:
-    """A file of JSON lines: first the circumstances, then what was made, by its key. A line that was cut is left out.
-
-    Raises:
-        VsfsimError: it is no such file, or of other circumstances.
-    """
-
-    def __init__(self, file: Path, circumstances: Mapping[str, Any]):
-        self.file, self.rows = file, dict[str, dict[str, Any]]()
-        if file.exists():
-            try:
-                head, *rows = map(from_json, file.read_text().split("\n")[:-1])
-                self.rows = {row["key"]: row for row in rows}
-            except (ValueError, KeyError, TypeError):
-                head = {}
-            if head != circumstances:
-                raise VsfsimError(f"{file} was made by another command or another version ({head}), and this run is "
-                                  f"{circumstances}; their points cannot be put together. Give another --out, or "
-                                  "delete the file.")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(file, "".join(json.dumps(row) + "\n" for row in (circumstances, *self.rows.values())).encode())
-
-    def made(self, key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The row of a key, which is made if it is not there."""
-        if key not in self.rows:
-            self.rows[key] = {"key": key, **make()}
-            with open(self.file, "a") as file:
-                file.write(json.dumps(self.rows[key]) + "\n")
-        return self.rows[key]
-
-
 def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1, seed: int = 0,
              device: str = "cpu", tiers_only: tuple[str, ...] = (),
              progress: Callable[[int, int, str], None] = lambda done, total, what: None) -> Tradeoff:
@@ -121,7 +88,7 @@ def tradeoff(loaded: SceneFile, out: Path, *, touches: int = 4, objects: int = 1
         VsfsimError: no [touches] on a solid, a tier that they do not have, a folder of another run, or no touch whose
             limit is known.
     """
-    lines = _Lines(out / LINES, {"format": "vsfsim-tradeoff", "scene": loaded.name,
+    lines = Kept(out / LINES, {"format": "vsfsim-tradeoff", "scene": loaded.name,
                                  "scene_sha256": text_sha256(loaded.text), "seed": seed,
                                  "touches": touches, "objects": objects, "device": device,
                                  "version": vsfsim.__version__, "commit": commit()})

@@ -5,45 +5,32 @@ import dataclasses
 
 import numpy as np
 import pytest
+from mock_methods import TASK, error, training
 
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.point_vsf import PointVsf
-from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.metrics import spearman
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.task import parse_task
+from vsfsim.bench.protocol import record
 from vsfsim.core.errors import MethodError
 
 
 @pytest.fixture(scope="module")
-def task():
-    return parse_task(MOCK_TASK, "mock")
+def train():
+    return training(2, touches=10)
 
 
 @pytest.fixture(scope="module")
-def train(task):
-    return [specimen(mock_view(i, split="train", touches=10), task) for i in range(2)]
-
-
-@pytest.fixture(scope="module")
-def subject(task):
+def subject():
     view = mock_view(5, touches=20)
-    return view, record(view, task)
-
-
-def error(method, view, recording, support, query=range(14, 20)):
-    method.adapt(view.view, [recording.readings[i] for i in support])
-    answer = method.predict([recording.readings[i].action for i in query])
-    return float(np.sqrt(np.mean([np.mean((a - recording.clean[i]) ** 2) for a, i in zip(answer, query)])))
+    return view, record(view, TASK)
 
 
 @pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf])
 def test_touches_reduce_the_error(method, train, subject):
-    view, recording = subject
     fitted = method(noise_std=0.15)  # the mock is exactly of the model's kind: only the sensor errs
     fitted.meta_fit(train)
-    errors = [error(fitted, view, recording, range(k)) for k in (0, 3, 13)]
+    errors = [error(fitted, subject[0], range(k), range(14, 20)) for k in (0, 3, 13)]
     # Thirteen touches cover the 4 cm square that is touched; the mock is exactly of the model's kind, on a shifted
     # grid.
     assert errors[2] < 0.25 * errors[0], errors

@@ -5,15 +5,14 @@ import inspect
 
 import numpy as np
 import pytest
+from mock_methods import TASK, training
 
 from vsfsim.baselines.converted import Units, enlarged, half_width
 from vsfsim.baselines.surface_touches import SurfaceView
-from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.commands.catalogue import preset
 from vsfsim.bench.method import Specimen, find_method
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.task import parse_task
+from vsfsim.bench.protocol import record
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, Sphere
@@ -28,9 +27,8 @@ METHODS = (*PARTICLES, "near-springs", "surface-gp", "contact-points", "cnp", "i
 @pytest.fixture(scope="module")
 def data():
     """Training objects, a view, and the readings of its touches."""
-    task = parse_task(MOCK_TASK, "mock")
     view = mock_view(5, touches=5)
-    return [specimen(mock_view(i, split="train", touches=4), task) for i in range(2)], view, record(view, task).readings
+    return training(2, touches=4), view, record(view, TASK).readings
 
 
 def answers(name, data, units, **more):

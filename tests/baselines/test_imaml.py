@@ -4,13 +4,12 @@
 import numpy as np
 import pytest
 import torch
+from mock_methods import TASK, error, training
 
 from vsfsim.baselines.imaml import Imaml
 from vsfsim.baselines.implicit_maml import Batch, Network, adapt, implicit_gradient
-from vsfsim.bench.check import MOCK_TASK
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.protocol import record, specimen
-from vsfsim.bench.task import parse_task
+from vsfsim.bench.protocol import record
 from vsfsim.core.errors import MethodError
 
 torch.set_num_threads(1)
@@ -69,13 +68,12 @@ def test_without_support_nothing_moves():
 
 
 def test_single_precision_agrees_with_double():
-    task = parse_task(MOCK_TASK, "mock")
-    train, view = [specimen(mock_view(i, split="train"), task) for i in range(3)], mock_view(10)
+    train, view = training(3), mock_view(10)
     answers = []
     for precision in ("float64", "float32"):
         method = Imaml(epochs=5, precision=precision)
         method.meta_fit(train)
-        reading = record(view, task).readings
+        reading = record(view, TASK).readings
         method.adapt(view.view, reading[:3])
         answers.append(method.predict([reading[4].action])[0])
     assert answers[1].dtype == np.float64 and not np.array_equal(*answers)
@@ -83,19 +81,11 @@ def test_single_precision_agrees_with_double():
 
 
 def test_it_learns_and_adapts():
-    task = parse_task(MOCK_TASK, "mock")
-    train = [specimen(mock_view(i, split="train", touches=10), task) for i in range(8)]
+    train = training(8, touches=10)
     views = [mock_view(i, touches=20) for i in range(10, 16)]
 
     def log_errors(method, support):
-        found = []
-        for view in views:
-            recording = record(view, task)
-            method.adapt(view.view, [recording.readings[i] for i in support])
-            answer = method.predict([recording.readings[i].action for i in range(14, 20)])
-            found.append(0.5 * np.log(np.mean([np.mean((a - recording.clean[i]) ** 2)
-                                               for a, i in zip(answer, range(14, 20))])))
-        return np.array(found)
+        return np.log([error(method, view, support, range(14, 20)) for view in views])
 
     def ratio(first, second):
         """Geometric mean over the six objects of the ratio of two errors."""
@@ -114,6 +104,6 @@ def test_it_learns_and_adapts():
 
 
 def test_training_that_diverges_is_refused():
-    train = [specimen(mock_view(i, split="train", touches=4), parse_task(MOCK_TASK, "mock")) for i in range(2)]
+    train = training(2, touches=4)
     with pytest.raises(MethodError, match="diverged"):
         Imaml(epochs=4, outer_rate=1e3, inner_rate=10.0, inner_steps=4, cg_steps=1).meta_fit(train)

@@ -1,7 +1,5 @@
 """No rigid body lies inside an object unnoticed: the check by geometry, contact between the points, marked frames."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import torch
@@ -122,33 +120,6 @@ def test_a_ball_that_went_through_a_membrane_is_never_in_silence():
     good = found.converged[:, 0]
     assert (np.linalg.norm(found.force[good, 0], axis=1) > 0.1).all()
     assert np.isnan(found.force[~good, 0]).all()
-
-
-def test_a_body_behind_a_sheet_is_as_deep_as_it_is_far_from_it():
-    """A ball of 2 mm at heights over the base of a half-sphere of 30 mm: outside, dented in and wholly inside."""
-    ball, faces = dome(0.03)
-    mesh = SimpleNamespace(points=ball, faces=faces, tets=np.zeros((0, 10)))
-    check = Intrusion(mesh, RigidBodies(Sphere(0.002)), 0.002, device="cpu")
-    pose, u = np.tile(np.eye(4), (3, 1, 1, 1)), torch.zeros((ball.size, 3), dtype=torch.float64)
-    pose[:, 0, 2, 3] = [0.0325, 0.0295, 0.015]
-    depth = check.check(torch.arange(3), pose, u)[1].amax(dim=1)
-    # the lowest point of the ball is 2 mm under its centre; samples are half a radius apart
-    assert depth[0] == 0.0 and depth[1] == pytest.approx(0.0025, abs=4e-4)
-    assert depth[2] == pytest.approx(0.017, abs=4e-4) and check.tolerance == pytest.approx(2e-4)
-
-
-def dome(radius: float, rings: int = 24, turns: int = 48) -> tuple[np.ndarray, np.ndarray]:
-    """A half-sphere over z = 0: nodes (n, 3) [m] and triangles wound outwards (f, 3)."""
-    polar = np.linspace(0.0, 0.5 * np.pi, rings + 1)[1:]
-    angle = 2.0 * np.pi * np.arange(turns) / turns
-    p, a = np.meshgrid(polar, angle, indexing="ij")
-    nodes = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=2).reshape(-1, 3)
-    faces = [(0, 1 + k, 1 + (k + 1) % turns) for k in range(turns)]
-    for r in range(rings - 1):
-        for k in range(turns):
-            i, j = 1 + r * turns + k, 1 + r * turns + (k + 1) % turns
-            faces += [(i, i + turns, j + turns), (i, j + turns, j)]
-    return radius * np.vstack([[0.0, 0.0, 1.0], nodes]), np.array(faces)
 
 
 def test_a_box_that_cuts_in_between_points_is_met_from_where_it_is(block, device):
