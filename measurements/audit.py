@@ -91,15 +91,14 @@ class Shipped(msgspec.Struct):
 
 
 def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, fresh: Sequence[Path] = (),
-          folder: Path | None = None, measure: bool = True,
-          progress: Callable[[int, int, str], None] = lambda *_: None) -> Audit:
+          measure: bool = True, progress: Callable[[int, int, str], None] = lambda *_: None) -> Audit:
     """Audit a task.
 
     Args:
         task: the task. results: further result files or folders, beside the rows that ship. dataset: its
-        folder, None for the task's. fresh: folders of results of the same methods on objects of other seeds. folder:
-        where the results of shortcuts are kept; None for results/TASK/audit. measure: evaluate the shortcuts; else, and
-        without data, they are those that ship, as is ``fresh`` where none are given. progress: as of `evaluate`.
+        folder, None for the task's. fresh: folders of results of the same methods on objects of other seeds. measure:
+        evaluate the shortcuts; else, and without data, they are those that ship, as is ``fresh`` where none are given.
+        progress: as of `evaluate`.
 
     Raises:
         TaskError: a file is not a result of the task.
@@ -108,8 +107,8 @@ def audit(task: Task, results: Sequence[Path], *, dataset: Path | None = None, f
     values = [row.values[AREA] for row in ranked]
     pairs = [paired(worse, better) for better, worse in itertools.pairwise(values)]
     known = shipped(task)
-    errors = (_shortcuts(task, dataset, folder or Path("results") / task.name / "audit", progress) if measure else
-              {}) or known.errors
+    folder = Path("results") / task.name / "audit"  # of the shortcuts
+    errors = (_shortcuts(task, dataset, folder, progress) if measure else {}) or known.errors
     shortcuts = []
     for sees, of in errors.items():
         mine = {name: np.array([[value]]) for name, value in of.items()}

@@ -64,9 +64,7 @@ class Whole:
     def choice(self, key: str) -> Choice:
         """The method and settings of a row."""
         method, _, settings = key.partition(".")
-        task = self.task
-        return preset(method, settings, task.observation.name, task.metric.answer.value) if settings else (
-            Choice(method, "", {}))
+        return preset(method, settings, self.task.observation.name, self.task.metric.answer.value)
 
     def current(self, key: str) -> str:
         """The sha256 of a row that ships, is listed, and is what would be made here; else ""."""

@@ -86,22 +86,6 @@ def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True)
     return boards[task]
 
 
-def evaluation(study: Study, variant: Variant) -> Evaluation:
-    """What makes the result of a variant.
-
-    Args:
-        study: the study. variant: of it.
-
-    Raises:
-        VsfsimError: the dataset is missing, with the command that makes it, or does not fit.
-    """
-    row = study.is_row(variant)
-    task = load_task(study.task) if row else study.task_of(variant)  # a row without the study's shots and runs
-    choice = study.choice(variant, task)
-    return Evaluation(choice.method, task, open_dataset(task), MADE / study.place(variant), choice.parameters,
-                      preset=choice.preset, training=study.training(variant))
-
-
 def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[int, int, str], None] = lambda *_: None,
                  fan: Fan = HERE) -> Iterator[tuple[str, str]]:
     """Make the results of some studies that are not there, several trainings at a time.
@@ -122,7 +106,11 @@ def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[i
         for variant in (one for one in study.variants if one.name not in found):
             name = f"{study.name}, {variant.name}"
             try:
-                one = evaluation(study, variant)
+                # a row without the study's shots and runs
+                task = load_task(study.task) if study.is_row(variant) else study.task_of(variant)
+                of = study.choice(variant, task)
+                one = Evaluation(of.method, task, open_dataset(task), MADE / study.place(variant), of.parameters,
+                                 preset=of.preset, training=study.training(variant))
             except VsfsimError as error:
                 yield name, str(error)
                 continue

@@ -78,8 +78,8 @@ def evaluate(method: str, task: str | Path | Task, dataset: str | Path | Dataset
         raise MethodError(f"method is {method!r}; give the name of an installed method, or module:attribute of one in "
                           "a file (in a notebook: %%writefile mine.py as the first line of its cell).")
     wanted = task if isinstance(task, Task) else load_task(task)
-    given = chosen(method, preset, wanted.observation.name, wanted.metric.answer.value).parameters if preset else {}
-    row = Choice(method, preset, {**given, **(parameters or {})})
+    row = chosen(method, preset, wanted.observation.name, wanted.metric.answer.value)
+    row = replace(row, parameters={**row.parameters, **(parameters or {})})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json" if out is None else Path(out)
         (made,) = evaluate_all(wanted, {path: row}, dataset=dataset, again=True, seeds=seeds, workers=workers,

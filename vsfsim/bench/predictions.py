@@ -190,8 +190,8 @@ def _unsealed(path: Path, sha256: str, task: Task) -> list[Question]:
             arrays = dict(file)
         head, row = from_json(arrays.pop("head").tobytes()), task.observation
         shown, query = frozen_view(View(**{key: arrays[key] for key in _VIEW})), tuple(head["query"])
-        actions = {int(k): Action(*(arrays[f"{k}/{name}"] for name in ("time", "poses", "axis")),
-                                  *parse_probe_shapes(probe, str(path)), row.name, row.size, arrays.get(f"{k}/q"),
+        actions = {int(k): Action(arrays[f"{k}/time"], arrays[f"{k}/poses"], arrays[f"{k}/axis"],
+                                  parse_probe_shapes(probe, str(path))[0], row.name, row.size, arrays.get(f"{k}/q"),
                                   spring)
                    for k, (probe, spring) in head["probes"].items()}
         surfaces = {k: Surface(arrays[f"{k}/vertices"], arrays[f"{k}/node_force"])

@@ -91,8 +91,7 @@ def evaluate(task: TaskName,
         folder = out or Path("results") / wanted.name
         paths = {result_path(folder / f"{row.stem}.json", wanted.name, row.stem): row for row in rows}
     else:
-        rows = [catalogue.preset(name, preset, reads, answer) if preset else catalogue.Choice(name, "", {})
-                for name in names]
+        rows = [catalogue.preset(name, preset, reads, answer) for name in names]
         paths = {result_path(out, wanted.name, row.stem): catalogue.Choice(
             row.method, row.preset, {**row.parameters, **given}) for row in rows}
     made, show, tables = [], str(json) != "-", not every and fan == HERE

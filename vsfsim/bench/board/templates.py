@@ -3,14 +3,10 @@ another machine. What strangers wrote is text in every place."""
 
 from __future__ import annotations
 
-import base64
 import functools
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -34,19 +30,3 @@ def _environment() -> Environment:
 def filled(template: str, **given: Any) -> str:
     """A text or page of the folder `pages`, filled; texts are made `plain`, and escaped in a page."""
     return _environment().get_template(template).render(**given)
-
-
-def png_uri(image: np.ndarray) -> str:
-    """An image as the address of a PNG that it holds itself.
-
-    Args:
-        image: sRGB (H, W, 3), or grey and opacity (H, W, 2), uint8.
-    """
-    height, width, bands = image.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)
-    head = struct.pack(">IIBBBBB", width, height, 8, {3: 2, 2: 4}[bands], 0, 0, 0)
-    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
-    content = b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks)
-    return "data:image/png;base64," + base64.b64encode(content).decode()

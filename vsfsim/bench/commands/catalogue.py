@@ -99,13 +99,15 @@ def preset(method: str, name: str, observation: str, answer: str = "readings") -
 
     Args:
         method: its name.
-        name: of the preset.
+        name: of the preset; "" for the settings of its constructor.
         observation: name of what is read.
         answer: what is asked of it, a value of `vsfsim.bench.metrics.Answer`.
 
     Raises:
         MethodError: the method has no presets, or not this one.
     """
+    if not name:
+        return Choice(method, "", {})
     table = _table()
     if method not in table:
         raise MethodError(f"--preset: the method '{method}' has no presets. {did_you_mean(method, table)} Give its "
