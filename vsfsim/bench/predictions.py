@@ -125,7 +125,7 @@ def seal(task: Task, dataset: Dataset, public: Path, private: Path) -> str:
         content = _public_part(list(asked))
         write_atomic(public / f"object-{number:04d}.npz", content, error=TaskError)
         files[f"object-{number:04d}.npz"] = hashlib.sha256(content).hexdigest()
-    write_record(public / INDEX, _Index("vsfsim-sealed", 1, task.name, task.sha256, commitment, files))
+    write_record(public / INDEX, _Index("vsfsim-sealed", 2, task.name, task.sha256, commitment, files))
     return commitment
 
 
@@ -201,7 +201,7 @@ def _unsealed(path: Path, sha256: str, task: Task) -> list[Question]:
         return [Question(check_name(head["name"], str(path)), shot, seed, shown, tuple(given),
                          tuple(readings[k] for k in given), query, tuple(actions[k] for k in query))
                 for shot, seed, given in head["asked"]]
-    except (OSError, ValueError, KeyError, TypeError, IndexError, BadZipFile, EOFError, SceneError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, BadZipFile, EOFError, SceneError) as error:
         raise TaskError(f"{path} cannot be read as an object of a sealed set: {plain(error)}.") from error
 
 
@@ -214,7 +214,7 @@ class _Private(msgspec.Struct):
 
 class _Index(msgspec.Struct):
     format: Literal["vsfsim-sealed"]
-    version: Literal[1]
+    version: Literal[2]
     task: str
     task_sha256: str
     commitment: str
