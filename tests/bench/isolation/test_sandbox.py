@@ -127,12 +127,22 @@ def content(folder):
     return out.hexdigest()
 
 
-@container
-def test_no_note_passes_in_a_container(honest, leaks, monkeypatch, tmp_path):
-    (tmp_path / "warp" / "1" / "wp_kernel").mkdir(parents=True)
-    (tmp_path / "warp" / "1" / "wp_kernel" / "kernel.o").write_bytes(b"compiled for the user")
+KERNEL = b"compiled for the user"
+
+
+@pytest.fixture
+def kernel(tmp_path, monkeypatch):
+    """A file in the user's folder of compiled kernels."""
+    path = tmp_path / "warp" / "1" / "wp_kernel" / "kernel.o"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(KERNEL)
     monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "warp"))
-    outside = [tmp_path / "warp" / "1" / "wp_kernel", Path(vsfsim.__file__).parent, Path(hostile_leaks.__file__).parent]
+    return path
+
+
+@container
+def test_no_note_passes_in_a_container(honest, leaks, kernel):
+    outside = [kernel.parent, Path(vsfsim.__file__).parent, Path(hostile_leaks.__file__).parent]
     before = list(map(content, outside))
     scores, found, text = leaks("namespaces", list(hostile_leaks.WAYS))
     assert found == set()
@@ -144,11 +154,13 @@ def test_no_note_passes_in_a_container(honest, leaks, monkeypatch, tmp_path):
         assert not os.path.exists(os.path.join(folder, hostile_leaks.NOTE))
 
 
-def test_the_same_notes_pass_where_there_is_no_container(leaks):
+def test_the_same_notes_pass_where_there_is_no_container(leaks, kernel):
     """The ways are ways: a plain process shares memory and files with others. Files that change are seen even there."""
     try:
         _, found, _ = leaks("process", ["working folder", "System V memory", "class attribute"], 1)
         assert found == {"System V memory"}, "folder and memory are a process's own there, too"
+        leaks("process", ["kernels"], 1)
+        assert kernel.read_bytes() == KERNEL, "the user's next command runs what it has compiled itself"
         with pytest.raises(MethodError, match=f"was changed while it was evaluated: /tmp/{hostile_leaks.NOTE} has"):
             leaks("process", ["/tmp"])
     finally:

@@ -120,6 +120,11 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
                         if path != os.getcwd() or path == str(Path(vsfsim.__path__[0]).parent)]
         self._places = {"size": LARGEST_FOLDER, **places(name, self.parameters, search=self._search, hidden=hidden,
                                                          given=environment(os.environ))}
+        self._kernels = kernels()
+        if isolation.sandbox == "process":  # which could write through links to the user's
+            self._kernels = str(self._folder / "kernels")
+            with contextlib.suppress(OSError):  # one that just went is compiled again
+                shutil.copytree(kernels(), self._kernels)
         self._lock, self._hosts = threading.Lock(), dict[bool, tuple[subprocess.Popen[bytes], socket.socket]]()
         self.processes = set[Process]()
         self.peak_memory_mib = 0.0
@@ -235,7 +240,7 @@ class MethodHost(contextlib.AbstractContextManager["MethodHost"]):
             check = {"name": self.name, "parameters": self.parameters} if (
                 self.ships and self.hides and not named_files(self.parameters, "")) else None
             given = {"search": self._search, "control": theirs.fileno(), "warm": warm, "check": check,
-                     "box": self._places if self.isolation.sandbox != "process" else None, "cache": kernels(),
+                     "box": self._places if self.isolation.sandbox != "process" else None, "cache": self._kernels,
                      "folder": str(self._folder), "most": LARGEST_LOG, "memory": self.isolation.memory}
             variables = {**environment(os.environ), **({"CUDA_VISIBLE_DEVICES": ""} if hide else {}),
                          "WARP_CACHE_PATH": kernels()}
