@@ -40,7 +40,6 @@ finally:
      "no parameter 'spcing'. Did you mean 'spacing'?"),
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-v3-mini-v1"),
      "vsfsim generate shoes-v3-mini --objects"),
-    (("generate", "pad", "--shard", "0/4"), "--shard is now an option of `vsfsim cluster`, before the command."),
     (("cluster", "--shard", "0/4", "press", "pad"), "The command of `vsfsim cluster` is 'press'."),
 ])
 def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_path):

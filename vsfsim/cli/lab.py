@@ -19,11 +19,6 @@ OLD = {"bench": "measure", "stability": "measure stability", "study": "papers st
        "inspect": "show", "view": "show --out page.html", **{name: f"lab {name}" for name in (
            "tradeoff", "export", "import", "score", "new-method", "audit", "seal")}}
 """Commands up to version 0.1, and what they are now."""
-OLD_OPTIONS = {**dict.fromkeys(("--on", "--address", "--gpus-per-task", "--shard", "--shards"),
-                               "an option of `vsfsim cluster`, before the command"),
-               "--finish": "the same command without it", "--print": "what `vsfsim cluster --on k8s` does",
-               "--mixed": "--allow mixed", "--poison": "--allow poison"}
-"""Their options."""
 
 
 class WholeSentences(TyperGroup):

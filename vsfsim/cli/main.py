@@ -79,9 +79,6 @@ def main() -> None:
     try:
         if word in lab.OLD:
             raise VsfsimError(f"`vsfsim {word}` is now `vsfsim {lab.OLD[word]}`.")
-        for option in [one.partition("=")[0] for one in sys.argv[2:]]:
-            if word in DIVIDED and option in lab.OLD_OPTIONS:
-                raise VsfsimError(f"{option} is now {lab.OLD_OPTIONS[option]}.")
         if not word.startswith("-") and word not in command.commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, command.commands)}")
         command(prog_name="vsfsim")

@@ -61,7 +61,8 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None
         _targets(row[2], object_view, colours, window)
         _curves(row[3], object_view, colours, "normal force [N]", lambda touch: touch.normal_force())
         if air:
-            _curves(row[4], object_view, colours, "pressure change [Pa]", _pressure_change)
+            _curves(row[4], object_view, colours, "pressure change [Pa]",
+                    lambda touch: touch.pressure - touch.rest_pressure)
         if inside:
             _inside(row[-1], object_view)
     if out_png is not None:
@@ -121,12 +122,6 @@ def _curves(axes, object_view: ObjectView, colours: np.ndarray, title: str, of: 
     axes.grid(color="0.9")
     axes.set_xlabel("travel along the press [mm]", fontsize=8)
     axes.set_title(title, fontsize=9, loc="left")
-
-
-def _pressure_change(touch: Touch) -> np.ndarray:
-    if touch.pressure is None or touch.rest_pressure is None:
-        return np.full(len(touch.time), np.nan)
-    return touch.pressure - touch.rest_pressure
 
 
 def _inside(axes, object_view: ObjectView) -> None:

@@ -59,33 +59,6 @@ def test_lerobot_names_the_file_of_every_episode_past_a_chunk(made, tmp_path, mo
     assert json.loads((out / "meta/info.json").read_text())["chunks_size"] == 2
 
 
-READ = """
-import sys
-import numpy as np
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
-d = LeRobotDataset("local/mock", root=sys.argv[1])
-rows = [d[k] for k in range(len(d))]
-np.savez(sys.argv[2], **{k: np.stack([r[k].numpy() for r in rows]) for k in rows[0] if hasattr(rows[0][k], "numpy")})
-"""
-
-
-def test_lerobot_itself_reads_the_same_bits(made, tmp_path):
-    """With the Python of an environment that has lerobot, which wants versions of its own."""
-    python = os.environ.get("VSFSIM_LEROBOT_PYTHON")
-    if python is None:
-        pytest.skip("VSFSIM_LEROBOT_PYTHON names no Python that has lerobot")
-    out = export(made.path, "lerobot", tmp_path / "l")
-    subprocess.run([python, "-c", READ, str(out), str(tmp_path / "read.npz")], check=True,
-                   env={**os.environ, "HF_HUB_OFFLINE": "1"})
-    read = np.load(tmp_path / "read.npz")
-    touches = [touch for view in made for touch in view.touches]
-    for key in frame_rows(touches[0]):
-        want = np.concatenate([frame_rows(touch)[key] for touch in touches])
-        assert read[key].tobytes() == want.tobytes(), key
-    picture = (read["observation.images.rgb"][0].transpose(1, 2, 0) * 255).round().astype(np.uint8)
-    assert np.array_equal(picture, made[0].view.rgb)
-
-
 def test_croissant_is_valid_and_lists_every_touch(made, tmp_path):
     pytest.importorskip("pyarrow")
     out = export(made.path, "croissant", tmp_path / "c")
