@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli import cluster
 from vsfsim.cli.console import Progress, report
 from vsfsim.cli.options import AtLeastOne, JsonFile, command
 from vsfsim.core.errors import TaskError
@@ -22,49 +21,39 @@ def _complete(incomplete: str) -> list[str]:
 
 @command(app)
 def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)] = None,
-          every: Annotated[bool, typer.Option("--all")] = False, workers: AtLeastOne = 1, show: bool = False,
-          json: JsonFile = None) -> None:
+          workers: AtLeastOne = 1, show: bool = False, json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
 
     What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
 
     Args:
         names: Of a study, or the path of its .toml file; may be given again. Without it, the studies are listed.
-        every: All studies that ship.
         workers: Trainings that run at the same time, of all variants.
         show: Print what is stored and make nothing.
     """
     from papers import report as tables
     from papers.results import make_missing, stored
     from papers.study import load_study, studies
+    from vsfsim.bench.commands.catalogue import Catalogue
 
-    fan = cluster.asked()
-    known = [load_study(name) for name in (studies() if every else names or [])]
+    known, reasons = [load_study(name) for name in names or []], dict[str, list[str]]()
     if not known:
-        listed = [load_study(name) for name in studies()]
-        width = 2 + max(len(one.name) for one in listed)
-        report("\n".join(f"{one.name:<{width}}{one.title} ({one.source})" for one in listed),
-               [{"study": one.name, "title": one.title, "source": one.source, "task": one.task,
-                 "variants": [v.name for v in one.variants]} for one in listed], json)
-        return
-    reasons: dict[str, list[str]] = {}
-    if cluster.by_shards(10):
+        listed = {name: load_study(name) for name in studies()}
+        found = Catalogue("study", listed, ("study", "task", "title", "source"),
+                          [(name, one.task, one.title, one.source) for name, one in listed.items()])
+        report(str(found), found.table(), json)
         return
     if not show:
         with Progress("study") as progress:
-            for name, message in make_missing(known, workers, progress=progress, fan=fan):
+            for name, message in make_missing(known, workers, progress):
                 if message:
                     reasons.setdefault(message.strip(), []).append(name)
                 if str(json) != "-":
                     print(f"{name}: {'could not be made' if message else 'made'}", flush=True)
-    if fan.shard is not None and not reasons:
-        report(f"shard {fan.shard[0]}/{fan.shard[1]}: its trainings are made. When all shards are, the same command "
-               f"without a --shard scores them.", {"shard": list(fan.shard)}, json)
-        return
     boards: dict = {}
-    found = [(one, stored(one, boards)) for one in known]
-    numbers = [tables.table(*one) for one in found]
-    report("\n\n".join(tables.text(*one) for one in found), numbers[0] if len(numbers) == 1 else numbers, json)
+    pairs = [(one, stored(one, boards)) for one in known]
+    numbers = [tables.table(*one) for one in pairs]
+    report("\n\n".join(tables.text(*one) for one in pairs), numbers[0] if len(numbers) == 1 else numbers, json)
     if reasons:
         raise TaskError("\n\n".join(f"{'; '.join(which)}: {message}" for message, which in reasons.items()))
 

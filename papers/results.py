@@ -17,7 +17,6 @@ from vsfsim.bench.task import Protocol, load_task, open_dataset
 from vsfsim.bench.trials.jobs import Evaluation
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import folder
-from vsfsim.core.system.engines import HERE, Fan
 
 MADE = Path("results")
 
@@ -86,13 +85,13 @@ def board_of(task: str, boards: dict[str, leaderboard.Board], made: bool = True)
     return boards[task]
 
 
-def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[int, int, str], None] = lambda *_: None,
-                 fan: Fan = HERE) -> Iterator[tuple[str, str]]:
+def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[int, int, str], None] = lambda *_: None
+                 ) -> Iterator[tuple[str, str]]:
     """Make the results of some studies that are not there, several trainings at a time.
 
     Args:
         studies: whose variants are made. processes: trainings at a time. progress: called with (done, of how many, what
-        is going on). fan: where the trainings run; a shard scores nothing.
+        is going on).
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -115,7 +114,7 @@ def make_missing(studies: Sequence[Study], processes: int, progress: Callable[[i
                 yield name, str(error)
                 continue
             jobs.setdefault(one.path, (name, one))
-    for made in make([one for _, one in jobs.values()], processes, check=False, fan=fan, progress=progress):
+    for made in make([one for _, one in jobs.values()], processes, check=False, progress=progress):
         yield jobs[made.path][0], str(made.failure or "")
 
 

@@ -13,7 +13,7 @@ from vsfsim.core.errors import VsfsimError, one_of
 from vsfsim.core.system.engines import Fan, shard_of
 
 ENGINES = ("ray", "slurm", "k8s")
-DIVIDED = ("generate", "evaluate", "papers")
+DIVIDED = ("generate", "evaluate")
 """Commands whose work has parts."""
 
 

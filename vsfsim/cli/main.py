@@ -38,7 +38,7 @@ for name, of in (("lab", lab.lab), ("measure", lab.measure), ("papers", lab.pape
 
 @command(app, context_settings={"allow_interspersed_args": False, "ignore_unknown_options": True})
 def cluster(machines: Machines, words: Annotated[list[str], typer.Argument(metavar="COMMAND")]) -> None:
-    """Make the parts of generate, evaluate or papers study on several machines.
+    """Make the parts of generate or evaluate on several machines.
 
     \b
       vsfsim cluster --shard 0/4 generate shoes-v3 --out /shared/shoes     # on one machine, 1/4 on the next, ...

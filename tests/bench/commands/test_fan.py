@@ -39,8 +39,8 @@ def test_shards_make_the_trainings_and_the_last_call_scores_them(folded, toy_dat
 
 def test_the_words_of_a_shard_and_the_files_of_schedulers(vsfsim, tmp_path):
     task = "fewshot-shoes-v3-mini-v1"
-    out = vsfsim("cluster", "--on", "k8s", "--shards=5", "papers", "study", "rope", cwd=tmp_path)
-    words = '"vsfsim", "cluster", "--shard", "auto/5", "papers", "study", "rope", "--workers"'
+    out = vsfsim("cluster", "--on", "k8s", "--shards=5", "evaluate", "--method", "cnp", "--task", task, cwd=tmp_path)
+    words = '"vsfsim", "cluster", "--shard", "auto/5", "evaluate", "--method", "cnp", "--task"'
     assert words in out.stdout and "completions: 5" in out.stdout
     for words, text in ((("--on", "ray", "--shard", "0/2"), "--shard and --on do not go together"),
                         (("--on", "rai"), "--on is 'rai'. Did you mean 'ray'")):
